@@ -34,7 +34,7 @@ _MAX_TESTS = 6
 
 def make_plan(listeners: List[Listener]) -> "Plan":
     """Return the plan for listeners that are in order: a `SwitchNode` or the steps."""
-    return _plan(listeners, (), _MAX_TESTS)
+    return _build_plan(listeners, (), _MAX_TESTS)
 
 
 def takes_all(pattern: Term) -> bool:
@@ -80,7 +80,7 @@ class SwitchNode:
 
     def branch(self, term: Any) -> "Plan":
         """Return the rest of the plan for an event."""
-        value: Any = term[self.at] if self.at else _subterm(term, self.path)
+        value: Any = term[self.at] if self.at else _subterm_at(term, self.path)
         argument_class = value.__class__
         if argument_class is Lazy:
             key: Hashable = value.functor
@@ -94,34 +94,34 @@ class SwitchNode:
             if value.__class__ is Var:
                 # An unbound variable in an event can unify with every constant: all patterns remain candidates.
                 if self.all is None:
-                    self.all = self._plan_of_groups(*self.groups.values())
+                    self.all = self._build_plan_of_groups(*self.groups.values())
                 return self.all
-            key = _key(value)
+            key = _discrimination_key(value)
         else:
-            key = _key(value)
+            key = _discrimination_key(value)
         plan: Any = self.table.get(key, _UNKNOWN_KEY)
         if plan is _UNKNOWN_KEY:
             plan = self.default
             if plan is None:
-                plan = self.default = self._plan_of_groups()
+                plan = self.default = self._build_plan_of_groups()
         elif plan is None:
-            plan = self.table[key] = self._plan_of_groups(self.groups[key])
+            plan = self.table[key] = self._build_plan_of_groups(self.groups[key])
         return plan  # type: ignore[no-any-return]
 
-    def _plan_of_groups(self, *groups: List[Listener]) -> "Plan":
+    def _build_plan_of_groups(self, *groups: List[Listener]) -> "Plan":
         """Return the plan for the listeners of some groups and those with a variable at the path."""
-        listeners = sorted(chain(self.any, *groups), key=_order)
-        return _plan(listeners, self.tested, self.depth - 1)
+        listeners = sorted(chain(self.any, *groups), key=_order_of)
+        return _build_plan(listeners, self.tested, self.depth - 1)
 
 
 Plan = Union[SwitchNode, Steps]
 
 
-def _order(listener: Listener) -> Tuple[int, ...]:
+def _order_of(listener: Listener) -> Tuple[int, ...]:
     return listener.order
 
 
-def _plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "Plan":
+def _build_plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "Plan":
     if not listeners:
         return NOBODY
     path = _best_path(listeners, tested) if depth > 0 else None
@@ -167,10 +167,10 @@ def _key_at(pattern: Term, path: Path) -> Hashable:
         if term.__class__ is not tuple or len(term) <= position:
             return None
         term = term[position]
-    return None if term.__class__ is Var else _key(term)
+    return None if term.__class__ is Var else _discrimination_key(term)
 
 
-def _key(term: Term) -> Hashable:
+def _discrimination_key(term: Term) -> Hashable:
     if term.__class__ is tuple:
         return term[0]  # type: ignore[no-any-return]
     if term.__class__ is Lazy:
@@ -178,7 +178,7 @@ def _key(term: Term) -> Hashable:
     return freeze(term)
 
 
-def _subterm(term: Term, path: Path) -> Term:
+def _subterm_at(term: Term, path: Path) -> Term:
     """Return the subterm of an event at a path; a variable above the path represents everything below it.
 
     If the event has no such subterm, patterns that have one do not match it, and the result is an arbitrary number.
@@ -215,10 +215,16 @@ class PushdownFilter:
         self.passes = _filter_factory(positions)(self)
 
 
-_VALID_TIME = (
+_VALID_TIME_TEST = (
     "seconds.__class__ is nanoseconds.__class__ is int and 0 <= seconds < LAST and 0 <= nanoseconds < SECOND"
 )
-_NAMES = {"SwitchNode": SwitchNode, "Atom": Atom, "NOBODY": NOBODY, "LAST": LAST // SECOND, "SECOND": SECOND}
+_FILTER_NAMES = {
+    "SwitchNode": SwitchNode,
+    "Atom": Atom,
+    "NOBODY": NOBODY,
+    "LAST": LAST // SECOND,
+    "SECOND": SECOND,
+}
 
 
 def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Passes]:
@@ -227,8 +233,8 @@ def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Pa
     # The path of a nested test is not among the known arguments: its node has ``at == 0``, which no position equals,
     # so the filter passes the event.
     argument_selection = [
-        Block(f"{'if' if number == 0 else 'elif'} at == {position}:", [f"value = a{position}"])
-        for number, position in enumerate(positions)
+        Block(f"{'if' if index == 0 else 'elif'} at == {position}:", [f"value = a{position}"])
+        for index, position in enumerate(positions)
     ]
     walk: List[Statement] = [
         "at = plan.at",
@@ -242,10 +248,10 @@ def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Pa
         # atoms are looked up in the tables; other kinds of arguments pass.
         "plan = event_filter.plan",
         *([Block("while plan.__class__ is SwitchNode:", walk)] if positions else []),
-        f"return plan is not NOBODY or not ({_VALID_TIME})",
+        f"return plan is not NOBODY or not ({_VALID_TIME_TEST})",
     ]
     source = source_of(
         [Block("def made(event_filter):", [Block(f"def passes({parameters}):", body), "return passes"])]
     )
-    factory: Callable[[PushdownFilter], Passes] = shared_function(source, _NAMES, "event_filter")
+    factory: Callable[[PushdownFilter], Passes] = shared_function(source, _FILTER_NAMES, "event_filter")
     return factory

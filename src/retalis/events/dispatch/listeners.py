@@ -190,18 +190,18 @@ class ArgumentProjection:
         """
         # Announced positions are never withdrawn here: events with placeholders may be on their way, so `guard` must
         # know all positions that were ever announced.
-        for functor, positions in self._unread_by_all().items():
+        for functor, positions in self._find_commonly_unread().items():
             announced = self._announced.get(functor, NONE)
             if positions and (announced or len(self._announced) < MAX_FUNCTORS):
                 self._announced[functor] = announced | positions
-        unread = self._unread_by_all()
+        unread = self._find_commonly_unread()
         return {
             functor: positions & self._announced[functor]
             for functor, positions in unread.items()
             if positions & self._announced.get(functor, NONE)
         }
 
-    def _unread_by_all(self) -> Dict[Functor, Positions]:
+    def _find_commonly_unread(self) -> Dict[Functor, Positions]:
         groups = list(self._listeners.items())
         if any(
             functor is None and not listener.partial for functor, group in groups for listener in list(group)
@@ -223,14 +223,14 @@ class ArgumentProjection:
         if functor is not None:
             missing = self._announced.get(functor, NONE) - listener.unread
             if missing:
-                listener.matcher = _requiring(listener.matcher, sorted(missing))
+                listener.matcher = _reject_missing(listener.matcher, sorted(missing))
                 # A fused action would bypass the guarded matcher.
                 listener.fused = False
         elif self._announced and not listener.partial:
-            listener.matcher = _requiring_all(listener.matcher)
+            listener.matcher = _reject_any_missing(listener.matcher)
 
 
-def _requiring(matcher: Matcher, positions: Iterable[int]) -> Matcher:
+def _reject_missing(matcher: Matcher, positions: Iterable[int]) -> Matcher:
     def match(term: Any) -> Any:
         for position in positions:
             if term[position] is NOT_READ:
@@ -240,7 +240,7 @@ def _requiring(matcher: Matcher, positions: Iterable[int]) -> Matcher:
     return match
 
 
-def _requiring_all(matcher: Matcher) -> Matcher:
+def _reject_any_missing(matcher: Matcher) -> Matcher:
     def match(term: Any) -> Any:
         if term.__class__ is tuple and NOT_READ in term[1:]:
             return None

@@ -51,11 +51,11 @@ class _MeasureSource(NamedTuple):
     result: str
 
 
-def _count(number: int, place: int) -> _MeasureSource:
+def _count_source(number: int, position: int) -> _MeasureSource:
     return _MeasureSource([], [], [], "number")
 
 
-def _sum(number: int, place: int) -> _MeasureSource:
+def _sum_source(number: int, position: int) -> _MeasureSource:
     x, total, scaled = f"x{number}", f"s{number}", f"y{number}"
     return _MeasureSource(
         [
@@ -75,7 +75,7 @@ def _sum(number: int, place: int) -> _MeasureSource:
         ],
         [f"{total}.total += {scaled}", Block(f"if {x}.__class__ is float:", [f"{total}.floats += 1"])],
         [
-            f"value = old.values[{place}]",
+            f"value = old.values[{position}]",
             f"total = left.measures[{number}].sum",
             Block(
                 "if value.__class__ is float and (scaled := value * total.factor).is_integer():",
@@ -87,14 +87,16 @@ def _sum(number: int, place: int) -> _MeasureSource:
     )
 
 
-def _mean(number: int, place: int) -> _MeasureSource:
+def _mean_source(number: int, position: int) -> _MeasureSource:
     total = f"s{number}"
     # `ExactSum.over` without the call, for a sum with floats, whose average is a float in any case.
     exact = f"{total}.total / (number << {total}.scale)"
-    return _sum(number, place)._replace(result=f"{exact} if {total}.floats else {total}.over(number)")
+    return _sum_source(number, position)._replace(
+        result=f"{exact} if {total}.floats else {total}.over(number)"
+    )
 
 
-def _lowest(number: int, place: int, sign: str = "") -> _MeasureSource:
+def _min_source(number: int, position: int, sign: str = "") -> _MeasureSource:
     x, heap = f"x{number}", f"lowest{number}"
     return _MeasureSource(
         [
@@ -108,20 +110,20 @@ def _lowest(number: int, place: int, sign: str = "") -> _MeasureSource:
             f"heappush({heap}.heap, ({sign}{x}, order, item))",
         ],
         [f"left.measures[{number}].lowest.remove()"],
-        f"{heap}.top()[2].values[{place}]",
+        f"{heap}.top()[2].values[{position}]",
     )
 
 
-def _highest(number: int, place: int) -> _MeasureSource:
-    return _lowest(number, place, "-")
+def _max_source(number: int, position: int) -> _MeasureSource:
+    return _min_source(number, position, "-")
 
 
 _MEASURES: Dict[str, Callable[[int, int], _MeasureSource]] = {
-    "count": _count,
-    "sum": _sum,
-    "avg": _mean,
-    "min": _lowest,
-    "max": _highest,
+    "count": _count_source,
+    "sum": _sum_source,
+    "avg": _mean_source,
+    "min": _min_source,
+    "max": _max_source,
 }
 
 
@@ -166,30 +168,37 @@ def fused_window(
     metered = node.rule.meter is not None
     if metered:
         names["pattern_steps"] = node.rule.network.logic.machine.budget.pattern_steps
-    action: EventAction = shared_function(_source(window, limit is not None, metered), names, "window")
+    action: EventAction = shared_function(_window_source(window, limit is not None, metered), names, "window")
     return action
 
 
-def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
+def _window_source(window: FusedWindow, limited: bool, metered: bool) -> str:
     """Return the source; of the program, it contains only numbers and indices."""
-    read = [f"x{number} = values[{place}]" for number, place in enumerate(window.values) if place is not None]
-    taken = [f"x{number}" for number, place in enumerate(window.values) if place is not None]
+    value_assignments = [
+        f"x{number} = values[{position}]"
+        for number, position in enumerate(window.values)
+        if position is not None
+    ]
+    value_names = [f"x{number}" for number, position in enumerate(window.values) if position is not None]
     measures = []
-    for number, kind in enumerate(window.kinds):
+    for number, measure_kind in enumerate(window.kinds):
         # `StreamElement.values` contains the values of those measures that have one.
-        place = sum(one is not None for one in window.values[:number])
-        measures.append(_MEASURES[kind](number, place))
-    results = [*(f"k{number}" for number in range(len(window.groups))), *(one.result for one in measures)]
+        position = sum(index is not None for index in window.values[:number])
+        measures.append(_MEASURES[measure_kind](number, position))
+    results = [
+        *(f"k{number}" for number in range(len(window.groups))),
+        *(measure.result for measure in measures),
+    ]
     body: List[Statement] = [
         "stream = node.stream",
         "queue = stream.queue",
-        *_key(window.groups),
-        *read,
+        *_key_statements(window.groups),
+        *value_assignments,
         "groups = stream.states",
         "group = groups.get(key)",
         Block(f"if {_NEEDS_GENERAL_PATH}:", [_GENERAL_PATH]),
         *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if metered else []),
-        *(statement for one in measures for statement in one.check),
+        *(statement for measure in measures for statement in measure.check),
         *([f"pattern_steps[0] -= {_METERED_STEPS}"] if metered else []),
         # All checks are done: from here on nothing calls the general path.
         "stream.clock = end",
@@ -207,7 +216,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
                 "left.members.popleft()",
                 "left.number = number = left.number - 1",
                 "stream.number -= 1",
-                *(statement for one in measures for statement in one.remove),
+                *(statement for measure in measures for statement in measure.remove),
                 Block("if not number:", ["del groups[old.key]"]),
             ],
         ),
@@ -217,7 +226,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
         "item.end = end",
         "item.by = last.by",
         "item.key = key",
-        f"item.values = {tuple_source(taken)}",
+        f"item.values = {tuple_source(value_names)}",
         "item.order = stream.last_order = order = stream.last_order + 1",
         "item.gone = False",
         Block("if group.number:", ["groups.move_to_end(key)"]),
@@ -226,7 +235,7 @@ def _source(window: FusedWindow, limited: bool, metered: bool) -> str:
         "stream.number += 1",
         "members = group.members",
         "members.append(item)",
-        *(statement for one in measures for statement in one.add),
+        *(statement for measure in measures for statement in measure.add),
         # The element is complete before results are computed, which may raise an error.
         "queue.append(item)",
         Block("try:", [f"found = {tuple_source(results)}"]),
@@ -251,13 +260,13 @@ _NEEDS_GENERAL_PATH = " or ".join(
 )
 
 
-def _key(groups: Sequence[int]) -> List[Statement]:
+def _key_statements(groups: Sequence[int]) -> List[Statement]:
     """Return statements that compute the key from the values at some indices."""
     keys = ["key"] if len(groups) == 1 else [f"key{number}" for number in range(len(groups))]
     statements: List[Statement] = []
-    for number, (key, place) in enumerate(zip(keys, groups)):
+    for number, (key, position) in enumerate(zip(keys, groups)):
         statements += [
-            f"k{number} = {key} = values[{place}]",
+            f"k{number} = {key} = values[{position}]",
             Block(f"if k{number}.__class__ not in PLAIN:", [f"{key} = term_key(k{number})"]),
         ]
     return statements if len(keys) == 1 else [*statements, f"key = {tuple_source(keys)}"]

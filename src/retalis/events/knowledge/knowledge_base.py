@@ -78,7 +78,7 @@ class KnowledgeBase:
         self.states = StateRegistry(logic, dispatcher, clock, warn)
         # Looked up at each call, because `on_pattern` is assigned later.
         self.states.on_event = lambda event: self.on_pattern(event)
-        self._define()
+        self._define_predicates()
 
     def clear(self) -> None:
         """Remove records, pending queries and states, because the clock went back; definitions remain."""
@@ -130,29 +130,29 @@ class KnowledgeBase:
             yield state.form.begins, state.name
             yield state.form.ends, state.name
 
-    def _define(self) -> None:
+    def _define_predicates(self) -> None:
         logic = self._logic
         define_read_access(logic, self.memories)
         define_matching(logic, self.memories)
         self.gaps.define(logic, self.memories)
         TransformChains(self.memories, self.gaps).define(logic)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
-        self._define_size("memory_size", attrgetter("memory.size"))
-        self._define_size("memory_counter", attrgetter("memory.added"))
-        logic.define_control("memorize", 5, self._memorize(True))
-        logic.define_control("memorize_diactive", 5, self._memorize(False))
+        self._define_size_predicate("memory_size", attrgetter("memory.size"))
+        self._define_size_predicate("memory_counter", attrgetter("memory.added"))
+        logic.define_control("memorize", 5, self._memorize_action(True))
+        logic.define_control("memorize_diactive", 5, self._memorize_action(False))
         logic.define_control("memorize", 6, self._memorize_by_flag)
         logic.define_control("delete_memory", 1, self._delete_memory)
         logic.define("subscribe", 5, self._subscribe)
         logic.define("delete_subscription", 2, self._delete_subscription)
 
-    def _memorize(self, active: bool) -> Callable[[Machine, Sequence[Term], Frame], Frame]:
+    def _memorize_action(self, active: bool) -> Callable[[Machine, Sequence[Term], Frame], Frame]:
         def memorize(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
-            return self._create(arguments, active, after)
+            return self._create_memory(arguments, active, after)
 
         return memorize
 
-    def _create(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
+    def _create_memory(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
         # Checks run before the memory is created, so an error leaves no memory behind.
         self.on_pattern(arguments[0])
         frame = self.memories.create((MEMORIZE, *arguments), active, after)
@@ -165,7 +165,7 @@ class KnowledgeBase:
             raise instantiation_error()
         if active not in (0, 1):
             raise type_error("boolean", active)
-        return self._create(arguments[:5], active == 1, after)
+        return self._create_memory(arguments[:5], active == 1, after)
 
     def _delete_memory(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         key_of(arguments[0])
@@ -187,17 +187,17 @@ class KnowledgeBase:
             self._warn(f"there is no subscription {show(deref(name))} of topic {show(deref(topic))}")
         return True
 
-    def _define_size(self, name: str, number: Callable[[MemoryInstance], int]) -> None:
+    def _define_size_predicate(self, name: str, size_of: Callable[[MemoryInstance], int]) -> None:
         """Define a predicate of a memory's id and a number."""
         find, read_all = self.memories.find, self.memories.read_all
 
         def of_one(name: Term) -> Optional[int]:
             instance = find(name)
-            return None if instance is None else number(instance)
+            return None if instance is None else size_of(instance)
 
         def of_all(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
             for instance in read_all():
-                if machine.unify_all((name, instance.id), (value, number(instance))):
+                if machine.unify_all((name, instance.id), (value, size_of(instance))):
                     yield True
 
         self._logic.define_nondeterministic(name, 2, of_all, of_one)

@@ -93,23 +93,23 @@ def compile_recording(
     """
     if pattern.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", pattern)
-    body = conjunction(_goals(conditions))
+    body = conjunction(_condition_goals(conditions))
     inputs = variables(pattern)
-    whole = is_event_variable(pattern, conditions, form)
-    if not whole and form.__class__ not in (tuple, Atom, Var):
+    is_event = is_event_variable(pattern, conditions, form)
+    if not is_event and form.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", form)
-    given = set(inputs)
-    body_vars = set(variables(body)) - given
-    output_vars = [] if whole else [var for var in variables(form) if var in body_vars]
-    keep: Recording = record_event
-    if not whole:
-        keep = _same_or_built(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
-    closed = whole or given.issuperset(variables(form))
+    pattern_variables = set(inputs)
+    body_vars = set(variables(body)) - pattern_variables
+    output_vars = [] if is_event else [var for var in variables(form) if var in body_vars]
+    recording: Recording = record_event
+    if not is_event:
+        recording = _form_recording(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
+    closed = is_event or pattern_variables.issuperset(variables(form))
     if body is TRUE:
-        return keep, closed
+        return recording, closed
     test = logic.compile_goal(body, inputs, output_vars, name=name).test
     # An event with variables may have them bound by the conditions, so the form is an output of the goal then.
-    test_open = logic.compile_goal(body, inputs, [TRUE if whole else form], name=name).test
+    test_open = logic.compile_goal(body, inputs, [TRUE if is_event else form], name=name).test
     build = compile_builder(form, [*inputs, *output_vars], "form")
 
     def record(term: Term, values: Values, ground: bool) -> Optional[Term]:
@@ -123,8 +123,8 @@ def compile_recording(
             return None
         if solution is None:
             return None
-        if whole or ground and not output_vars:
-            return keep(term, values, ground)
+        if is_event or ground and not output_vars:
+            return recording(term, values, ground)
         return build(values + solution) if ground else solution[0]
 
     return record, closed
@@ -135,17 +135,17 @@ def record_event(term: Term, values: Values, ground: bool) -> Term:
     return term
 
 
-def _same_or_built(build: Callable[[Values], Term], same: bool) -> Recording:
+def _form_recording(build: Callable[[Values], Term], is_same: bool) -> Recording:
     """Return the recording of a form.
 
     If the form equals the pattern and the event is ground, this is the event itself.
     """
-    if not same:
+    if not is_same:
         return lambda term, values, ground: build(values)
     return lambda term, values, ground: term if ground else build(values)
 
 
-def _goals(conditions: Term) -> List[Term]:
+def _condition_goals(conditions: Term) -> List[Term]:
     items = list_items(conditions)
     if items is None:
         raise type_error("list", conditions)
@@ -187,7 +187,7 @@ class Memory:
         ends: ends of the records as plain integers, which compare faster than other forms of instants; read-only
             outside of this package.
         records: the records, at the same positions.
-        indices: positions of the records by the value of an argument, by argument; see `record_lookup`.
+        indices: positions of the records by the value of an argument, by argument; see `record_index`.
         changed: position of the first record that an insertion out of order has moved, counted from the first record
             ever; `NEVER` if all records have arrived in order since this was set.
         on_wide: called with both ends if a look-up falls between records that may be unusually far apart.
@@ -497,11 +497,11 @@ class Recorder:
         self.key = key
         self.instances: Tuple[MemoryInstance, ...] = ()
         self._dispatcher = dispatcher
-        self._take, self._closed = take
+        self._make_record, self._closed = take
         self._follow = follow
         self._updates = dispatcher.event_filter(UPDATED)
         self._records_all_events = pattern.__class__ is Var
-        self.listener = dispatcher.listen(ListenerPhase.MEMORIES, pattern, self._arrive, unused=unused)
+        self.listener = dispatcher.listen(ListenerPhase.MEMORIES, pattern, self._record_event, unused=unused)
 
     @property
     def pattern(self) -> Term:
@@ -523,7 +523,7 @@ class Recorder:
         if not self.instances:
             self._dispatcher.remove(self.listener)
 
-    def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _record_event(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         if self._records_all_events and self._is_own_update(term):
             return after
         dispatcher = self._dispatcher
@@ -531,17 +531,17 @@ class Recorder:
         # Computed once per event and cached for all listeners.
         if ground is None:
             ground = dispatcher.ground()
-        record_term = self._take(term, values, ground)
+        record_term = self._make_record(term, values, ground)
         if record_term is None:
             return after
         has_variables = not (self._closed and ground) and not is_ground(record_term)
-        return self._record((record_term, start, end), has_variables, iter(self.instances), after)
+        return self._add_to_memories((record_term, start, end), has_variables, iter(self.instances), after)
 
     def run(self, frame: Frame) -> Frame:
         """Continue with the remaining memories."""
-        return self._record(*frame[1:])
+        return self._add_to_memories(*frame[1:])
 
-    def _record(
+    def _add_to_memories(
         self, record: MemoryRecord, opens: bool, instances: Iterator[MemoryInstance], after: Frame
     ) -> Frame:
         end = int(record[2])

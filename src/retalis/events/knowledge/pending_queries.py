@@ -50,7 +50,7 @@ def missing_memories(logic: PrologSystem, memories: MemoryInstances, conditions:
     awaited: Dict[MemoryInstance, int] = {}
     # Most often all wait for one time.
     time, instant = None, 0
-    for name, its_time in _pairs(logic, conditions):
+    for name, its_time in _condition_pairs(logic, conditions):
         instance = memories.find(name)
         if instance is None:
             raise UsageError(f"there is no memory {logic.brief(name)}")
@@ -68,7 +68,7 @@ def compile_conditions(
     The function raises a `UsageError` as `behind` does. None is returned if the memories depend on the values.
     """
     try:
-        pairs = _pairs(logic, conditions)
+        pairs = _condition_pairs(logic, conditions)
         keys = [key_of(name) for name, _ in pairs]
     except (UsageError, PrologError):
         return None
@@ -83,16 +83,16 @@ def compile_conditions(
     places = positions(names)
     lines = ["    missing = []"]
     previous = None
-    for number, (key, (name, time)) in enumerate(zip(keys, pairs)):
-        namespace[f"key{number}"], namespace[f"name{number}"] = key, name
+    for index, (key, (name, time)) in enumerate(zip(keys, pairs)):
+        namespace[f"key{index}"], namespace[f"name{index}"] = key, name
         lines += [
-            f"    memory = get(key{number})",
+            f"    memory = get(key{index})",
             "    if memory is None:",
-            f"        raise no_memory(name{number})",
+            f"        raise no_memory(name{index})",
         ]
         # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
-            lines += _time(time, names, places, number, namespace)
+            lines += _instant_source(time, names, places, index, namespace)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
@@ -106,19 +106,19 @@ def compile_conditions(
     return function
 
 
-def _time(
-    time: Term, names: Sequence[Var], places: Dict[Var, int], number: int, namespace: Dict[str, Any]
+def _instant_source(
+    time: Term, names: Sequence[Var], places: Dict[Var, int], index: int, namespace: Dict[str, Any]
 ) -> List[str]:
     """Return the source lines that compute the instant of a time."""
     if time.__class__ is Var:
         lines = [f"    time = values[{places[time]}]"]
     else:
-        namespace[f"build{number}"] = compile_builder(time, names, "time of a synchronized query")
-        lines = [f"    time = build{number}(values)"]
+        namespace[f"build{index}"] = compile_builder(time, names, "time of a synchronized query")
+        lines = [f"    time = build{index}(values)"]
     return [*lines, "    instant = first_reaching(time) if time.__class__ is float else reach(time)"]
 
 
-def _pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
+def _condition_pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
     """Return ids and times.
 
     Raises:
@@ -528,9 +528,9 @@ class PendingQueries:
         """Drop a query whose time is over, and dispatch an event that reports it."""
         _, _, (event, query), _, _, missing = self._all[order]
         pairs = [
-            make_list([instance.id, timestamps.to_term(required_instant)])
-            for instance, required_instant in missing
-            if not instance.has(required_instant)
+            make_list([instance.id, timestamps.to_term(awaited_instant)])
+            for instance, awaited_instant in missing
+            if not instance.has(awaited_instant)
         ]
         self._remove_query(order)
         machine = self._logic.machine

@@ -19,7 +19,7 @@ from ..language.event_declarations import (
 )
 from ..language.pattern_parser import EventTerm, Spot
 
-_GOAL = functor("$goal", 1)
+_MARKER = functor("$goal", 1)
 _CALLABLE = (tuple, Atom, Var)
 
 Goals = List[Tuple[Term, Optional[Place]]]
@@ -49,9 +49,9 @@ class Directives:
 
     def __init__(self, logic: PrologSystem):
         self._logic = logic
-        self._last = 0
-        self._many = 0
-        logic.define("$goal", 1, self._enter)
+        self._last_index = 0
+        self._goal_count = 0
+        logic.define("$goal", 1, self._note_goal)
 
     def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
         """Run a directive; return a warning if it fails, with the position of the last goal that was called.
@@ -60,7 +60,7 @@ class Directives:
             RuleError: the error that a goal raised, with its position.
         """
         # Saved for nested directives: a goal may load a file.
-        before = self._last, self._many
+        outer_state = self._last_index, self._goal_count
         goal, goals = (
             self._logic.of_file(goal),
             [(self._logic.of_file(part), position) for part, position in goals],
@@ -69,36 +69,36 @@ class Directives:
         # A conjunction with a part that is not callable raises an error that shows all of it; markers would show
         # there.
         use_markers = len(goals) > 1 and not invalid
-        self._last, self._many = invalid[0] if invalid else 0, len(goals)
+        self._last_index, self._goal_count = invalid[0] if invalid else 0, len(goals)
         try:
-            if self._logic.once(_noting([part for part, _ in goals]) if use_markers else goal, goal):
+            if self._logic.once(_with_markers([part for part, _ in goals]) if use_markers else goal, goal):
                 return None
-            return RuleError("this directive fails", goals[self._last][1] or place)
+            return RuleError("this directive fails", goals[self._last_index][1] or place)
         except PrologError as error:
-            position = goals[self._last][1] or place
+            position = goals[self._last_index][1] or place
             raise RuleError(f"this directive raises an error: {error.message}", position) from error
         finally:
-            self._last, self._many = before
+            self._last_index, self._goal_count = outer_state
 
-    def _enter(self, machine: Machine, number: Term) -> bool:
+    def _note_goal(self, machine: Machine, number: Term) -> bool:
         reached = deref(number)
-        if not isinstance(reached, int) or not 0 <= reached < self._many:
+        if not isinstance(reached, int) or not 0 <= reached < self._goal_count:
             # A program has called the marker by its name.
             return False
-        self._last = reached
+        self._last_index = reached
         return True
 
 
 def _is_callable(goal: Term) -> bool:
-    return all(call.term.__class__ in _CALLABLE for call in calls((_GOAL, goal), 1))
+    return all(call.term.__class__ in _CALLABLE for call in calls((_MARKER, goal), 1))
 
 
-def _noting(goals: List[Term]) -> Term:
+def _with_markers(goals: List[Term]) -> Term:
     """Return the conjunction of goals with a marker before each."""
     result: Optional[Term] = None
-    for number in range(len(goals) - 1, -1, -1):
-        rest = goals[number] if result is None else (COMMA, goals[number], result)
-        result = (COMMA, (_GOAL, number), rest)
+    for index in range(len(goals) - 1, -1, -1):
+        following_goals = goals[index] if result is None else (COMMA, goals[index], result)
+        result = (COMMA, (_MARKER, index), following_goals)
     return result or TRUE
 
 
@@ -114,7 +114,7 @@ class FileDeclarations:
     """
 
     def __init__(self, declared: Optional[Declarations], errors: Errors):
-        self._declared = declared
+        self._declarations = declared
         self._errors = errors
 
     def take(self, goals: Goals, spot: Spot) -> None:
@@ -124,18 +124,18 @@ class FileDeclarations:
             RuleError: if a declaration is invalid or contradicts an earlier one.
         """
         # The directive has not run yet, so declarations and the flag are taken from its goals.
-        declared = self._declared
-        for goal, _ in () if declared is None else goals:
-            if declared is None or goal.__class__ is not tuple:
+        declarations = self._declarations
+        for goal, _ in () if declarations is None else goals:
+            if declarations is None or goal.__class__ is not tuple:
                 continue
             if goal[0] is DECLARE_EVENT:
                 for declaration, place in declared_in(goal, spot):
                     try:
-                        declared.add(declaration)
+                        declarations.add(declaration)
                     except UsageError as error:
                         raise RuleError(error.message, place) from error
             elif goal[0] is _SET_FLAG and deref(goal[1]) is UNDECLARED:
-                declared.strict = deref(goal[2]) is STRICTLY
+                declarations.strict = deref(goal[2]) is STRICTLY
 
     def fit(
         self,
@@ -146,9 +146,9 @@ class FileDeclarations:
         place: Optional[Place],
     ) -> None:
         """Check events in a rule, clause or directive, with its variables, against the declarations."""
-        if self._declared:
+        if self._declarations:
             kinds = VariableKinds(names, told=not has_branches(term))
-            for error in self._declared.misfits(
+            for error in self._declarations.misfits(
                 events, lambda part, number=0: spot(part, number) or place, kinds
             ):
                 self._errors.append(error)

@@ -30,7 +30,9 @@ _MAX_PATH_BYTES, _MAX_NAME_BYTES = 4095, 255
 """Limits of Linux in bytes."""
 # O_NONBLOCK and O_NOCTTY: opening a pipe or terminal that has replaced the file must not block or change anything.
 _SAFE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
-_NO_PERMISSION = frozenset((errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENXIO, errno.EISDIR, errno.EROFS))
+_PERMISSION_ERRNOS = frozenset(
+    (errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENXIO, errno.EISDIR, errno.EROFS)
+)
 
 Folders = Optional[List[str]]
 FolderName = Union[str, "os.PathLike[str]"]
@@ -47,9 +49,9 @@ class FileSandbox:
     def __init__(self) -> None:
         self.max_bytes = 100 * MEGABYTE
         self.is_loading = False
-        self._own: List[str] = []
-        self._read: Folders = []
-        self._write: Folders = []
+        self._own_folders: List[str] = []
+        self._read_folders: Folders = []
+        self._write_folders: Folders = []
 
     def allow(
         self,
@@ -68,28 +70,28 @@ class FileSandbox:
         Raises:
             UsageError: if a text is given in place of a list.
         """
-        self._read, self._write = _real_folders(read), _real_folders(write)
+        self._read_folders, self._write_folders = _real_folders(read), _real_folders(write)
         self.max_bytes = max_bytes
 
     @property
     def own(self) -> Tuple[str, ...]:
         """Own folders of the program."""
-        return tuple(self._own)
+        return tuple(self._own_folders)
 
     def add_own(self, folder: FolderName) -> None:
         """Register a folder as the program's own."""
-        real = os.path.realpath(folder)
-        if real not in self._own:
-            self._own.append(real)
+        real_path = os.path.realpath(folder)
+        if real_path not in self._own_folders:
+            self._own_folders.append(real_path)
 
     @contextmanager
     def loading(self) -> Iterator[None]:
         """Permit reading any file while the program's own files are loaded."""
-        before, self.is_loading = self.is_loading, True
+        was_loading, self.is_loading = self.is_loading, True
         try:
             yield
         finally:
-            self.is_loading = before
+            self.is_loading = was_loading
 
     @property
     def start(self) -> str:
@@ -97,7 +99,7 @@ class FileSandbox:
 
         Goals that may read everywhere, for example at a console, also start in the working directory.
         """
-        return self._own[0] if self._own and self._readable is not None else ""
+        return self._own_folders[0] if self._own_folders and self._readable_folders is not None else ""
 
     @property
     def output(self) -> str:
@@ -106,13 +108,13 @@ class FileSandbox:
         Raises:
             UsageError: if there is none.
         """
-        if self._write is None:
+        if self._write_folders is None:
             return ""
-        folders = [*self._write, *(self._own if self.is_loading else ())]
+        folders = [*self._write_folders, *(self._own_folders if self.is_loading else ())]
         if not folders:
             raise UsageError("there is no folder that goals may write to")
-        first: str = folders[0]
-        return first
+        folder: str = folders[0]
+        return folder
 
     def require(self, path: str, name: str) -> str:
         """Return the resolved path of a file that may be read.
@@ -124,7 +126,7 @@ class FileSandbox:
         Raises:
             PrologError: a permission error if the path leads out of the permitted folders.
         """
-        return _resolved(path, name, self._readable)
+        return _resolve_path(path, name, self._readable_folders)
 
     def is_file(self, path: str, name: str) -> bool:
         """Return whether a regular file exists; raises the errors of `require`."""
@@ -148,11 +150,11 @@ class FileSandbox:
             PrologError: a permission, existence or resource error.
             UsageError: if the file cannot be read or decoded.
         """
-        folders = self._readable
-        real = _resolved(path, name, folders)
+        folders = self._readable_folders
+        real_path = _resolve_path(path, name, folders)
         try:
-            opened = _open(real, os.O_RDONLY, name, folders)
-            with os.fdopen(opened, "rb") as file:
+            descriptor = _open_file(real_path, os.O_RDONLY, name, folders)
+            with os.fdopen(descriptor, "rb") as file:
                 # One byte more than permitted is read: the size that `stat` reports may change, and is 0 in /proc.
                 data = file.read(self.max_bytes + 1)
         except OSError as error:
@@ -179,15 +181,15 @@ class FileSandbox:
             PrologError: a permission error.
             UsageError: if the file cannot be written.
         """
-        folders = self._writable
-        real = _resolved(path, name, folders)
+        folders = self._writable_folders
+        real_path = _resolve_path(path, name, folders)
         try:
-            opened = _open_to_write(real, name, folders)
+            descriptor = _open_to_write(real_path, name, folders)
             try:
                 if empty:
-                    os.ftruncate(opened, 0)
+                    os.ftruncate(descriptor, 0)
             finally:
-                os.close(opened)
+                os.close(descriptor)
         except OSError as error:
             raise _access_error("write", error, path, name) from error
 
@@ -198,44 +200,48 @@ class FileSandbox:
             PrologError: a permission or resource error.
             UsageError: if the file cannot be written.
         """
-        folders = self._writable
-        real = _resolved(path, path, folders)
+        folders = self._writable_folders
+        real_path = _resolve_path(path, path, folders)
         try:
             data = text.encode(encoding)
-            opened = _open_to_write(real, path, folders)
+            descriptor = _open_to_write(real_path, path, folders)
             try:
-                self._append(opened, data, path)
+                self._write_bytes(descriptor, data, path)
             finally:
-                os.close(opened)
+                os.close(descriptor)
         except OSError as error:
             raise _access_error("write", error, path, path) from error
         except UnicodeEncodeError as error:
             raise UsageError(f"cannot write {path}: {error.reason}") from error
 
-    def _append(self, opened: int, data: bytes, path: str) -> None:
-        size = os.fstat(opened).st_size
+    def _write_bytes(self, descriptor: int, data: bytes, path: str) -> None:
+        size = os.fstat(descriptor).st_size
         if size + len(data) > self.max_bytes:
             raise resource_error("file_size", reason=f"{path} would have more than {self.max_bytes} bytes")
         # A partial write, as on a full disk, is removed, so that a reader never finds half a term.
         try:
-            written = os.write(opened, data)
+            written_bytes = os.write(descriptor, data)
         except OSError:
-            os.ftruncate(opened, size)
+            os.ftruncate(descriptor, size)
             raise
-        if written != len(data):
-            os.ftruncate(opened, size)
+        if written_bytes != len(data):
+            os.ftruncate(descriptor, size)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     @property
-    def _readable(self) -> Folders:
-        if self.is_loading or self._read is None or self._write is None:
+    def _readable_folders(self) -> Folders:
+        if self.is_loading or self._read_folders is None or self._write_folders is None:
             return None
         # Permission to write everywhere includes reading everywhere.
-        return [*self._own, *self._read, *self._write]
+        return [*self._own_folders, *self._read_folders, *self._write_folders]
 
     @property
-    def _writable(self) -> Folders:
-        return None if self._write is None else [*self._write, *(self._own if self.is_loading else ())]
+    def _writable_folders(self) -> Folders:
+        return (
+            None
+            if self._write_folders is None
+            else [*self._write_folders, *(self._own_folders if self.is_loading else ())]
+        )
 
 
 def check_name(name: str) -> None:
@@ -261,7 +267,7 @@ def _real_folders(folders: Optional[Iterable[FolderName]]) -> Folders:
     return None if folders is None else [os.path.realpath(folder) for folder in folders]
 
 
-def _resolved(path: str, name: str, folders: Folders) -> str:
+def _resolve_path(path: str, name: str, folders: Folders) -> str:
     """Return a path without symbolic links.
 
     Raises:
@@ -271,51 +277,53 @@ def _resolved(path: str, name: str, folders: Folders) -> str:
         # Some versions of Python return a path with a NUL character unchanged.
         if "\0" in path:
             raise ValueError("embedded null byte")
-        real = os.path.realpath(path)
+        real_path = os.path.realpath(path)
     # A name that the file system cannot have.
     except (OSError, ValueError) as error:
         raise domain_error("source_sink", atom(name), str(error)) from error
-    _check_location(real, name, folders)
-    return real
+    _check_location(real_path, name, folders)
+    return real_path
 
 
-def _check_location(real: str, name: str, folders: Folders) -> None:
-    if folders is not None and not any(f"{real}/".startswith(f"{folder.rstrip('/')}/") for folder in folders):
+def _check_location(real_path: str, name: str, folders: Folders) -> None:
+    if folders is not None and not any(
+        f"{real_path}/".startswith(f"{folder.rstrip('/')}/") for folder in folders
+    ):
         raise permission_error(
             "open", "source_sink", atom(name), "it is not in a folder that goals may open files in"
         )
 
 
-def _open(real: str, flags: int, name: str, folders: Folders) -> int:
+def _open_file(real_path: str, flags: int, name: str, folders: Folders) -> int:
     """Open a regular file at a resolved path, and check the location of the opened file.
 
     A file that has replaced it meanwhile is not followed, waited for or used.
     """
     # Before opening, because opening alone starts some devices.
-    _check_kind(os.lstat(real), name)
-    opened = os.open(real, flags | _SAFE_FLAGS)
+    _check_kind(os.lstat(real_path), name)
+    descriptor = os.open(real_path, flags | _SAFE_FLAGS)
     try:
-        _check_kind(os.fstat(opened), name)
-        _check_opened(opened, name, folders)
+        _check_kind(os.fstat(descriptor), name)
+        _check_descriptor(descriptor, name, folders)
     except BaseException:
-        os.close(opened)
+        os.close(descriptor)
         raise
-    return opened
+    return descriptor
 
 
-def _open_to_write(real: str, name: str, folders: Folders) -> int:
+def _open_to_write(real_path: str, name: str, folders: Folders) -> int:
     flags = os.O_WRONLY | os.O_APPEND
     try:
-        return _open(real, flags, name, folders)
+        return _open_file(real_path, flags, name, folders)
     except FileNotFoundError:
         pass
-    folder, file_name = os.path.split(real)
+    folder, file_name = os.path.split(real_path)
     # The file is created relative to a descriptor of its folder, whose location has been checked. O_EXCL refuses a
     # link that was created meanwhile.
     folder_descriptor = os.open(folder, O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         # Checked before the file is created, which would be an effect outside of the permitted folders.
-        _check_opened(folder_descriptor, name, folders)
+        _check_descriptor(folder_descriptor, name, folders)
         return os.open(
             file_name, flags | os.O_CREAT | os.O_EXCL | _SAFE_FLAGS, 0o666, dir_fd=folder_descriptor
         )
@@ -329,16 +337,16 @@ def _check_kind(status: os.stat_result, name: str) -> None:
         raise permission_error("open", "source_sink", atom(name), reason)
 
 
-def _check_opened(opened: int, name: str, folders: Folders) -> None:
+def _check_descriptor(descriptor: int, name: str, folders: Folders) -> None:
     # The kernel's own path of the descriptor; it reflects links that were changed during the opening.
     if folders is not None:
-        _check_location(os.readlink(f"/proc/self/fd/{opened}"), name, folders)
+        _check_location(os.readlink(f"/proc/self/fd/{descriptor}"), name, folders)
 
 
-def _access_error(doing: str, error: OSError, path: str, name: str) -> RetalisError:
+def _access_error(operation: str, error: OSError, path: str, name: str) -> RetalisError:
     """Return the Prolog or usage error for an error of the operating system."""
-    if error.errno in _NO_PERMISSION:
+    if error.errno in _PERMISSION_ERRNOS:
         return permission_error("open", "source_sink", atom(name), error.strerror)
-    if doing == "read" and isinstance(error, (FileNotFoundError, NotADirectoryError)):
+    if operation == "read" and isinstance(error, (FileNotFoundError, NotADirectoryError)):
         return existence_error("source_sink", atom(path))
-    return UsageError(f"cannot {doing} {path}: {error.strerror}")
+    return UsageError(f"cannot {operation} {path}: {error.strerror}")

@@ -22,7 +22,7 @@ from .file_sandbox import FileSandbox, check_name
 LIBRARY = functor("library", 1)
 _EXCEPT, _AS, _CLAUSE = functor("except", 1), functor("as", 2), functor(":-", 2)
 _MAX_ARGUMENTS = 1000
-_ELSEWHERE = (
+_UNKNOWN_LIBRARY_ADVICE = (
     "what the program calls of it has to be defined elsewhere, or the file to be given to SWI-Prolog: "
     ":- use_swi(File), see docs/prolog.md"
 )
@@ -83,7 +83,7 @@ def require_library(term: Term) -> None:
     if name.__class__ is Var:
         raise instantiation_error()
     if library_path(name) not in LIBRARIES:
-        raise existence_error("library", name, (CONTEXT, Var(), atom(_ELSEWHERE)))
+        raise existence_error("library", name, (CONTEXT, Var(), atom(_UNKNOWN_LIBRARY_ADVICE)))
 
 
 def renaming(file: Term, imports: Term = NIL) -> List[Term]:
@@ -97,16 +97,22 @@ def renaming(file: Term, imports: Term = NIL) -> List[Term]:
     clauses: List[Term] = []
     for item in map(deref, list_items(imports) or ()):
         if item.__class__ is tuple and item[0] is _AS:
-            named, name = deref(item[1]), deref(item[2])
-            key = indicated(named) if named.__class__ is tuple and named[0] in (SLASH, GRAMMAR_NAME) else None
+            renamed_indicator, name = deref(item[1]), deref(item[2])
+            key = (
+                indicated(renamed_indicator)
+                if renamed_indicator.__class__ is tuple and renamed_indicator[0] in (SLASH, GRAMMAR_NAME)
+                else None
+            )
             if key is not None and name.__class__ is Atom and key.arity <= _MAX_ARGUMENTS:
                 args = [Var() for _ in range(key.arity)]
                 module = atom(PurePath(library_path(file)).stem)
-                clauses.append((_CLAUSE, _call(name.name, args), (COLON, module, _call(key.name, args))))
+                clauses.append(
+                    (_CLAUSE, _goal_term(name.name, args), (COLON, module, _goal_term(key.name, args)))
+                )
     return clauses
 
 
-def _call(name: str, args: List[Var]) -> Term:
+def _goal_term(name: str, args: List[Var]) -> Term:
     return (functor(name, len(args)), *args) if args else atom(name)
 
 
@@ -141,8 +147,8 @@ def file_name(term: Term) -> str:
     return "/".join(parts)
 
 
-_META = "1150 fx rdf_meta"
-_EXPORTED: Dict[str, str] = {
+_RDF_META_OPERATOR = "1150 fx rdf_meta"
+_LIBRARY_OPERATORS: Dict[str, str] = {
     "clpfd": """
         760 yfx #<==>
         750 xfy #==>
@@ -167,11 +173,11 @@ _EXPORTED: Dict[str, str] = {
     "persistency": "1150 fx persistent",
     "record": "1150 fx record",
     "semweb/rdf11": f"""
-        {_META}
+        {_RDF_META_OPERATOR}
         650 xfx ^^
         110 xfx @""",
-    "semweb/rdf_db": _META,
-    "semweb/rdf_prefixes": _META,
+    "semweb/rdf_db": _RDF_META_OPERATOR,
+    "semweb/rdf_prefixes": _RDF_META_OPERATOR,
 }
 
 
@@ -180,13 +186,13 @@ def declare_operators(name: Term, operators: Operators) -> None:
     name = deref(name)
     if name.__class__ is not tuple or name[0] is not LIBRARY:
         return
-    for line in _EXPORTED.get(library_path(name[1]), "").strip().split("\n"):
+    for line in _LIBRARY_OPERATORS.get(library_path(name[1]), "").strip().split("\n"):
         priority, operator_type, *names = line.split() or ("0", "fx")
         for operator in names:
             operators.add(int(priority), operator_type, operator)
 
 
-_ENDINGS = (".pl", ".prolog", ".pro")
+_SUFFIXES = (".pl", ".prolog", ".pro")
 """Suffixes that may be omitted in names of files."""
 
 State = Tuple[Optional[Path], int, bool]
@@ -208,11 +214,11 @@ class SourceFiles:
         self.sandbox = FileSandbox()
         self.loaded: Set[Path] = set()
         self.omitted: Dict[str, int] = {}
-        self._again = False
+        self._is_reload = False
         self.modules: Dict[Path, str] = {}
         self.on_same_module: Callable[[str], None] = lambda text: None
-        self._folder: Optional[Path] = None
-        self._open: List[Path] = []
+        self._base_folder: Optional[Path] = None
+        self._open_files: List[Path] = []
 
     @contextmanager
     def loading(self, folder: Optional[Path] = None) -> Iterator[None]:
@@ -223,26 +229,26 @@ class SourceFiles:
     @contextmanager
     def relative_to(self, folder: Optional[Path]) -> Iterator[None]:
         """Make relative paths start in a folder."""
-        before = self._folder
+        outer_folder = self._base_folder
         if folder is not None:
-            self._folder = Path(folder)
+            self._base_folder = Path(folder)
         try:
             yield
         finally:
-            self._folder = before
+            self._base_folder = outer_folder
 
     @contextmanager
     def loading_again(self, before: Dict[str, int]) -> Iterator[None]:
         """Reject files of which more terms must be omitted than before, for a reload."""
-        self.omitted, self._again = dict(before), True
+        self.omitted, self._is_reload = dict(before), True
         try:
             yield
         finally:
-            self._again = False
+            self._is_reload = False
 
     def may_omit(self, source: str) -> Optional[int]:
         """Return the maximum number of omitted terms of a file; None for any number."""
-        return self.omitted.get(source, 0) if self._again else None
+        return self.omitted.get(source, 0) if self._is_reload else None
 
     def note_omitted(self, source: str, number: int) -> None:
         """Record the number of omitted terms of a file."""
@@ -252,12 +258,12 @@ class SourceFiles:
 
     def state(self) -> State:
         """Return the state for `restore`."""
-        return self._folder, len(self._open), self.sandbox.is_loading
+        return self._base_folder, len(self._open_files), self.sandbox.is_loading
 
     def restore(self, state: "Optional[State]") -> None:
         """Restore a state; with None, the state in which nothing is being loaded."""
-        self._folder, count, self.sandbox.is_loading = state or (None, 0, False)
-        del self._open[count:]
+        self._base_folder, count, self.sandbox.is_loading = state or (None, 0, False)
+        del self._open_files[count:]
 
     def resolve(self, name: Union[str, "os.PathLike[str]"]) -> Path:
         """Return a path relative to the file that contains the name, or to the base folder of goals.
@@ -267,7 +273,7 @@ class SourceFiles:
                 invalid name.
         """
         check_name(str(name))
-        path = (self.sandbox.start if self._folder is None else self._folder) / Path(name)
+        path = (self.sandbox.start if self._base_folder is None else self._base_folder) / Path(name)
         self.sandbox.require(str(path), str(name))
         return path
 
@@ -277,13 +283,13 @@ class SourceFiles:
         Raises:
             PrologError: if the name is invalid or leads out of the permitted folders.
         """
-        text = file_name(name)
-        path = self.resolve(text)
+        written_name = file_name(name)
+        path = self.resolve(written_name)
         # The exact name has priority over the name with a suffix, as in SWI-Prolog.
-        if self.sandbox.is_file(str(path), text):
+        if self.sandbox.is_file(str(path), written_name):
             return path
-        endings = [ending for ending in _ENDINGS if self.sandbox.is_file(f"{path}{ending}", text)]
-        return Path(f"{path}{endings[0]}") if endings else path
+        suffixes = [suffix for suffix in _SUFFIXES if self.sandbox.is_file(f"{path}{suffix}", written_name)]
+        return Path(f"{path}{suffixes[0]}") if suffixes else path
 
     def is_file(self, path: Path) -> bool:
         """Return whether a file exists; raises the errors of `resolve`."""
@@ -301,7 +307,7 @@ class SourceFiles:
     @property
     def innermost(self) -> Optional[Path]:
         """The file that is being loaded; the innermost one of nested loads."""
-        return self._open[-1] if self._open else None
+        return self._open_files[-1] if self._open_files else None
 
     # Files that goals open.
 
@@ -322,11 +328,13 @@ class SourceFiles:
             PrologError: a permission or resource error.
             UsageError: if the file cannot be written.
         """
-        text = file_name(name)
-        check_name(text)
+        written_name = file_name(name)
+        check_name(written_name)
         # Not `resolve`, which requires permission to read.
-        path = str((self.sandbox.start if self._folder is None else self._folder) / Path(text))
-        self.sandbox.begin(path, text, not more)
+        path = str(
+            (self.sandbox.start if self._base_folder is None else self._base_folder) / Path(written_name)
+        )
+        self.sandbox.begin(path, written_name, not more)
         return path
 
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
@@ -336,7 +344,9 @@ class SourceFiles:
     def absolute(self, name: str) -> str:
         """Return an absolute path from a path relative to the base folder."""
         check_name(name)
-        return os.path.abspath((self.sandbox.start if self._folder is None else self._folder) / Path(name))
+        return os.path.abspath(
+            (self.sandbox.start if self._base_folder is None else self._base_folder) / Path(name)
+        )
 
     def is_readable(self, path: str) -> bool:
         """Return whether a readable file exists; raises the errors of `resolve`."""
@@ -348,17 +358,17 @@ class SourceFiles:
 
     def has_loaded(self, path: Path) -> bool:
         """Return whether a file has been loaded or is being loaded."""
-        return _real(path) in self.loaded
+        return _resolve_links(path) in self.loaded
 
     def note_module(self, name: str) -> None:
         """Record the module of the file that is being loaded; report another file with the same module."""
-        if not self._open:
+        if not self._open_files:
             return
-        path = self._open[-1]
-        for other, module in self.modules.items():
-            if module == name and other != path and other in self.loaded:
+        path = self._open_files[-1]
+        for other_path, module in self.modules.items():
+            if module == name and other_path != path and other_path in self.loaded:
                 self.on_same_module(
-                    f"Warning: {other} is module {name} as well; what {path} has of it is added to that\n"
+                    f"Warning: {other_path} is module {name} as well; what {path} has of it is added to that\n"
                 )
                 break
         self.modules[path] = name
@@ -366,8 +376,8 @@ class SourceFiles:
     def module(self, path: Path) -> str:
         """Return the module name of a file that has been or is being loaded, or "" if it is not a module."""
         # The module of a file whose load was undone is still recorded, but the file is not loaded.
-        real = _real(path)
-        return self.modules.get(real, "") if real in self.loaded else ""
+        real_path = _resolve_links(path)
+        return self.modules.get(real_path, "") if real_path in self.loaded else ""
 
     @contextmanager
     def inside(self, place: Path) -> Iterator[None]:
@@ -376,19 +386,19 @@ class SourceFiles:
         Raises:
             UsageError: if the file is already being loaded.
         """
-        place = _real(place)
-        if place in self._open:
+        place = _resolve_links(place)
+        if place in self._open_files:
             raise UsageError(f"{place.name} loads itself")
         # The depth is restored, and not one entry removed: an interrupt may come between an entry and its removal.
-        depth = len(self._open)
-        self._open.append(place)
+        depth = len(self._open_files)
+        self._open_files.append(place)
         self.loaded.add(place)
         try:
             yield
         finally:
-            del self._open[depth:]
+            del self._open_files[depth:]
 
 
-def _real(path: Path) -> Path:
+def _resolve_links(path: Path) -> Path:
     # `Path.resolve` raises an error of its own for a link to itself.
     return Path(os.path.realpath(path))

@@ -59,7 +59,7 @@ AUTO = "auto"
 DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
 """Value of ``~direct``: `AUTO`, True, False, or the topics."""
 
-_DIRECT_WORDS: Dict[str, Union[bool, str]] = {"auto": AUTO, "true": True, "false": False}
+_DIRECT_VALUES: Dict[str, Union[bool, str]] = {"auto": AUTO, "true": True, "false": False}
 
 
 def topic_type(topic: str, message_type: str) -> TopicType:
@@ -105,7 +105,7 @@ class Topics(NamedTuple):
             plain: returns the canonical form of a topic name.
         """
         canonical = plain(topic)
-        return next((event for named, event in self.events if plain(named) == canonical), "")
+        return next((event for name, event in self.events if plain(name) == canonical), "")
 
 
 def read_text(path: Union[str, Path]) -> str:
@@ -147,7 +147,7 @@ def read_direct(value: object) -> DirectTopics:
     """
     choice = value
     if isinstance(choice, str):
-        choice = _DIRECT_WORDS.get(choice.strip().lower(), choice.strip())
+        choice = _DIRECT_VALUES.get(choice.strip().lower(), choice.strip())
     if isinstance(choice, str) and choice.startswith("[") and choice.endswith("]"):
         # Names have neither brackets nor commas nor quotes, so a list of pairs reads as a flat one.
         choice = [item.strip(" []'\"") for item in choice[1:-1].split(",") if item.strip(" []")]
@@ -178,8 +178,8 @@ def direct_topics(
     if direct is True:
         return DIRECT
     if direct == AUTO:
-        named = {plain(topic) for topic, _ in topics.subscribed}
-        return tuple(topic for topic in DIRECT if plain(topic.topic) not in named)
+        subscribed_names = {plain(topic) for topic, _ in topics.subscribed}
+        return tuple(topic for topic in DIRECT if plain(topic.topic) not in subscribed_names)
     return direct if isinstance(direct, tuple) else ()
 
 
@@ -279,7 +279,7 @@ class _TopicReader:
         self.found[tag].append(topic)
 
     def name(self, topic: str, event: Optional[str], place: Place) -> None:
-        if event is None or any(known.topic == topic for known in self.found["subscribe_to"]):
+        if event is None or any(entry.topic == topic for entry in self.found["subscribe_to"]):
             # Of several entries for a topic the first one counts.
             return
         fault = event_fault(event.strip())
