@@ -24,8 +24,8 @@ from .strategies import Case, random_case
 REFUSED = (
     "looks at a pattern to the left of it",
     "what must be absent looks at a variable",
-    "has no rate",
-    "what is measured has",
+    "rate needs a window of at least two events",
+    "a measured value has a variable",
 )
 """What the language refuses and what is drawn all the same."""
 Fired = List[Tuple[str, Any, Any]]
