@@ -38,6 +38,7 @@ def test_each_finding_has_a_code(tmp_path):
         ("% retalis: ignore=RT1201", []),
         ("% on purpose; retalis: ignore=RT1201", ["RT1201"]),
         ("% retalis: ignore=RT1402, RT1201", []),
+        ("% retalis: ignore=RT1402\t,\tRT1201", []),
         ("% retalis: ignore=RT1402", ["RT1201"]),
         ("% retalis: ignore-file=RT1201", []),
     ],

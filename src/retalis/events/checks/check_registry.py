@@ -5,11 +5,22 @@
 file. Errors cannot be suppressed.
 """
 
+import os
 import re
+from pathlib import Path
 from typing import Callable, Dict, Iterator, NamedTuple, Optional, Set, Tuple, Type
 
-from ...foundation.errors import MessageError, Omission, Place, RetalisError, RuleError, SyntaxFault
+from ...foundation.errors import (
+    MessageError,
+    Omission,
+    Place,
+    RetalisError,
+    RuleError,
+    SyntaxFault,
+    UsageError,
+)
 from ...prolog.machine.errors import PrologError
+from ..program.topic_configuration import read_text
 from .event_flow_checks import never_made, never_taken, unfitting
 from .memory_checks import stale_tables, unknown_memories, wrong_records
 from .message_checks import outputs, topics, unpublished, values, wrong_messages
@@ -23,7 +34,7 @@ from .predicate_checks import (
     unknown_states,
     unread_rules,
 )
-from .program_model import ProgramModel
+from .program_model import MAX_SOURCE_CHARACTERS, ProgramModel
 from .time_checks import cycles, missed_pairs, never_meet, timers, unbounded_keys, waits_for_ever, windows
 from .value_type_checks import kinds, numerals
 
@@ -91,8 +102,6 @@ LOAD_CODES: Tuple[Tuple[Type[RetalisError], str], ...] = (
 """Codes of errors and warnings of loading; the first matching class decides."""
 
 _IGNORE = re.compile(r"%\s*retalis:\s*ignore(-file)?=\s*(RT\d{4}(?:\s*,\s*RT\d{4})*)")
-_MAX_FILE_CHARACTERS = 1 << 20
-"""Maximum number of characters of a file in which comments are searched."""
 
 
 class Suppressions:
@@ -106,28 +115,31 @@ class Suppressions:
         place = problem.place
         if place is None or place.source is None:
             return False
-        in_line = {
-            code
-            for of_file, codes in _IGNORE.findall(place.text)
-            if not of_file
-            for code in codes.replace(" ", "").split(",")
-        }
-        return problem.code in in_line or problem.code in self._file_codes(place.source)
+        return problem.code in _ignored_codes(place.text, "") or problem.code in self._file_codes(
+            place.source
+        )
 
     def _file_codes(self, source: str) -> Set[str]:
         """Return the codes that are suppressed in a whole file; none if the source is not a file."""
         codes = self._codes_by_file.get(source)
         if codes is None:
-            codes = self._codes_by_file[source] = set()
             try:
-                with open(source, encoding="utf-8", errors="replace") as file:
-                    beginning = file.read(_MAX_FILE_CHARACTERS)
-            except (OSError, ValueError):  # a text that was not read from a file
-                return codes
-            for of_file, code_list in _IGNORE.findall(beginning):
-                if of_file:
-                    codes.update(code_list.replace(" ", "").split(","))
+                content = read_text(Path(source)) if os.path.isfile(source) else ""
+            except UsageError:  # reported when the file was loaded
+                content = ""
+            codes = _ignored_codes(content[:MAX_SOURCE_CHARACTERS], "-file")
+            self._codes_by_file[source] = codes
         return codes
+
+
+def _ignored_codes(text: str, scope: str) -> Set[str]:
+    """Return the codes in the comments of a text that have a scope, "" for the line or "-file" for the file."""
+    return {
+        code.strip()
+        for comment_scope, codes in _IGNORE.findall(text)
+        if comment_scope == scope
+        for code in codes.split(",")
+    }
 
 
 def load_code(error: RetalisError) -> str:
