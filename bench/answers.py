@@ -230,12 +230,11 @@ def ask_here(path: Path, goals: List[str], seconds: float) -> Answers:
 def tell(path: Path, goals: List[str], seconds: float) -> None:
     """Load a file in this process and print what it answers, each goal in a process of its own."""
     engine = Engine(settings=Settings(limits=Limits(seconds=seconds), folders=None))
-    of_engine = engine
-    logic = of_engine.logic
+    logic = engine.logic
     logic.output = lambda text: print(text, end="")
     logic.error_output = lambda text: None
     missing: List[str] = []
-    of_engine.rules.on_warning = lambda one: missing.extend(_MISSING.findall(str(one)))
+    engine.rules.on_warning = lambda one: missing.extend(_MISSING.findall(str(one)))
     print(f"{_BEGIN}load")
     try:
         engine.load_program(path)

@@ -144,17 +144,16 @@ def here(path: Path, seconds: float) -> Loaded:
 def load(path: Path, seconds: float) -> Loaded:
     """Load a file in this process."""
     engine = Engine(settings=Settings(limits=Limits(seconds=seconds), folders=None))
-    parts = engine
-    parts.logic.output = parts.logic.error_output = lambda text: None
+    engine.logic.output = engine.logic.error_output = lambda text: None
     omitted: List[str] = []
-    parts.rules.on_warning = lambda one: omitted.append(str(one)) if isinstance(one, Omission) else None
+    engine.rules.on_warning = lambda one: omitted.append(str(one)) if isinstance(one, Omission) else None
     errors: List[str] = []
     try:
         engine.load_program(path)
     except RetalisError as error:
         errors.append(str(error))
     clauses: Dict[str, int] = Counter()
-    for predicate in parts.logic.database.predicates.values():
+    for predicate in engine.logic.database.predicates.values():
         for clause in predicate.live() if predicate.kind == "user" else ():
             if clause.place is not None and clause.place.source == str(path):
                 clauses[f"{predicate.functor.name}/{predicate.functor.arity}"] += 1

@@ -304,8 +304,7 @@ class StreamBench:
         self.row = row
         self.size = size
         self.engine = engine = Engine()
-        parts = engine
-        parts.rules.cap = size if row.capped else 10**8
+        engine.rules.cap = size if row.capped else 10**8
         timer_service.MAX_TIMERS = max(timer_service.MAX_TIMERS, size)
         for at in range(0, size if row.declares else 0, 1000):
             names = ", ".join(f"e{number}(x:integer)" for number in range(at, min(at + 1000, size)))
@@ -313,9 +312,9 @@ class StreamBench:
         text = row.rules.replace("#10", str(max(1, size // 10))).replace("#2", str(2 * size))
         engine.load(rules=text.replace("#", str(size)) + "\n", goals=row.goals)
         self.results = 0
-        parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("out"), self._count)
-        parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, functor("out", 1)(Var()), self._count)
-        parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, functor("out", 2)(Var(), Var()), self._count)
+        engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("out"), self._count)
+        engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, functor("out", 1)(Var()), self._count)
+        engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, functor("out", 2)(Var(), Var()), self._count)
         self._steps = 0
 
     def _count(self, term: Term, values: Any, start: int, end: int, after: Any) -> Any:

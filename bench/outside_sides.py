@@ -28,8 +28,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
     engine = Engine(StreamClock(events[-1][2]))
     engine.load(rules=RULES[work])
-    parts = engine
-    parts.rules.cap = 10**8
+    engine.rules.cap = 10**8
 
     def heard(term: Any, values: Any, start: int, end: int, after: Any) -> Any:
         emit(*term[1:])
@@ -37,14 +36,14 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
     size = RULES[work].partition(")")[0].count(",") + 1
     result = functor("out", size)(*(Var() for _ in range(size)))
-    parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, result, heard)
+    engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, result, heard)
     if work == "sliding":
         x = functor("x", 2)
         ready = [(x(key, value), time) for key, value, time in events]
     else:
         kinds = {kind: functor(kind, 1) for kind in "abclr"}
         ready = [(kinds[kind](key), time) for kind, key, time in events]
-    take = parts.event_input.take
+    take = engine.event_input.take
 
     def all_of_them() -> None:
         for term, time in ready:

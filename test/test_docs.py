@@ -85,8 +85,7 @@ def test_rules_and_goals_in_the_pages_load_and_check_has_nothing_to_say_of_them(
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
-    parts = engine
-    found = look_through(ProgramModel(parts.rules, parts.knowledge, definitions, Topics()))
+    found = look_through(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
     meant = (*PARTS, "waits-for-ever") if "unrestricted" in text else PARTS  # which is what it shows
     assert [str(one.problem) for one in found if one.check not in meant] == []
 

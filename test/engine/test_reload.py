@@ -74,18 +74,18 @@ class Program:
 
     def state(self):
         """Return all that a refused reload has to leave as it is."""
-        engine, parts = self.engine, self.engine
-        predicates = [one for one in parts.logic.database.predicates.values() if one.kind == "user"]
+        engine = self.engine
+        predicates = [one for one in engine.logic.database.predicates.values() if one.kind == "user"]
         return (
-            [(rule.name, rule.waiting, rule.active) for rule in parts.rules.rules],
+            [(rule.name, rule.waiting, rule.active) for rule in engine.rules.rules],
             {
                 str(one): [engine.show(clause.head) for clause in one.live()]
                 for one in predicates
                 if not one.library
             },
-            {key: list(one.memory.records) for key, one in parts.knowledge.memories.instances.items()},
-            [(key, one.tally.sent) for key, one in parts.knowledge.subscriptions.items()],
-            parts.rules.all_properties(),
+            {key: list(one.memory.records) for key, one in engine.knowledge.memories.instances.items()},
+            [(key, one.tally.sent) for key, one in engine.knowledge.subscriptions.items()],
+            engine.rules.all_properties(),
         )
 
 

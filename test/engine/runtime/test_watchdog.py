@@ -129,8 +129,8 @@ def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patien
     ],
 )
 def test_what_came_in_is_named_in_short(entry, named):
-    parts = Engine()
-    assert at_work(parts.logic, parts.dispatcher, entry) == AtWork(named, "", "", None)
+    engine = Engine()
+    assert at_work(engine.logic, engine.dispatcher, entry) == AtWork(named, "", "", None)
 
 
 def test_no_limit_and_no_patience_is_none(turn):

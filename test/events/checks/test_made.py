@@ -14,8 +14,7 @@ TOPICS = Topics((TopicType("said", "std_msgs/String"),))
 def said_of(check, rules):
     engine = Engine()
     engine.load(rules=rules)
-    parts = engine
-    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), TOPICS)
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
     return [error.message for error in check(program)]
 
 

@@ -102,8 +102,7 @@ FAN = Topics((topic_type("fan/state", "std_msgs/Bool"),), events=(TopicEvent("fa
 def said_of_fans(rules, goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    parts = engine
-    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), FAN)
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), FAN)
     return [(error.message, error.place and error.place.column) for error in wrong_messages(program)]
 
 

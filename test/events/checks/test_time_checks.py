@@ -19,8 +19,7 @@ PLAIN = [f"f{at + 1} <- f{at}." for at in range(LONG)]
 def said_of(*rules):
     engine = Engine()
     engine.load(rules="\n".join(rules))
-    parts = engine
-    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), TOPICS)
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
     return [error.message for error in (*never_meet(program), *cycles(program))]
 
 
@@ -56,10 +55,9 @@ TWO_TOPICS = Topics((TopicType("said", "std_msgs/String"), TopicType("on", "std_
 def missed(rules, topics=TWO_TOPICS):
     engine = Engine()
     engine.load(rules=rules)
-    parts = engine
     return [
         error.message
-        for error in missed_pairs(ProgramModel(parts.rules, parts.knowledge, Definitions(), topics))
+        for error in missed_pairs(ProgramModel(engine.rules, engine.knowledge, Definitions(), topics))
     ]
 
 
@@ -88,8 +86,7 @@ def unbounded(rules, flags=()):
     for flag, value in flags:
         assert engine.call(f"set_etalis_flag({flag}, {value})")
     engine.load(rules=rules)
-    parts = engine
-    program = ProgramModel(parts.rules, parts.knowledge, Definitions(), Topics())
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
     return [error.message for error in unbounded_keys(program)]
 
 

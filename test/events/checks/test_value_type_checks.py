@@ -13,8 +13,9 @@ TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_m
 def said(definitions, rules="", goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    parts = engine
-    return [one.message for one in numerals(ProgramModel(parts.rules, parts.knowledge, definitions, TOPICS))]
+    return [
+        one.message for one in numerals(ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS))
+    ]
 
 
 @pytest.mark.parametrize(

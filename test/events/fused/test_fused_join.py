@@ -74,33 +74,32 @@ def run(text, goals, events, cap, cut, change, posted):
             return lambda *told: reports.append((name, [str(one) for one in told]))
 
     engine = Engine(None, Settings(), Told())
-    parts = engine
     engine.load(goals=goals, rules=text)
     for arity in (0, 1, 2, 3):
         pattern = functor("out", arity)(*(Var() for _ in range(arity))) if arity else atom("out")
-        parts.dispatcher.listen(
+        engine.dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
             lambda term, values, start, end, after: found.append(shown(engine, term, start, end)) or after,
         )
-    parts.rules.cap = cap
+    engine.rules.cap = cap
     for at, (term, start, end) in enumerate(events):
         if at == cut:
-            for rule in parts.rules.rules:
+            for rule in engine.rules.rules:
                 rule.mend()
             if change:
                 engine.load(goals=change)
             if not change:
-                states = [rule.state() for rule in parts.rules.rules]
-                for rule, state in zip(parts.rules.rules, states):
+                states = [rule.state() for rule in engine.rules.rules]
+                for rule, state in zip(engine.rules.rules, states):
                     rule.clear_matches()
                     rule.restore(state)
         if posted and start == end and is_ground(term):
             engine.post(term, end * SECOND)
         else:
             engine.event_at(term, start * SECOND, end * SECOND)
-        assert parts.dispatcher.current is None
-    return found, reports, [known(engine, rule) for rule in parts.rules.rules]
+        assert engine.dispatcher.current is None
+    return found, reports, [known(engine, rule) for rule in engine.rules.rules]
 
 
 def shown(engine, term, start, end):
@@ -160,10 +159,9 @@ def test_many_streams(part):
 @pytest.mark.parametrize("cap", [10**6, 50])
 def test_what_has_left_is_not_held_until_its_time_is_over(cap):
     engine = Engine(StreamClock(10**6 * SECOND))
-    parts = engine
     engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
-    parts.rules.cap = cap
-    [rule] = parts.rules.rules
+    engine.rules.cap = cap
+    [rule] = engine.rules.rules
     left, right = functor("a", 1), functor("b", 1)
     for key in range(4000):
         engine.event_at(left(key), 2 * key, 2 * key)

@@ -75,9 +75,8 @@ def test_subscriptions_are_restored_as_they_were():
 
 def test_a_listener_that_an_interrupt_has_left_is_removed():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
-    parts = engine
-    parts.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
-    parts.knowledge.subscriptions.mend()
+    engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
+    engine.knowledge.subscriptions.mend()
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["one"]
 

@@ -44,9 +44,8 @@ def test_a_goal_that_does_not_fit_does_nothing(engine, goal, said):
         assert said.replace("a <- temperature(_): ", "") in str(caught.value)
     else:
         engine.call(goal)
-    parts = engine
     assert (
-        engine.seen == [] and not list(parts.knowledge.memories) and not list(parts.knowledge.subscriptions)
+        engine.seen == [] and not list(engine.knowledge.memories) and not list(engine.knowledge.subscriptions)
     )
 
 
