@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
-from retalis.prolog.terms.timestamps import Stamp, WholeSeconds
+from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, Stamp, WholeSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_sections import pack, unpack
 
@@ -50,6 +50,7 @@ def test_unchanged_it_is_taken(state):
         ("run", ["taken"], True, "expected an integer"),
         ("run", ["clock"], [1], "expected 4 items"),
         ("run", ["clock", 0], 1 << 100, "expected an instant"),
+        ("run", ["clock", 0], 1 << 80, "expected an instant that a clock can reach"),
         ("run", ["sent"], [], "not as many subscriptions"),
         ("run", [], [], "expected the fields clock"),
         ("values", [0], [["double_quotes", atom("x")]], "Prolog flag 'double_quotes'"),
@@ -187,3 +188,18 @@ def test_a_row_pattern_that_could_lose_its_last_state_is_refused():
     Engine.restore(pack(state)).event("v(1)", 2)
     with pytest.raises(UsageError, match="valid computation states of a row pattern"):
         Engine.restore(pack({**state, "matches": to_bytes(without_scanning(data))}))
+
+
+def test_a_state_after_the_largest_timestamp_is_restored():
+    engine = Engine()
+    engine.event("a(1)", MAX_TIMESTAMP // SECOND)
+    for number in range(3):
+        engine.event(f"b({number})")
+    assert Engine.restore(engine.snapshot()).clock.now() == engine.clock.now()
+
+
+@pytest.mark.parametrize("stamp", [MAX_TIMESTAMP // SECOND + 1, -(1 << 100), 1e30, make_list([10**16, 0])])
+def test_a_timestamp_that_a_state_cannot_hold_is_refused(stamp):
+    engine = Engine()
+    with pytest.raises(UsageError, match=r"a timestamp lies at most 6\.0e\+14 s from the epoch"):
+        engine.event("a(1)", stamp)

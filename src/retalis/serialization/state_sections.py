@@ -17,6 +17,7 @@ from ..events.language.rule_head_parser import Property
 from ..events.network.event_rule import RuleState
 from ..foundation.errors import Place, UsageError
 from ..prolog.system.logic_state import KeptLogic, KeptValues
+from ..prolog.terms.timestamps import MAX_TIMESTAMP
 from ..prolog.terms.types import Atom, Functor
 from .codec import from_bytes
 from .match_graph import FIELDS
@@ -238,11 +239,21 @@ def _operators(value: Decoded) -> Decoded:
     return columns
 
 
+_MAX_CLOCK_INSTANT = MAX_TIMESTAMP + (1 << 60)
+"""Largest instant in ns that a clock reaches: each event without a timestamp advances it by 1 ns."""
+
+
+def _clock_instant(value: Decoded) -> Decoded:
+    # A clock nearer to the largest instant of the format would leave no room for the events after a restore.
+    if abs(instant(value)) > _MAX_CLOCK_INSTANT:
+        raise wrong(value, "an instant that a clock can reach")
+    return value
+
+
 def _clock(value: Decoded) -> Decoded:
     # The last two instants are optional.
-    return fixed(instant, instant, integer(0, 1), count, *[instant] * max(0, min(2, len(items(value)) - 4)))(
-        value
-    )
+    optional = [_clock_instant] * max(0, min(2, len(items(value)) - 4))
+    return fixed(_clock_instant, _clock_instant, integer(0, 1), count, *optional)(value)
 
 
 def _unchecked(names: str) -> ValueCheck:

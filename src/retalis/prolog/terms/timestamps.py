@@ -35,6 +35,12 @@ FIRST, LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPO
 """Range of instants that have a datime, in ns: the first one (year 1), and the first one after the range (year
 10000)."""
 
+MAX_TIMESTAMP = 1 << 79
+"""Largest timestamp in ns that is accepted, before or after the epoch: about 19 million years.
+
+The state format stores instants up to twice that, so deadlines and clocks that follow the largest one fit, too.
+"""
+
 _FIELD_LIMITS = ((1, 9999), (1, 12), (1, 31), (0, 23), (0, 59))
 """Lowest and highest value of year, month, day, hour and minute."""
 
@@ -188,6 +194,13 @@ def interval_term(start: int, end: int) -> Term:
     return (CONS, shown(start), (CONS, shown(end), NIL))
 
 
+def _checked(instant: int) -> int:
+    """Return a timestamp in ns if it is accepted."""
+    if -MAX_TIMESTAMP <= instant <= MAX_TIMESTAMP:
+        return instant
+    raise UsageError(f"a timestamp lies at most {MAX_TIMESTAMP // SECOND:.1e} s from the epoch")
+
+
 def from_term(term: Term) -> int:
     """Return the instant that a term denotes, keeping its form.
 
@@ -204,7 +217,7 @@ def from_term(term: Term) -> int:
     value: Any = deref(term)
     kind = value.__class__
     if kind is int or kind is float:
-        return Stamp.of(from_seconds(value), value)
+        return Stamp.of(_checked(from_seconds(value)), value)
     if kind is tuple:
         if value[0] is DATIME7:
             instant, exact = _from_fields(value)
@@ -260,7 +273,7 @@ def from_any(term: Term) -> int:
         if rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
             seconds, nanoseconds = deref(term[1]), deref(rest[1])
             if seconds.__class__ is int and nanoseconds.__class__ is int:
-                return from_parts(seconds, nanoseconds)
+                return _checked(from_parts(seconds, nanoseconds))
         raise UsageError("expected [Sec,NSec] with two integers")
     return from_term(term)
 
