@@ -66,7 +66,18 @@ def test_unchanged_it_is_taken(state):
         ("matches", ["states", 0, 3, 0, 0], Ref(10_000), "expected a reference"),
         ("matches", ["states", 0, 3, 0, 1], 99, "expected an integer from -1"),
         ("matches", ["states", 0, 3, 0, 2], 99, "has a sequence number that was not assigned"),
-        ("matches", ["states", 0, 3], lambda old: old + old, "a partial match is stored twice"),
+        (
+            "matches",
+            ["states", 0, 3],
+            lambda old: old + old,
+            "two partial matches have the same sequence number",
+        ),
+        (
+            "matches",
+            ["states", 0, 3],
+            lambda old: [*old, [*old[0][:2], 0]],
+            "a partial match is stored twice",
+        ),
         ("matches", ["states", 0, 2, 0, 0], "Leaves", "its nodes differ from those in the state"),
         ("matches", ["rows", 0], ["match"], "expected the row of an object"),
         ("matches", ["rows", 0], lambda old: [*old[:6], [Ref(0)], old[7]], "contains itself"),
@@ -203,3 +214,14 @@ def test_a_timestamp_that_a_state_cannot_hold_is_refused(stamp):
     engine = Engine()
     with pytest.raises(UsageError, match=r"a timestamp lies at most 6\.0e\+14 s from the epoch"):
         engine.event("a(1)", stamp)
+
+
+def test_a_partial_match_of_two_rules_is_refused():
+    engine = Engine()
+    engine.load(rules="p(X) <- a(X) seq b(X).\nq(X) <- a(X) seq c(X).\n")
+    engine.event("a(1)", 1)
+    state = unpack(engine.snapshot())
+    states = dict(from_bytes(state["matches"]))["states"]
+    shared = changed(state, "matches", ["states", 1, 3, 0, 0], states[0][3][0][0])
+    with pytest.raises(UsageError, match="a partial match is stored twice"):
+        Engine.restore(shared)

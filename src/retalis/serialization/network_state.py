@@ -8,7 +8,7 @@ operators, absence timeouts and row patterns.
 """
 
 from types import MappingProxyType
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
@@ -241,14 +241,24 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
     return state
 
 
+def _check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -> None:
+    """Check that no partial match is stored twice: a match has links for one buffer only."""
+    stored: Set[int] = set()
+    for rule, state in zip(rules, states):
+        for match in (*(match for match, _, _ in state.arrivals), *(match for _, match in state.later)):
+            if id(match) in stored:
+                raise UsageError(f"{rule.name}: a partial match is stored twice")
+            stored.add(id(match))
+
+
 def _check_arrivals(
     rule: EventRule, state: RuleState, owners: List[Any], widths: List[Tuple[type, Optional[int]]]
 ) -> None:
     """Check that partial matches fit the buffers that they are put into."""
     # Sequence numbers reproduce the order in which partial matches arrived.
     orders = [order for _, _, order in state.arrivals]
-    if len({id(match) for match, _, _ in state.arrivals}) != len(orders) or len(set(orders)) != len(orders):
-        raise UsageError(f"{rule.name}: a partial match is stored twice")
+    if len(set(orders)) != len(orders):
+        raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
     if any(order > state.times[1] for order in orders):
         raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
     waiting = [(match, buffer_number) for match, buffer_number, _ in state.arrivals]
@@ -482,6 +492,7 @@ class _CheckedState:
         if len(items(data["states"])) != len(active):
             raise wrong(len(data["states"]), f"the states of {len(active)} rules")
         self.states = [rule_state(graph, rule, state) for rule, state in zip(named, data["states"])]
+        _check_stored_once(named, self.states)
         event = graph.ref("event")
         self.tracked = named_check("tracked", fixed(each(event), count, count))(data["tracked"])
         self.alarms = each(self._alarm)(data["alarms"])
