@@ -258,7 +258,7 @@ def test_a_module_may_be_called_as_its_file(program, tmp_path):
 
 def test_libraries_whose_predicates_are_there_may_be_used(program):
     program.engine.load(
-        rules=":- use_module(library(dcg/basics)). :- use_module(library(pairs)). :- autoload(library(plunit)). p."
+        rules=":- use_module(library(dcg/basics)). :- use_module(library(pairs)). :- autoload(library(apply)). p."
     )
     assert program.warnings == []
 

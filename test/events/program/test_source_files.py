@@ -131,7 +131,7 @@ def test_a_cycle_is_one_error(program, tmp_path, form):
 
 @pytest.mark.parametrize(
     "name",
-    ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics", "plunit"],
+    ["lists", "apply", "assoc", "pairs", "ordsets", "aggregate", "random", "yall", "dcg/basics"],
 )
 def test_libraries_are_there(program, name):
     program.engine.load(rules=f":- use_module(library({name})). use_module(library({name})). c <- a.")

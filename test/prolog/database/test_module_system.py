@@ -245,16 +245,6 @@ def test_errors(goal, error):
     assert answers(prolog(), goal) == [error]
 
 
-def test_units_of_tests_call_what_is_private():
-    logic = load(
-        prolog("test(mine)."),
-        ":- module(m, []).\nown(1).\n:- begin_tests(u).\ntest(one) :- own(1).\n:- end_tests(u).\ntest(own).\n",
-    )
-    logic.error_output = logic.output = lambda text: None
-    assert answers(logic, "run_tests") == [{}]
-    assert first(logic, "m:test(X)") == "own"
-
-
 def test_they_are_kept(both):
     answers(both, "bump")
     restored = PrologSystem()

@@ -54,7 +54,6 @@ LIBRARIES = frozenset(
         "ordsets",
         "pairs",
         "pio",
-        "plunit",
         "prolog_code",
         "pure_input",
         "random",

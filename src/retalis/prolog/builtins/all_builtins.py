@@ -25,5 +25,4 @@ from . import (
     text_streams,  # noqa: F401  (imported for what they register)
     time_predicates,  # noqa: F401  (imported for what they register)
     type_checks,  # noqa: F401  (imported for what they register)
-    unit_tests,  # noqa: F401  (imported for what they register)
 )

@@ -144,7 +144,6 @@ class ModuleNames:
         last: name of the module whose file was loaded last; "" if that file was no module.
         is_defined: returns whether the program has a predicate with a functor.
         is_of_system: returns whether the system has one.
-        shared: predicates that currently belong to no module, wherever they are defined.
         on_begin: called with the name of each module whose file begins.
         on_change: called after a module was added.
         on_clash: called with a warning about a name that cannot be imported.
@@ -152,7 +151,6 @@ class ModuleNames:
 
     def __init__(self) -> None:
         self.table: Dict[str, Module] = {}
-        self.shared: Set[Functor] = set()
         self.metas: Dict[Functor, ArgumentKinds] = {}
         self.loading: Optional[Module] = None
         self.last = ""
@@ -244,7 +242,6 @@ class ModuleNames:
     def mend(self) -> None:
         """Reset the state of loading, after an interrupt."""
         self.loading = None
-        self.shared.clear()
         self._files.clear()
 
     def named(self, term: Term) -> Optional[Module]:
@@ -269,7 +266,7 @@ class ModuleNames:
     def _has_plain_name(self, module: Module, key: Functor) -> bool:
         if key in module.exports and key not in module.hidden:
             return True
-        return key in _GLOBAL_PREDICATES or key in self.shared or key.name in self._plain
+        return key in _GLOBAL_PREDICATES or key.name in self._plain
 
     def own(self, module: Module, key: Functor) -> Functor:
         """Return the functor under which a predicate that a module defines is stored."""
