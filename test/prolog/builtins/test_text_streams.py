@@ -164,7 +164,6 @@ def test_reading(logic, goal, expected):
         ("open(out, write, S), write(S, a), flush_output(S)", "a"),
         ("open(facts, read, R), open(out, write, S), copy_stream_data(R, S, 4), close(S)", "p(1)"),
         ("open(facts, read, R), open(out, write, S), copy_stream_data(R, S), close(S)", "p(1).\np(2).\n"),
-        ("open(out, write, S), display(S, 1+'A'), close(S)", "+(1,'A')"),
         ("open(out, write, S), put_code(S, 0'a), set_output(S), put_code(0'b), close(S)", "ab"),
         (
             "open(out, write, S, [type(binary)]), put_byte(S, 195), set_output(S), put_byte(169), close(S)",

@@ -23,19 +23,10 @@ def test_time_reports_errors_and_failures():
     assert "".join(written).count(" inferences, ") == 2
 
 
-def test_writef():
-    logic = prolog()
-    written = []
-    logic.output = written.append
-    assert answers(logic, r"writef('%w and %d\n', [a,b]), writef('|%5L|%5R|%5C|%s', [x,x,x,abc])") == [{}]
-    assert "".join(written) == "a and b\n|x    |    x|  x  |abc"
-
-
 def test_choices_by_chance():
     logic = prolog()
     assert first(logic, "set_random(seed(1)), randseq(3, 3, S), msort(S, M)")["M"] == "[1,2,3]"
     assert first(logic, "random_select(X, [a,b], [R]), X \\== R") is not None
-    assert first(logic, "random(1.0, 2.0, X), X >= 1.0, X < 2.0") is not None
     assert first(logic, "random_subseq([a,b,c], T, L), append(T, L, A), msort(A, M)")["M"] == "[a,b,c]"
 
 

@@ -1,9 +1,8 @@
-% More of ordered sets, pairs and lists.
+% Ordered sets, pairs, folds and ordered solutions.
 %
-% defines: ord_empty/1 ord_symdiff/3 ord_seteq/2 ord_disjoint/2 ord_intersect/2 ord_intersect/3 ord_selectchk/3
-% defines: is_ordset/1 ord_intersection/2 ord_intersection/4 ord_union/4 ord_product/3 ord_max/2
+% defines: ord_empty/1 ord_symdiff/3 ord_seteq/2 ord_disjoint/2 ord_intersect/2 ord_selectchk/3
+% defines: is_ordset/1 ord_intersection/2 ord_intersection/4 ord_union/4 ord_product/3
 % defines: group_pairs_by_key/2 max_member/3 min_member/3 selectchk/4 foldr/4 scanl/4 scanl/5 scanl/6 scanl/7
-% defines: merge/3 merge_set/3 sublist/3 checklist/2 proper_list/1
 % defines: get_assoc/5 del_min_assoc/4 del_max_assoc/4 order_by/2
 
 ord_empty([]).
@@ -27,9 +26,6 @@ ord_disjoint(One, Other) :-
 ord_intersect(One, Other) :-
     \+ ord_disjoint(One, Other).
 
-ord_intersect(One, Other, Common) :-
-    ord_intersection(One, Other, Common).
-
 ord_intersection([First|Sets], Common) :-
     foldl(ord_intersection, Sets, First, Common).
 
@@ -44,9 +40,6 @@ ord_union(One, Other, Union, New) :-
 ord_selectchk(Element, Set, Rest) :-
     ord_memberchk(Element, Set),
     ord_del_element(Set, Element, Rest).
-
-ord_max(Set, Max) :-
-    last(Set, Max).
 
 ord_product(One, Other, Product) :-
     findall(A-B, (member(A, One), member(B, Other)), Product).
@@ -131,25 +124,6 @@ scanl_([], [], [], [], _, _, []).
 scanl_([X|Xs], [Y|Ys], [Z|Zs], [U|Us], Goal, V0, [V|Vs]) :-
     call(Goal, X, Y, Z, U, V0, V),
     scanl_(Xs, Ys, Zs, Us, Goal, V, Vs).
-
-% Merging keeps what is in both lists twice, merging sets once.
-
-merge(One, Other, Merged) :-
-    append(One, Other, All),
-    msort(All, Merged).
-
-merge_set(One, Other, Merged) :-
-    append(One, Other, All),
-    sort(All, Merged).
-
-sublist(Goal, List, Kept) :-
-    include(Goal, List, Kept).
-
-checklist(Goal, List) :-
-    maplist(Goal, List).
-
-proper_list(List) :-
-    is_list(List).
 
 % Association lists
 

@@ -1,8 +1,8 @@
-% Texts of streams and files, and ways of other Prologs to write and to ask.
+% Texts of streams and files; integer division; predicates of SWI-Prolog that have a fixed outcome here.
 %
 % defines: phrase_from_file/2 phrase_from_file/3 phrase_from_stream/2 read_string/3 read_string/5
-% defines: copy_stream_data/2 copy_stream_data/3 get_single_char/1 write_ln/1 display/1 display/2
-% defines: atomic_concat/3 atomics_to_string/2 atom_to_chars/2 message_to_string/2 divmod/4 is_dict/1 is_dict/2 abort/0
+% defines: copy_stream_data/2 copy_stream_data/3 get_single_char/1
+% defines: message_to_string/2 divmod/4 is_dict/1 is_dict/2 abort/0
 
 phrase_from_file(Grammar, File) :-
     phrase_from_file(Grammar, File, []).
@@ -66,25 +66,6 @@ copy_stream_data(In, Out, Length) :-
 
 get_single_char(Code) :-
     get_code(user_input, Code).
-
-write_ln(Term) :-
-    writeln(Term).
-
-display(Term) :-
-    write_term(Term, [ignore_ops(true), quoted(true)]).
-
-display(Stream, Term) :-
-    write_term(Stream, Term, [ignore_ops(true), quoted(true)]).
-
-atomic_concat(A, B, Atom) :-
-    atomic_list_concat([A, B], Atom).
-
-atomics_to_string(List, String) :-
-    atomic_list_concat(List, Atom),
-    atom_string(Atom, String).
-
-atom_to_chars(Atom, Codes) :-
-    atom_codes(Atom, Codes).
 
 message_to_string(Message, String) :-
     (   Message = format(Format, Arguments)

@@ -1,7 +1,7 @@
-% Measuring goals, old ways of writing, more of random numbers, texts read line by line.
+% Time measurement, random choices, and input by line and by file.
 %
-% defines: time/1 writef/1 writef/2 ansi_format/3
-% defines: random/3 randseq/3 randset/3 random_select/3 random_subseq/3 random_perm2/4 random_numlist/4
+% defines: time/1 ansi_format/3
+% defines: randseq/3 randset/3 random_select/3 random_subseq/3 random_perm2/4 random_numlist/4
 % defines: maybe/0 maybe/1 maybe/2
 % defines: read_line_to_codes/2 read_line_to_codes/3 read_line_to_string/2 read_stream_to_codes/2
 % defines: read_stream_to_codes/3 read_file_to_codes/3 read_file_to_string/3 read_file_to_terms/3 string_lines/2
@@ -34,86 +34,10 @@ time_report_(at(Inferences0, Cpu0, Wall0)) :-
     format(user_error, "% ~D inferences, ~3f CPU in ~3f seconds (~d% CPU, ~d Lips)~n",
            [Inferences, Cpu, Wall, Percent, Speed]).
 
-% writef: %w, %d and %t write an argument, %p prints it, %s writes a text, %Nl, %Nc and %Nr do so in N columns.
-
-writef(Format) :-
-    writef(Format, []).
-
-writef(Format, Arguments) :-
-    atom_codes(Format, Codes),
-    writef_(Codes, Arguments).
-
-writef_([], _).
-writef_([C|Codes], Arguments) :-
-    (   C =:= 0'\\,
-        writef_escape_(Codes, Code, Codes1)
-    ->  put_char(Code),
-        writef_(Codes1, Arguments)
-    ;   C =:= 0'%,
-        Arguments = [Argument|Arguments1],
-        writef_directive_(Codes, Argument, Codes1)
-    ->  writef_(Codes1, Arguments1)
-    ;   char_code(Char, C),
-        put_char(Char),
-        writef_(Codes, Arguments)
-    ).
-
-writef_escape_([C|Codes], Char, Codes) :-
-    writef_escaped_(C, Char).
-
-writef_escaped_(0'n, '\n').
-writef_escaped_(0'l, '\n').
-writef_escaped_(0't, '\t').
-writef_escaped_(0'r, '\r').
-writef_escaped_(0'\\, \).
-
-writef_directive_([0'w|Codes], Argument, Codes) :-
-    write(Argument).
-writef_directive_([0'd|Codes], Argument, Codes) :-
-    write(Argument).
-writef_directive_([0't|Codes], Argument, Codes) :-
-    write(Argument).
-writef_directive_([0'p|Codes], Argument, Codes) :-
-    print(Argument).
-writef_directive_([0's|Codes], Argument, Codes) :-
-    format("~s", [Argument]).
-writef_directive_([D|Codes0], Argument, Codes) :-
-    writef_digits_([D|Codes0], Digits, [Side|Codes]),
-    Digits = [_|_],
-    writef_columns_(Side, Form),
-    number_codes(Width, Digits),
-    format(Form, [Argument, Width]).
-
-writef_digits_([D|Codes0], [D|Digits], Codes) :-
-    code_type(D, digit), !,
-    writef_digits_(Codes0, Digits, Codes).
-writef_digits_(Codes, [], Codes).
-
-writef_columns_(0'l, "~w~t~*+").
-writef_columns_(0'L, "~w~t~*+").
-writef_columns_(0'r, "~t~w~*+").
-writef_columns_(0'R, "~t~w~*+").
-writef_columns_(0'c, "~t~w~t~*+").
-writef_columns_(0'C, "~t~w~t~*+").
-
 % Colours are left out.
 
 ansi_format(_, Format, Arguments) :-
     format(Format, Arguments).
-
-% An integer below a limit, or a float between two.
-
-random(Low, High, Value) :-
-    (   integer(Low),
-        integer(High)
-    ->  Low < High,
-        Last is High - 1,
-        random_between(Low, Last, Value)
-    ;   must_be(number, Low),
-        must_be(number, High),
-        random(Fraction),
-        Value is Low + (High - Low) * Fraction
-    ).
 
 maybe :-
     random_between(0, 1, 0).
