@@ -177,13 +177,6 @@ def partial_matches() -> Round:
 
 
 @case
-def recorded() -> Round:
-    return goals(
-        "recorda(key_#, value_#, R), erase(R)", "recordz(key, value_#), recorded(key, _, R), erase(R)"
-    )
-
-
-@case
 def counters() -> Round:
     return goals("incCounter(c_#)", "resetCounter(c_#)", "set_flag(f_#, 1)", "set_flag(f_#, nil)")
 

@@ -99,11 +99,6 @@ ASKED = {
         "incCounter(c), incCounter(c), set_flag(f, g(1)), flag(n, _, 7), gensym(s, _)",
         "counter(c, A), get_flag(f, B), flag(n, C, C), gensym(s, D)",
     ),
-    "records": (
-        "",
-        "recordz(k, 1, R), recordz(k, 2), recorda(k, 0), erase(R), recordz(g(_), h)",
-        "recorded(K, V)",
-    ),
     "tables": (
         ":- table path(_, _).\npath(X, Y) :- path(X, Z), edge(Z, Y).\npath(X, Y) :- edge(X, Y).\n"
         "edge(1, 2).\nedge(2, 3).",

@@ -15,7 +15,7 @@ from retalis.prolog.terms.timestamps import SECOND
 
 RULES = """
 :- table path/2.
-:- dynamic told/1, level/2.
+:- dynamic told/1, level/2, remark/2.
 odd(X) :- X mod 2 =:= 1.
 edge(1,2). edge(2,3). edge(3,1). edge(3,4).
 path(X,Y) :- edge(X,Y).
@@ -23,7 +23,7 @@ path(X,Y) :- path(X,Z), edge(Z,Y).
 fact(0,1) :- !.
 fact(N,F) :- M is N-1, fact(M,G), F is N*G.
 bump(K) :- ( retract(level(K,V)) -> true ; V = 0 ), W is V+1, assertz(level(K,W)).
-note(K,T) :- forall(recorded(K,T,R), erase(R)), recordz(K,T), recorda(K,first).
+note(K,T) :- retractall(remark(K,T)), assertz(remark(K,T)), asserta(remark(K,first)).
 guarded(X,Y) :- setup_call_cleanup(nb_setval(open,X), (member(Y,[1,2,3]), Y >= X), nb_setval(open,closed)).
 text(X,A) :- with_output_to(atom(A), (write(X), nl, writeq('It')) ).
 colour(red). colour(green). colour(blue).
@@ -89,7 +89,7 @@ ACTIONS = (
     "event e({k})",
     "event b({k},5)",
     "call bump({k}), bump({k}), retractall(level({k},_)), assertz(level({k},7))",
-    "call note({k},x), note({k},y), forall(recorded({k},_,R), erase(R))",
+    "call note({k},x), note({k},y), retractall(remark({k},_))",
     "call new_event(a({k}), [{t},{t}]), new_event(b({k},1), [{t},{t}])",
     "call memorize(extra({k}), [], _, extra({k}), 5), delete_memory(extra({k}))",
     "load extra{k}(K) <- a(K) seq extra(K,{k}).\nextra{k}_(1). extra{k}_(2).\n",
@@ -112,13 +112,13 @@ PROBE = (
 
 ANSWERS = (
     "level({k},V)",
-    "recorded({k},T)",
+    "remark({k},T)",
     "prev(m,v(K,V),_,_,{t})",
     "prev(n,X,_,_,{t})",
     "prev(c,X,_,_,{t})",
     "memory_size(m,N)",
     "bump({k}),level({k},V)",
-    "note({k},z),findall(T,recorded({k},T),L)",
+    "note({k},z),findall(T,remark({k},T),L)",
     "nb_getval(open,V)",
     "findall(X-Y,path(X,Y),L),length(L,N)",
     "current_output(S),text(a,A)",

@@ -268,7 +268,6 @@ SECTIONS: Dict[str, ValueCheck] = {
         values=dict_of(text, term),
         column=count,
         counted=_builtin_state,
-        records=fixed(count, each(fixed(key, each(fixed(count, term))))),
         answers=each(fixed(key, each(each(term, tuple)), boolean)),
     ),
     "matches": _unchecked(

@@ -80,7 +80,7 @@ def test_a_clause_that_is_asserted_does_not_replace_one_of_the_standard():
     logic.once((functor("dynamic", 1), (functor("/", 2), atom("atom_length"), 2)))
     assert logic.once(goal)
     assert answers(logic, "atom_length(1, X)") == [{"X": "2"}]
-    assert answers(logic, "assertz(instance(a, b)), instance(a, X)") == [{"X": "b"}]
+    assert answers(logic, "assertz(counter(a, b)), counter(a, X)") == [{"X": "b"}]
 
 
 def test_rules_of_the_same_file_call_its_own():
@@ -108,8 +108,8 @@ def test_a_file_that_is_refused_leaves_those_of_the_system():
 @pytest.mark.parametrize(
     ("program", "refused"),
     [
-        ("instance(rex, dog).\ninstance(tom, cat).", False),
-        ("instance(rex, dog).", True),
+        ("counter(rex, dog).\ncounter(tom, cat).", False),
+        ("counter(rex, dog).", True),
         ("write(a).\nwrite(b).", True),
         ("reset_db.\nreset_db.", True),
     ],
@@ -121,4 +121,4 @@ def test_several_facts_are_a_definition_where_nobody_would_write_goals_so(progra
             engine.load(rules=f"c <- b.\n{program}")
     else:
         engine.load(rules=f"c <- b.\n{program}")
-        assert engine.call("instance(tom, cat)")
+        assert engine.call("counter(tom, cat)")

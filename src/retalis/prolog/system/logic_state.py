@@ -1,7 +1,7 @@
 """State of a Prolog system as plain data, for snapshots and checkpoints.
 
 `KeptLogic` is the program: operators, declarations of tables, and clauses. `KeptValues` is the data that goals leave
-behind: flags, global variables, counters, records, and answers of tables. Both are taken while no goal runs, and
+behind: flags, global variables, counters, and answers of tables. Both are taken while no goal runs, and
 contain no code: compiled code is generated again by the system that restores them.
 """
 
@@ -10,7 +10,6 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from ...foundation.errors import Place
 from ..builtins.clause_predicates import declare_as
 from ..builtins.global_state import flags_from
-from ..builtins.recorded_database import records_of
 from ..builtins.tabling import tables_of
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate
@@ -50,7 +49,6 @@ class KeptValues(NamedTuple):
         values: global variables.
         column: column of the output at which the next text is printed.
         counted: data that built-ins store by name, such as counters.
-        records: entries of the recorded database.
         answers: known answers of tabled predicates; those of incremental tables are computed again.
     """
 
@@ -58,7 +56,6 @@ class KeptValues(NamedTuple):
     values: Dict[str, Term]
     column: int
     counted: Dict[str, Dict[Any, Any]]
-    records: Any
     answers: Any
 
 
@@ -86,7 +83,6 @@ def keep_values(logic: PrologSystem) -> KeptValues:
         dict(logic.globals),
         logic.column,
         counted,
-        records_of(logic.machine).kept(),
         tables_of(logic.machine).kept(),
     )
 
@@ -142,7 +138,6 @@ def restore_values(logic: PrologSystem, kept: KeptValues) -> None:
     modules = logic.database.modules
     modules.restore(kept.counted.get(_MODULES, {}))
     modules.metas.update(kept.counted.get(_METAS, {}))
-    records_of(logic.machine).restore(kept.records)
     tables_of(logic.machine).restore(kept.answers)
 
 
