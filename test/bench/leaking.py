@@ -36,7 +36,7 @@ def held():
         if isinstance(one, Cache):
             one.clear()
         elif isinstance(one, Database):
-            one.put_aside()
+            one.move_undefined()
     gc.collect()
     gc.collect()
     return len(gc.get_objects())

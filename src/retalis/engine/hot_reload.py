@@ -427,7 +427,7 @@ class ReloadTransaction:
         library = self._engine.logic.database.library.kept.get(key)
         if key in self._old.replaced and library is not None:
             # The library predicate that the folder had redefined becomes visible again.
-            self._engine.logic.database.give_back(library)
+            self._engine.logic.database.restore_library(library)
         elif not predicate.dynamic:
             predicate.kind = "undefined"
 
@@ -543,7 +543,7 @@ class ReloadTransaction:
                 continue
             # A removed clause is marked as dead for running goals (logical update view), and this cannot be undone.
             predicate.clear()
-            database.take_back(predicate)
+            database.restore_program(predicate)
             predicate.dynamic = predicate in self._before.dynamic
             for clause in clauses:
                 clause_copy = copies[clause] = Clause(predicate, clause.head, clause.body, clause.place)

@@ -209,13 +209,13 @@ def test_a_deterministic_loop_does_not_fill_the_trail(monkeypatch):
     monkeypatch.setattr(machine, "SEEN_AT", 20_000)  # as in CPython
     logic = prolog(DEEP)
     highest = 0
-    sliced = logic.machine.budget.sliced
+    sliced = logic.machine.budget.count_slice
 
     def watch():
         nonlocal highest
         sliced()
         highest = max(highest, len(logic.machine.trail))
 
-    logic.machine.budget.sliced = watch
+    logic.machine.budget.count_slice = watch
     assert logic.once(first_goal(logic, "state(s(a, b), 100000, S), S = s(_, _)"))
     assert 0 < highest < 50_000

@@ -157,7 +157,7 @@ def test_two_modules_that_export_the_same_name():
         with modules.of_file():
             modules.begin(name, [])
             for one in used:
-                modules.bring_in(one)
+                modules.import_exports(one)
             for read in read_program("ask(X) :- p(X).", logic.operators):
                 logic.add_clause(read.term)
     assert "into four: already imported from one" in said.pop()
@@ -223,7 +223,7 @@ def test_imported_names_are_those_of_the_other_module():
     modules = logic.database.modules
     with modules.of_file():
         modules.begin("user_of_it", [])
-        modules.bring_in("store")
+        modules.import_exports("store")
         for read in read_program("add(X) :- assertz(fact(X)).", logic.operators):
             logic.add_clause(read.term)
     assert first(logic, "user_of_it:add(1), fact(X)") == "1"

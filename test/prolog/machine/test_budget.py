@@ -50,7 +50,7 @@ def test_what_is_left_of_inferences(budget):
 def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
     budget.look(5000)
     for most in (300, 200):
-        budget.warn_past(budget.cap(most), LimitPassed("inference", atom("ball")))
+        budget.add_ceiling(budget.ceiling_after(most), LimitPassed("inference", atom("ball")))
     assert budget.left() == Left(None, 200, None)
     budget.look(150)
     assert budget.left() == Left(None, 50, None)
@@ -60,15 +60,15 @@ def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
 
 def test_what_is_left_up_to_the_nearest_alarm(budget):
     for instant in (1e12, 1e11):
-        budget.warn_at(instant, LimitPassed("time", atom("ball")))
+        budget.add_alarm(instant, LimitPassed("time", atom("ball")))
     assert budget.left() == Left(1e11, None, None)
 
 
 def test_no_two_ceilings_are_the_same(budget):
     ceilings = []
     for _ in range(3):
-        ceilings.append(budget.cap(10))
-        budget.warn_past(ceilings[-1], LimitPassed("inference", atom("ball")))
+        ceilings.append(budget.ceiling_after(10))
+        budget.add_ceiling(ceilings[-1], LimitPassed("inference", atom("ball")))
     assert ceilings == [10, 11, 12]
 
 
@@ -115,7 +115,7 @@ def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_o
     budget.allow(Limits(inferences=10))
     with pytest.raises(LimitError) as caught:
         budget.look(11)
-    budget.start_anew()
+    budget.reset()
     saved = budget.enter()
     budget.close(caught.value)
     with pytest.raises(LimitError):
@@ -195,8 +195,8 @@ def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
 
 
 STEPS = st.one_of(
-    st.tuples(st.sampled_from(["look", "ended"]), st.integers(0, 1500)),
-    st.tuples(st.sampled_from(["sliced", "turned", "admit", "left", "end", "inner"])),
+    st.tuples(st.sampled_from(["look", "count_last_steps"]), st.integers(0, 1500)),
+    st.tuples(st.sampled_from(["count_slice", "count_loops", "admit", "left", "end", "inner"])),
     st.tuples(st.just("wait"), st.integers(0, 8)),
     st.tuples(st.just("write"), st.integers(0, 600_000)),
 )
@@ -249,17 +249,17 @@ class Model:
     def look(self, steps):
         return self.raised(self.count(steps))
 
-    def sliced(self):
+    def count_slice(self):
         return self.look(len(SLICE))
 
     def left(self):
         return self.look(0)
 
-    def turned(self):
+    def count_loops(self):
         self.pending += len(LOOP)
         return self.look(0) if self.pending >= len(SLICE) else None
 
-    def ended(self, steps):
+    def count_last_steps(self, steps):
         self.pending += steps
         if self.pending >= len(SLICE):
             self.count(0)

@@ -96,7 +96,7 @@ class LoadRollback:
                 rules.remove(rule)
         # Library predicates that the file has redefined become visible again.
         for predicate in self._library:
-            rules.logic.database.give_back(predicate)
+            rules.logic.database.restore_library(predicate)
         for predicate in list(rules.logic.database.predicates.values()):
             if predicate.kind == "user":
                 previous_clauses = self._clauses.get(predicate, ())
@@ -206,7 +206,7 @@ class EventFileLoader:
         # A module is loaded once, as in SWI-Prolog; another import of it only makes its predicates visible.
         if not self._files.has_loaded(path) or not (once or self._files.module(path)):
             self._load_file(path)
-        self._modules.bring_in(self._files.module(path))
+        self._modules.import_exports(self._files.module(path))
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `RuleBase.load_terms`."""
@@ -454,7 +454,7 @@ class EventFileLoader:
                 if not module:
                     self._activate(step)
                     module = self._modules.last
-                self._modules.bring_in(module)
+                self._modules.import_exports(module)
             elif isinstance(step, Consulted):
                 self._consult(step, checked)
             elif step.kind == "later":

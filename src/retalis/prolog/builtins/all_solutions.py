@@ -47,25 +47,25 @@ def _strip_quantifiers(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
             bound.append(goal[1])
             goal = deref(goal[2])
         else:
-            goal = deref(machine.logic.database.modules.hatted(goal))
+            goal = deref(machine.logic.database.modules.quantified_goal(goal))
     return goal, bound
 
 
 def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
     """Return the implementation of ``setof/3`` if ``sort``, otherwise of ``bagof/3``."""
 
-    def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    def run(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         template, goal, result = args
         # ISO 13211-1 requires the check of the result before the goal runs; SWI-Prolog omits it.
         if is_iso(machine):
             partial_items(result)
         # Variables of the template and those quantified by `^` are local: they do not distinguish groups.
-        inner, bound = _strip_quantifiers(machine, goal)
+        inner_goal, bound = _strip_quantifiers(machine, goal)
         # Checked before the free variables are collected: an unbound goal would be its own free variable.
-        if inner.__class__ is Var:
+        if inner_goal.__class__ is Var:
             raise instantiation_error()
         local = set(variables((COMMA, template, *bound)))
-        free = [var for var in variables(inner) if var not in local]
+        free = [var for var in variables(inner_goal) if var not in local]
         witness = make_list(free)
 
         def finish(items: List[Term]) -> Term:
@@ -75,17 +75,17 @@ def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optiona
             # Without free variables there is one group, so the sort by witnesses is not needed.
 
             def done(solutions: List[Term]) -> Optional[Frame]:
-                return after if solutions and unify(result, finish(solutions), machine.trail) else None
+                return continuation if solutions and unify(result, finish(solutions), machine.trail) else None
 
-            return machine.logic.control.collect(inner, template, done)
+            return machine.logic.control.collect(inner_goal, template, done)
 
         def done_grouped(solutions: List[Term]) -> Optional[Frame]:
             groups = _group_by_witness(solutions)
             return _enumerate_groups(
-                machine, witness, result, [(key, finish(items)) for key, items in groups], 0, after
+                machine, witness, result, [(key, finish(items)) for key, items in groups], 0, continuation
             )
 
-        return machine.logic.control.collect(inner, (MINUS, witness, template), done_grouped)
+        return machine.logic.control.collect(inner_goal, (MINUS, witness, template), done_grouped)
 
     return run
 
@@ -119,7 +119,7 @@ def _enumerate_groups(
     result: Term,
     groups: List[Tuple[Term, Term]],
     position: int,
-    after: Frame,
+    continuation: Frame,
 ) -> Optional[Frame]:
     while position < len(groups):
         mark = len(machine.trail)
@@ -128,8 +128,10 @@ def _enumerate_groups(
         if machine.unify_all((witness, key), (result, items)):
             # The last group leaves no choice point, so a goal with a single group is determinate.
             if position < len(groups):
-                machine.choices.append((_NEXT_GROUP, machine, witness, result, groups, position, after, mark))
-            return after
+                machine.choices.append(
+                    (_NEXT_GROUP, machine, witness, result, groups, position, continuation, mark)
+                )
+            return continuation
     return None
 
 
@@ -143,7 +145,7 @@ control("setof/3")(_grouped_solutions(True))
 
 
 @control("findnsols/4", "findnsols/5")
-def findnsols(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def findnsols(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Collect solutions in lists of ``N`` items; backtracking returns the next list."""
     count = natural(args[0])
     result = args[3]
@@ -154,16 +156,16 @@ def findnsols(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     pair = copy((MINUS, args[1], args[2]))
     solutions: List[Term] = []
     base = len(machine.choices)
-    machine.choices.append((_REMAINING, machine, solutions, result, tail, after, len(machine.trail)))
-    collect = (_COLLECT, machine, base, solutions, pair[1], count, result, tail, after)
+    machine.choices.append((_REMAINING, machine, solutions, result, tail, continuation, len(machine.trail)))
+    collect = (_COLLECT, machine, base, solutions, pair[1], count, result, tail, continuation)
     return machine.logic.control.call(pair[2], collect)
 
 
 def _collect_solution(frame: Frame) -> Optional[Frame]:
     machine: Machine
     solutions: List[Term]
-    after: Frame
-    _, machine, base, solutions, template, count, result, tail, after = frame
+    continuation: Frame
+    _, machine, base, solutions, template, count, result, tail, continuation = frame
     solutions.append(copy(template))
     # Failing makes the goal search for the next solution of the same list.
     if len(solutions) < count:
@@ -173,14 +175,14 @@ def _collect_solution(frame: Frame) -> Optional[Frame]:
     # Only the choice point of this predicate is left, so the goal has no more solutions.
     if len(machine.choices) == base + 1:
         machine.choices.pop()
-    return after if unify(result, items, machine.trail) else None
+    return continuation if unify(result, items, machine.trail) else None
 
 
 def _remaining_solutions(entry: Frame) -> Optional[Frame]:
     machine: Machine
-    after: Frame
-    _, machine, solutions, result, tail, after, _ = entry
-    return after if unify(result, make_list(solutions, tail), machine.trail) else None
+    continuation: Frame
+    _, machine, solutions, result, tail, continuation, _ = entry
+    return continuation if unify(result, make_list(solutions, tail), machine.trail) else None
 
 
 _COLLECT = Code("findnsols", _collect_solution)
@@ -205,7 +207,7 @@ def _sum(values: List[Term]) -> Term:
 
 
 @control("aggregate_all/4", locked=False)
-def aggregate_all_distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over the solutions with distinct pairs of discriminator and template."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
     finish, template = _aggregate(spec)
@@ -214,24 +216,24 @@ def aggregate_all_distinct(machine: Machine, args: Values, after: Frame) -> Opti
         # Sorting removes duplicates, and does so by discriminator and template together, as in SWI-Prolog.
         distinct: List[Any] = sort_unique(solutions)
         value = finish([pair[2] for pair in distinct])
-        return after if value is not None and unify(result, value, machine.trail) else None
+        return continuation if value is not None and unify(result, value, machine.trail) else None
 
-    inner, _ = _strip_quantifiers(machine, goal)
-    return machine.logic.control.collect(inner, (MINUS, discriminator, template), done)
+    inner_goal, _ = _strip_quantifiers(machine, goal)
+    return machine.logic.control.collect(inner_goal, (MINUS, discriminator, template), done)
 
 
 @control("aggregate_all/3", locked=False)
-def aggregate_all(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over all solutions: count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T)."""
     spec, goal, result = deref(args[0]), args[1], args[2]
     finish, template = _aggregate(spec)
 
     def done(solutions: List[Term]) -> Optional[Frame]:
         value = finish(solutions)
-        return after if value is not None and unify(result, value, machine.trail) else None
+        return continuation if value is not None and unify(result, value, machine.trail) else None
 
-    inner, _ = _strip_quantifiers(machine, goal)
-    return machine.logic.control.collect(inner, template, done)
+    inner_goal, _ = _strip_quantifiers(machine, goal)
+    return machine.logic.control.collect(inner_goal, template, done)
 
 
 def _aggregate(term: Term) -> Tuple[Finish, Term]:

@@ -223,14 +223,16 @@ def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
     path.append((node, side))
     following: Any = right if side > 0 else left
     for _ in bounded():
-        inner, outer = (following[4], following[5]) if side > 0 else (following[5], following[4])
-        inner = deref(inner)
-        if not _is_node(inner):
+        inner_subtree, outer_subtree = (
+            (following[4], following[5]) if side > 0 else (following[5], following[4])
+        )
+        inner_subtree = deref(inner_subtree)
+        if not _is_node(inner_subtree):
             break
         path.append((following, -side))
-        following = inner
+        following = inner_subtree
     path[place] = ((_NODE, following[1], following[2], *node[3:]), side)
-    return deref(outer)
+    return deref(outer_subtree)
 
 
 def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
@@ -253,8 +255,8 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
         return None
     sibling_balance = deref(sibling[3])
     if sibling_balance is flatter:
-        inner: Any = deref(sibling[4] if order < 0 else sibling[5])
-        if not _is_node(inner) or not _is_balance(deref(inner[3])):
+        inner_subtree: Any = deref(sibling[4] if order < 0 else sibling[5])
+        if not _is_node(inner_subtree) or not _is_balance(deref(inner_subtree[3])):
             return None
     elif not _is_balance(sibling_balance):
         return None

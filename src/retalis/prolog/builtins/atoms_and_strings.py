@@ -78,9 +78,9 @@ def _text_converter(
         text = constant_text(deref(constant))
         if text is not None:
             check_text_list(parts)
-            given = deref(parts)
-            if given.__class__ is String:
-                return given.text == text
+            text_or_parts = deref(parts)
+            if text_or_parts.__class__ is String:
+                return text_or_parts.text == text
             return unify(parts, to_list(text), machine.trail)
         if deref(constant).__class__ is not Var:
             raise type_error(kind, deref(constant))
@@ -180,44 +180,44 @@ def atom_number(machine: Machine, text: Term, number: Term) -> bool:
 def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
     """Convert between a term and its text as an atom."""
     # A given text is parsed even if the term is known: equal terms may be written differently.
-    given = deref(text)
-    if deref(term).__class__ is Var and given.__class__ is not Var:
-        return unify(term, parse(machine, text_of(given)), machine.trail)
-    if given.__class__ is Var or deref(term).__class__ is not Var:
-        if given.__class__ is not Var:
-            return unify(term, parse(machine, text_of(given)), machine.trail)
+    text_term = deref(text)
+    if deref(term).__class__ is Var and text_term.__class__ is not Var:
+        return unify(term, parse(machine, text_of(text_term)), machine.trail)
+    if text_term.__class__ is Var or deref(term).__class__ is not Var:
+        if text_term.__class__ is not Var:
+            return unify(term, parse(machine, text_of(text_term)), machine.trail)
         if deref(term).__class__ is Var:
             raise instantiation_error()
     return unify(text, atom(machine.logic.show(term)), machine.trail)
 
 
 @nondeterministic("atom_concat/3")
-def atom_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
+def atom_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outcome:
     """Relate two texts with their concatenation as an atom."""
-    return _concat(machine, left, right, whole, atom)
+    return _concat(machine, left, right, joined, atom)
 
 
 @nondeterministic("string_concat/3")
-def string_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
+def string_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outcome:
     """Relate two texts with their concatenation as a string."""
-    return _concat(machine, left, right, whole, String)
+    return _concat(machine, left, right, joined, String)
 
 
-def _concat(machine: Machine, left: Term, right: Term, whole: Term, make: Make) -> Outcome:
+def _concat(machine: Machine, left: Term, right: Term, joined: Term, make: Make) -> Outcome:
     left, right = deref(left), deref(right)
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
     # With both parts known, the whole is compared as text, so an atom is equal to a string.
     if start is not None and end is not None:
-        result = deref(whole)
+        result = deref(joined)
         text = constant_text(result)
         if text is None and result.__class__ is not Var:
             raise type_error("atomic", result)
         check_text_length(len(start) + len(end), start, end)
-        return text == start + end if text is not None else unify(whole, make(start + end), machine.trail)
-    if deref(whole).__class__ is Var:
+        return text == start + end if text is not None else unify(joined, make(start + end), machine.trail)
+    if deref(joined).__class__ is Var:
         raise instantiation_error()
-    text = atomic_text(whole)
+    text = atomic_text(joined)
     check_text_length(len(text))
     if start is not None:
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
@@ -255,19 +255,19 @@ def sub_text(
     if deref(text).__class__ is Var:
         raise instantiation_error()
     kind = "atom" if make is atom else "string"
-    whole = atomic_text(text, kind)
-    size = len(whole)
+    source_text = atomic_text(text, kind)
+    size = len(source_text)
     b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
     for value in (b, count, a):
         if value is not None and value < 0:
             raise domain_error("not_less_than_zero", value)
-    given = deref(part)
+    part_term = deref(part)
     # A known substring is searched for, which takes linear time; enumerating all substrings would take quadratic
     # time.
-    if given.__class__ is not Var:
+    if part_term.__class__ is not Var:
         if is_iso(machine):
-            atom_of(given)
-        return _occurrences(machine, whole, atomic_text(given, kind), before, length, after, b, a)
+            atom_of(part_term)
+        return _occurrences(machine, source_text, atomic_text(part_term, kind), before, length, after, b, a)
     # Two known numbers determine the third and the substring.
     if b is not None and count is not None:
         start, end = b, b + count
@@ -277,19 +277,19 @@ def sub_text(
         start, end = size - a - count, size - a
     else:
         return _enumerate_substrings(
-            machine, whole, _spans(size, b, count, a), before, length, after, part, make
+            machine, source_text, _spans(size, b, count, a), before, length, after, part, make
         )
     return bool(
         0 <= start <= end <= size
         and machine.unify_all(
-            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+            (before, start), (length, end - start), (after, size - end), (part, make(source_text[start:end]))
         )
     )
 
 
 def _enumerate_substrings(
     machine: Machine,
-    whole: str,
+    source_text: str,
     spans: Iterator[Tuple[int, int]],
     before: Term,
     length: Term,
@@ -297,14 +297,14 @@ def _enumerate_substrings(
     part: Term,
     make: Make,
 ) -> Solutions:
-    size = len(whole)
+    size = len(source_text)
     for index, (start, end) in enumerate(spans):
         # Substrings that do not unify are skipped within one step of the machine.
         if not index & 255:
             look()
         check_text_length(end - start)
         if machine.unify_all(
-            (before, start), (length, end - start), (after, size - end), (part, make(whole[start:end]))
+            (before, start), (length, end - start), (after, size - end), (part, make(source_text[start:end]))
         ):
             yield None
 
@@ -321,7 +321,7 @@ def _spans(size: int, b: Optional[int], count: Optional[int], a: Optional[int]) 
 
 def _occurrences(
     machine: Machine,
-    whole: str,
+    source_text: str,
     substring: str,
     before: Term,
     length: Term,
@@ -329,31 +329,31 @@ def _occurrences(
     b: Optional[int],
     a: Optional[int],
 ) -> Outcome:
-    size, count = len(whole), len(substring)
+    size, count = len(source_text), len(substring)
     if b is not None:
         start = b
-        matches = whole.startswith(substring, start)
+        matches = source_text.startswith(substring, start)
     elif a is not None:
         start = size - a - count
-        matches = start >= 0 and whole.startswith(substring, start)
+        matches = start >= 0 and source_text.startswith(substring, start)
     else:
         # One occurrence is determinate; a generator is only needed for several.
-        start = whole.find(substring)
+        start = source_text.find(substring)
         matches = start >= 0
-        if matches and whole.find(substring, start + 1) >= 0:
-            return _all_occurrences(machine, whole, substring, before, length, after)
+        if matches and source_text.find(substring, start + 1) >= 0:
+            return _all_occurrences(machine, source_text, substring, before, length, after)
     return bool(
         matches and machine.unify_all((before, start), (length, count), (after, size - start - count))
     )
 
 
 def _all_occurrences(
-    machine: Machine, whole: str, substring: str, before: Term, length: Term, after: Term
+    machine: Machine, source_text: str, substring: str, before: Term, length: Term, after: Term
 ) -> Solutions:
-    size = len(whole)
-    start = whole.find(substring)
+    size = len(source_text)
+    start = source_text.find(substring)
     while start >= 0:
-        following = whole.find(substring, start + 1)
+        following = source_text.find(substring, start + 1)
         if machine.unify_all(
             (before, start), (length, len(substring)), (after, size - start - len(substring))
         ):
@@ -362,27 +362,27 @@ def _all_occurrences(
 
 
 @deterministic("atomic_list_concat/2")
-def atomic_list_concat(machine: Machine, parts: Term, whole: Term) -> bool:
+def atomic_list_concat(machine: Machine, parts: Term, joined: Term) -> bool:
     """Concatenate texts to an atom."""
     return unify(
-        whole, atom(join_texts([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
+        joined, atom(join_texts([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
     )
 
 
 @deterministic("atomic_list_concat/3")
-def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, whole: Term) -> bool:
+def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, joined: Term) -> bool:
     """Join texts with a separator, or split an atom at the separator."""
     between = atomic_text(separator, "text")
     text = _join(parts, between)
     if text is not None:
-        result = constant_text(deref(whole))
-        return result == text if result is not None else unify(whole, atom(text), machine.trail)
-    if deref(whole).__class__ is Var:
+        result = constant_text(deref(joined))
+        return result == text if result is not None else unify(joined, atom(text), machine.trail)
+    if deref(joined).__class__ is Var:
         raise instantiation_error()
     # An empty separator would divide a text at every position, or nowhere.
     if not between:
         raise domain_error("non_empty_atom", separator)
-    text = atomic_text(whole)
+    text = atomic_text(joined)
     # Charges the memory of all parts before they are created.
     look(size=_ATOM_BYTES * text.count(between))
     return unify(parts, make_list(convert_each(atom, text.split(between))), machine.trail)
@@ -407,14 +407,14 @@ def _join(parts: Term, between: str) -> Optional[str]:
 
 def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, result: Term) -> bool:
-        given = atomic_text(text)
-        check_text_length(len(given), given)
+        source_text = atomic_text(text)
+        check_text_length(len(source_text), source_text)
         # A long text is converted in pieces, with a check of the limits after each. The lower case of a capital sigma
         # depends on the letters around it, which may be in another piece.
-        if len(given) > _MAX_CASE_CHARACTERS and "Σ" not in given:
-            changed = "".join([change(piece) for piece in in_bulks(given)])
+        if len(source_text) > _MAX_CASE_CHARACTERS and "Σ" not in source_text:
+            changed = "".join([change(piece) for piece in in_bulks(source_text)])
         else:
-            changed = change(given)
+            changed = change(source_text)
         require_no_compound(result, kind)
         return unify(result, make(changed), machine.trail)
 
@@ -441,10 +441,10 @@ def string_length(machine: Machine, text: Term, length: Term) -> bool:
 def _string_converter(to_parts: Callable[[str], Term]) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, parts: Term) -> bool:
         if deref(text).__class__ is not Var:
-            whole, given = text_of(text), deref(parts)
-            if given is not NIL and given.__class__ not in (Var, tuple):
-                return whole == constant_text(given)
-            return unify(parts, to_parts(whole), machine.trail)
+            source_text, parts_term = text_of(text), deref(parts)
+            if parts_term is not NIL and parts_term.__class__ not in (Var, tuple):
+                return source_text == constant_text(parts_term)
+            return unify(parts, to_parts(source_text), machine.trail)
         return unify(text, String(text_of_list(machine, parts, True)), machine.trail)
 
     return run
@@ -497,9 +497,9 @@ def number_string(machine: Machine, number: Term, text: Term) -> bool:
 def text_to_string(machine: Machine, text: Term, result: Term) -> bool:
     """Convert an atom, a string, or a list of codes or characters to a string."""
     value = text_of(text, numbers=False)
-    given = deref(result)
-    if given.__class__ is Atom:
-        return given.name == value
+    result_term = deref(result)
+    if result_term.__class__ is Atom:
+        return result_term.name == value
     return unify(result, String(value), machine.trail)
 
 
@@ -519,29 +519,29 @@ def _wanted_code(term: Term) -> Term:
 def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcome:
     """Enumerate the character codes of a text with their positions from 1."""
     position = integer_or_var(index)
-    whole = text_of(text, numbers=False)
+    source_text = text_of(text, numbers=False)
     if position is None:
-        return _codes(machine, index, whole, _wanted_code(code))
+        return _codes(machine, index, source_text, _wanted_code(code))
     if position < 0:
         raise domain_error("not_less_than_zero", position)
-    return 0 < position <= len(whole) and unify(code, ord(whole[position - 1]), machine.trail)
+    return 0 < position <= len(source_text) and unify(code, ord(source_text[position - 1]), machine.trail)
 
 
-def _codes(machine: Machine, index: Term, whole: str, code: Term) -> Solutions:
-    for position, char in enumerate(whole, 1):
+def _codes(machine: Machine, index: Term, source_text: str, code: Term) -> Solutions:
+    for position, char in enumerate(source_text, 1):
         if machine.unify_all((index, position), (code, ord(char))):
-            yield LAST if position == len(whole) else None
+            yield LAST if position == len(source_text) else None
 
 
 @nondeterministic("text_concat/3")
-def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outcome:
+def text_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outcome:
     """Relate two texts with their concatenation, which is a string if any argument is a string, else an atom."""
-    given = [deref(term) for term in (left, right, whole)]
-    make: Callable[[str], Term] = String if any(term.__class__ is String for term in given) else atom
-    start, end, text = (None if term.__class__ is Var else text_of(term) for term in given)
+    terms = [deref(term) for term in (left, right, joined)]
+    make: Callable[[str], Term] = String if any(term.__class__ is String for term in terms) else atom
+    start, end, text = (None if term.__class__ is Var else text_of(term) for term in terms)
     if start is not None and end is not None:
         check_text_length(len(start) + len(end), start, end)
-        return unify(whole, make(start + end), machine.trail) if text is None else text == start + end
+        return unify(joined, make(start + end), machine.trail) if text is None else text == start + end
     if text is None:
         raise instantiation_error()
     check_text_length(len(text))
@@ -555,11 +555,13 @@ def text_concat(machine: Machine, left: Term, right: Term, whole: Term) -> Outco
 @deterministic("split_string/4")
 def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
-    whole, between, strip = (text_of(given, numbers=False) for given in (text, separators, pad))
+    text_value, between, strip = (text_of(argument, numbers=False) for argument in (text, separators, pad))
     between, strip = _distinct_characters(between), _distinct_characters(strip)
-    check_text_length(len(whole), whole)
+    check_text_length(len(text_value), text_value)
     partial_items(parts)
-    return unify(parts, make_list(convert_each(String, list(_split(whole, between, strip)))), machine.trail)
+    return unify(
+        parts, make_list(convert_each(String, list(_split(text_value, between, strip)))), machine.trail
+    )
 
 
 def _distinct_characters(text: str) -> str:
@@ -665,24 +667,26 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
     def wrap(char: str) -> Term:
         return ord(char) if as_code else atom(char)
 
-    def run(machine: Machine, char: Term, kind: Term) -> Outcome:
+    def run(machine: Machine, char: Term, char_type: Term) -> Outcome:
         """Test or enumerate the types of a character, or the characters of a type up to code 255."""
-        kind = deref(kind)
-        _check_type(kind)
-        given = _character(char)
-        if given is None and kind.__class__ is Var:
+        char_type = deref(char_type)
+        _check_type(char_type)
+        character = _character(char)
+        if character is None and char_type.__class__ is Var:
             raise instantiation_error()
-        if given is None or kind.__class__ is Var:
-            return enumerate_(machine, char, kind, given)
-        type_term = next(_types(given, kind, wrap), None)
-        return type_term is not None and unify(kind, type_term, machine.trail)
+        if character is None or char_type.__class__ is Var:
+            return enumerate_(machine, char, char_type, character)
+        type_term = next(_types(character, char_type, wrap), None)
+        return type_term is not None and unify(char_type, type_term, machine.trail)
 
-    def enumerate_(machine: Machine, char: Term, kind: Term, given: Optional[str]) -> Solutions:
+    def enumerate_(
+        machine: Machine, char: Term, char_type: Term, known_character: Optional[str]
+    ) -> Solutions:
         # Without a character only Latin-1 is enumerated, since the types of all of Unicode take seconds.
-        for character in [given] if given is not None else map(chr, range(256)):
-            for type_term in _types(character, kind, wrap):
-                pairs = [(kind, type_term)]
-                if given is None:
+        for character in [known_character] if known_character is not None else map(chr, range(256)):
+            for type_term in _types(character, char_type, wrap):
+                pairs = [(char_type, type_term)]
+                if known_character is None:
                     pairs.append((char, wrap(character)))
                 if machine.unify_all(*pairs):
                     yield None
@@ -695,22 +699,28 @@ def _single_case(char: str, changed: str) -> str:
     return changed if len(changed) == 1 else char
 
 
-def _check_type(kind: Term) -> None:
+def _check_type(char_type: Term) -> None:
     """Raise a type error for a term that is not a character type."""
-    if kind.__class__ is tuple and len(kind) == 2 and kind[0].name in _PARAMETRIC:
+    if char_type.__class__ is tuple and len(char_type) == 2 and char_type[0].name in _PARAMETRIC:
         return
-    if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _CLASSES):
-        raise type_error("char_type", kind)
+    if char_type.__class__ is not Var and (char_type.__class__ is not Atom or char_type.name not in _CLASSES):
+        raise type_error("char_type", char_type)
 
 
-def _types(char: str, kind: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
+def _types(char: str, char_type: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
     """Yield the types of a character that may unify with a requested type."""
-    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else None
+    name = (
+        char_type.name
+        if char_type.__class__ is Atom
+        else char_type[0].name
+        if char_type.__class__ is tuple
+        else None
+    )
     # With a known type only its own test runs; with an unbound one, all types are yielded in the order of the table.
     for plain, test in _CLASSES.items():
-        if (name is None or (plain == name and kind.__class__ is Atom)) and test(char):
+        if (name is None or (plain == name and char_type.__class__ is Atom)) and test(char):
             yield atom(plain)
-    if kind.__class__ is Atom:
+    if char_type.__class__ is Atom:
         return
     if name in (None, "digit") and char.isdigit() and char.isascii():
         yield (functor("digit", 1), ord(char) - 48)

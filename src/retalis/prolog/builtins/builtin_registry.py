@@ -55,7 +55,7 @@ class Entry(NamedTuple):
 ENTRIES: Dict[Tuple[str, int], Entry] = {}
 
 
-def _register(kind: str, names: Tuple[str, ...], locked: bool) -> Callable[[Function], Function]:
+def _register(determinism: str, names: Tuple[str, ...], locked: bool) -> Callable[[Function], Function]:
     """Return a decorator that adds a function to `ENTRIES` under each of some predicate indicators."""
     keys: List[Tuple[str, int]] = []
     for text in names:
@@ -65,7 +65,7 @@ def _register(kind: str, names: Tuple[str, ...], locked: bool) -> Callable[[Func
 
     def register(function: Function) -> Function:
         for key in keys:
-            ENTRIES[key] = Entry(kind, function, locked)
+            ENTRIES[key] = Entry(determinism, function, locked)
         return function
 
     return register

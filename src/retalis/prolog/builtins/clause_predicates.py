@@ -40,7 +40,7 @@ from .tabling import AS, Mode, modes_of, tables_of
 _NECK = functor(":-", 2)
 
 
-def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Predicate:
+def _check_rights(machine: Machine, key: Functor, action: str, object_type: str) -> Predicate:
     """Return the predicate whose clauses a goal may change or read.
 
     Raises:
@@ -51,7 +51,7 @@ def _check_rights(machine: Machine, key: Functor, action: str, kind: str) -> Pre
     if key in CONTROL or (
         predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
     ):
-        raise permission_error(action, kind, indicator(key))
+        raise permission_error(action, object_type, indicator(key))
     return predicate if predicate.tabled is None else predicate.tabled
 
 
@@ -82,9 +82,9 @@ deterministic("asserta/1")(_assert(True))
 
 def _split(machine: Machine, term: Term) -> Tuple[Term, Term]:
     modules = machine.logic.database.modules
-    term = modules.looked_for(term)
+    term = modules.searched_clause(term)
     if term.__class__ is tuple and term[0] is _NECK:
-        return modules.looked_for(term[1]), term[2]
+        return modules.searched_clause(term[1]), term[2]
     return term, atom("true")
 
 
@@ -195,7 +195,7 @@ def _renamed(clause: Clause) -> Tuple[Term, Term]:
 @deterministic("retractall/1")
 def retractall(machine: Machine, head: Term) -> bool:
     """Remove all clauses whose heads unify; a predicate that is not defined becomes dynamic."""
-    head = machine.logic.database.modules.looked_for(head)
+    head = machine.logic.database.modules.searched_clause(head)
     key = _key(head)
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     # SWI-Prolog creates a dynamic predicate then, so that later calls fail instead of raising an error.
@@ -216,7 +216,7 @@ def retractall(machine: Machine, head: Term) -> bool:
 @nondeterministic("clause/2")
 def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
     """Enumerate the clauses of a predicate that unify with a head and a body."""
-    head = machine.logic.database.modules.looked_for(head)
+    head = machine.logic.database.modules.searched_clause(head)
     key = _key(head)
     body = deref(body)
     if body.__class__ not in (Var, Atom, tuple):
@@ -341,9 +341,9 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
     if term.__class__ is not tuple or term[0] is not SLASH:
         raise type_error("predicate_indicator", term)
     name, arity = deref(term[1]), deref(term[2])
-    for part, kind, classes in ((name, "atom", (Var, Atom)), (arity, "integer", (Var, int))):
+    for part, type_name, classes in ((name, "atom", (Var, Atom)), (arity, "integer", (Var, int))):
         if part.__class__ not in classes:
-            raise type_error(kind, part) if is_iso(machine) else type_error("predicate_indicator", term)
+            raise type_error(type_name, part) if is_iso(machine) else type_error("predicate_indicator", term)
     database = machine.logic.database
     if name.__class__ is Atom and arity.__class__ is int:
         predicate = database.predicates.get(functor(name.name, arity))
@@ -370,9 +370,9 @@ def _is_current(predicate: Predicate, iso: bool) -> bool:
 
 
 @control("garbage_collect/0", "prompt/2")
-def nothing(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def nothing(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Do nothing; the predicate exists for compatibility."""
-    return after
+    return continuation
 
 
 _INEFFECTIVE_OPTIONS = {
@@ -478,7 +478,7 @@ def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
 
 
 @control("abolish_all_tables/0")
-def abolish_all_tables(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def abolish_all_tables(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Remove the answers of all tabled predicates."""
     tables_of(machine).clear()
-    return after
+    return continuation

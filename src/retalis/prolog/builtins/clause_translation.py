@@ -63,10 +63,10 @@ def translate_rule(rule: CompoundTerm) -> Term:
 
 def translate_body(body: Term, first: Term, last: Term) -> Term:
     """Return the goal of a grammar body between two states of the list."""
-    whole = Var()
+    translated_body = Var()
     # Nested bodies are translated later, into variables of the goal, so the depth of a body is not limited by
     # recursion.
-    pending: List[_Hole] = [_Hole(whole, body, first, last)]
+    pending: List[_Hole] = [_Hole(translated_body, body, first, last)]
     while pending:
         hole, body, first, last = pending.pop()
         parts = _sequence(body)
@@ -77,7 +77,7 @@ def translate_body(body: Term, first: Term, last: Term) -> Term:
             goals.append(_translate_element(part, state, following, pending))
             state = following
         hole.ref = conjunction(goals)
-    return resolve(whole)
+    return resolve(translated_body)
 
 
 class _Hole(NamedTuple):
@@ -199,15 +199,15 @@ def translate_single_sided(rule: CompoundTerm) -> Tuple[Term, Term]:
 
 def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
     """Return the head with a new variable for each argument that has to be tested, and the tests."""
-    seen: Set[Var] = set()
+    head_variables: Set[Var] = set()
     called: List[Term] = []
     patterns: List[Term] = []
     arguments: List[Term] = []
     tests: List[Term] = []
     for argument in map(deref, head[1:]):
         # The first occurrence of a variable matches any argument, and later ones require an identical argument.
-        if isinstance(argument, Var) and argument not in seen:
-            seen.add(argument)
+        if isinstance(argument, Var) and argument not in head_variables:
+            head_variables.add(argument)
             called.append(argument)
             continue
         fresh = Var()
@@ -218,24 +218,24 @@ def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
             patterns.append(argument)
             arguments.append(fresh)
     if patterns:
-        tests += _subsuming(patterns, arguments, seen)
+        tests += _subsuming(patterns, arguments, head_variables)
     return (head[0], *called), tests
 
 
-def _subsuming(patterns: List[Term], arguments: List[Term], seen: Set[Var]) -> List[Term]:
+def _subsuming(patterns: List[Term], arguments: List[Term], head_variables: Set[Var]) -> List[Term]:
     """Return goals that match patterns against the arguments without binding variables of the arguments.
 
     Args:
         patterns: terms of the head.
         arguments: the variables that replace them in the head.
-        seen: variables of the head that are bound before these goals.
+        head_variables: variables of the head that are bound before these goals.
     """
     # The bound variables are on both sides, so that `subsumes_term` does not bind them again.
-    known: List[Term] = list(seen)
-    shape = functor("$arguments", len(patterns) + len(known))
-    general = (shape, *patterns, *known)
+    bound_variables: List[Term] = list(head_variables)
+    shape = functor("$arguments", len(patterns) + len(bound_variables))
+    general = (shape, *patterns, *bound_variables)
     return [
-        (_SUBSUMES, general, (shape, *arguments, *known)),
+        (_SUBSUMES, general, (shape, *arguments, *bound_variables)),
         *[(EQUAL, *pair) for pair in zip(patterns, arguments)],
     ]
 

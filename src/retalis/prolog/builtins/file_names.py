@@ -50,14 +50,14 @@ def file_directory_name(machine: Machine, path: Term, folder: Term) -> bool:
 def file_name_extension(machine: Machine, base: Term, extension: Term, name: Term) -> bool:
     """Relate a file name with its base name and its extension."""
     if deref(name).__class__ is not Var:
-        whole = _file_name(name)
+        file_name = _file_name(name)
         if deref(extension).__class__ is not Var:
             # An extension may be given with or without its dot.
             suffix = "." + _file_name(extension).lstrip(".")
-            if suffix != "." and whole.endswith(suffix):
-                return _is_text(machine, base, whole[: -len(suffix)])
-            return suffix == "." and "." not in whole and _is_text(machine, base, whole)
-        stem, ending = _split(whole)
+            if suffix != "." and file_name.endswith(suffix):
+                return _is_text(machine, base, file_name[: -len(suffix)])
+            return suffix == "." and "." not in file_name and _is_text(machine, base, file_name)
+        stem, ending = _split(file_name)
         return unify(extension, atom(ending), machine.trail) and _is_text(machine, base, stem)
     stem, ending = _file_name(base), _file_name(extension).lstrip(".")
     if ending and not stem.endswith(f".{ending}"):
@@ -81,8 +81,8 @@ def _is_text(machine: Machine, term: Term, text: str) -> bool:
 def directory_file_path(machine: Machine, folder: Term, name: Term, path: Term) -> bool:
     """Relate a path with its folder and file name."""
     if deref(folder).__class__ is Var or deref(name).__class__ is Var:
-        whole = _file_name(path)
-        return machine.unify_all((folder, atom(dirname(whole) or ".")), (name, atom(basename(whole))))
+        file_path = _file_name(path)
+        return machine.unify_all((folder, atom(dirname(file_path) or ".")), (name, atom(basename(file_path))))
     inside, last = _file_name(folder), _file_name(name)
     joined = last if inside == "." or isabs(last) else join(inside or "/", last)
     return unify(path, atom(joined), machine.trail)
@@ -111,8 +111,8 @@ def absolute_file_name_with(machine: Machine, name: Term, path: Term, options: T
     for option in option_values(options):
         if isinstance(option, tuple) and len(option) == 2:
             values.setdefault(option[0].name, deref(option[1]))
-    kind = _option(values, "file_type", "txt")
-    endings = _EXTENSIONS.get(kind, [""])
+    file_type = _option(values, "file_type", "txt")
+    endings = _EXTENSIONS.get(file_type, [""])
     if "extensions" in values:
         endings = [
             f".{text.lstrip('.')}" if text else "" for text in map(text_of, items(values["extensions"]))
@@ -121,7 +121,7 @@ def absolute_file_name_with(machine: Machine, name: Term, path: Term, options: T
     access = _option(values, "access", "none")
     if absolute is not None:
         must_search = access != "none" or endings != [""]
-        existing = _existing_file(machine, absolute, endings, kind) if must_search else absolute
+        existing = _existing_file(machine, absolute, endings, file_type) if must_search else absolute
         if existing is not None or access in ("none", "write", "append"):
             return unify(path, atom(absolute if existing is None else existing), machine.trail)
     if _option(values, "file_errors", "error") == "fail":
@@ -133,14 +133,14 @@ def _option(values: Dict[str, Term], name: str, default: str) -> str:
     return atom_of(values[name]).name if name in values else default
 
 
-def _existing_file(machine: Machine, path: str, endings: List[str], kind: str) -> Optional[str]:
+def _existing_file(machine: Machine, path: str, endings: List[str], file_type: str) -> Optional[str]:
     """Return the path of the first existing file with one of the extensions, or of an existing folder; else None."""
     files = _files(machine)
-    if kind == "directory":
+    if file_type == "directory":
         return path if files.is_folder(path) else None
     # A name that already has the extension is not extended again.
-    named = (path if splitext(path)[1] == ending else path + ending for ending in endings)
-    return next((candidate for candidate in named if files.is_readable(candidate)), None)
+    candidates = (path if splitext(path)[1] == ending else path + ending for ending in endings)
+    return next((candidate for candidate in candidates if files.is_readable(candidate)), None)
 
 
 def _files(machine: Machine) -> "SourceFiles":

@@ -216,10 +216,10 @@ class Formatter:
         if text[position : position + 1] == "`":
             return ord(text[position + 1 : position + 2] or "`"), position + 2
         if text[position : position + 1] == "*":
-            given = deref(self._next())
-            if given.__class__ is not int or given < 0:
+            argument = deref(self._next())
+            if argument.__class__ is not int or argument < 0:
                 raise format_error("no or negative integer for `*' argument")
-            return given, position + 1
+            return argument, position + 1
         start = position
         while text[position : position + 1].isdigit():
             position += 1
@@ -290,12 +290,12 @@ def _printed(machine: Machine, term: Term, number: Optional[int]) -> str:
 
 
 def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
-    given = deref(term)
+    value = deref(term)
     # Numbers are not accepted, unlike by most other predicates on texts.
-    is_text = given.__class__ in (String, Atom) or is_text_list(given)
+    is_text = value.__class__ in (String, Atom) or is_text_list(value)
     if not is_text:
-        raise argument_error("s", given)
-    return text_of(given)
+        raise argument_error("s", value)
+    return text_of(value)
 
 
 def _integer(letter: str, term: Term) -> int:

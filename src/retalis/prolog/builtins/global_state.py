@@ -78,14 +78,14 @@ _CHANGEABLE: Dict[str, Tuple[str, ...]] = {
 }
 
 
-def flags_from(kept: Dict[str, Term]) -> Dict[str, Term]:
+def flags_from(stored_flags: Dict[str, Term]) -> Dict[str, Term]:
     """Return the initial flags, updated with stored values.
 
     Raises:
         UsageError: if a stored value is not valid for its flag.
     """
     flags = default_flags()
-    for name, value in kept.items():
+    for name, value in stored_flags.items():
         allowed = _CHANGEABLE.get(name, ())
         changed = value.__class__ is not flags.get(name, value).__class__ or value != flags.get(name, value)
         # A stored value is only accepted if the program could have set it.
@@ -124,10 +124,10 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
 @deterministic("unknown/2")
 def unknown(machine: Machine, old: Term, new: Term) -> bool:
     """Return and set the flag ``unknown``, the action for calls of undefined predicates."""
-    before = machine.logic.flags["unknown"]
-    if not machine.unify(old, before):
+    old_flag = machine.logic.flags["unknown"]
+    if not machine.unify(old, old_flag):
         return False
-    return deref(new) is deref(before) or set_prolog_flag(machine, atom("unknown"), new)
+    return deref(new) is deref(old_flag) or set_prolog_flag(machine, atom("unknown"), new)
 
 
 @deterministic("create_prolog_flag/3")
@@ -152,8 +152,8 @@ def current_prolog_flag(machine: Machine, flag: Term, value: Term) -> Solutions:
         return
     if flag.__class__ is not Var:
         raise type_error("atom", flag)
-    for name, known in list(flags.items()):
-        if machine.unify_all((flag, atom(name)), (value, known)):
+    for name, flag_value in list(flags.items()):
+        if machine.unify_all((flag, atom(name)), (value, flag_value)):
             yield None
 
 
@@ -164,14 +164,14 @@ _SPECIFIERS = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 
 @deterministic("op/3")
-def op(machine: Machine, priority: Term, kind: Term, names: Term) -> bool:
+def op(machine: Machine, priority: Term, op_type: Term, names: Term) -> bool:
     """Define or remove operators."""
     value = integer(priority)
-    name_of_kind = atom_of(kind).name
+    type_name = atom_of(op_type).name
     if not 0 <= value <= 1200:
         raise domain_error("operator_priority", value)
-    if name_of_kind not in _SPECIFIERS:
-        raise domain_error("operator_specifier", atom(name_of_kind))
+    if type_name not in _SPECIFIERS:
+        raise domain_error("operator_specifier", atom(type_name))
     names = deref(names)
     targets = (
         [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
@@ -183,18 +183,18 @@ def op(machine: Machine, priority: Term, kind: Term, names: Term) -> bool:
         # Operators are global, so the module of a name is ignored.
         if item.__class__ is tuple and item[0].name == ":":
             item = deref(item[2])
-        name = _operator_name(item, value, name_of_kind, machine.logic.operators, in_list)
+        name = _operator_name(item, value, type_name, machine.logic.operators, in_list)
         # ISO 13211-1, 6.3.4.3: an atom cannot be an infix and a postfix operator.
-        if len(name_of_kind) == 3 and is_iso(machine) and name in machine.logic.operators.postfix:
+        if len(type_name) == 3 and is_iso(machine) and name in machine.logic.operators.postfix:
             raise permission_error("create", "operator", item)
         try:
-            machine.logic.operators.add(value, name_of_kind, name)
+            machine.logic.operators.add(value, type_name, name)
         except UsageError as fault:
             raise domain_error("operator", item) from fault
     return True
 
 
-def _operator_name(term: Term, priority: int, kind: str, operators: Operators, in_list: bool) -> str:
+def _operator_name(term: Term, priority: int, op_type: str, operators: Operators, in_list: bool) -> str:
     if term.__class__ is Var:
         raise instantiation_error()
     if term.__class__ is not Atom:
@@ -203,33 +203,33 @@ def _operator_name(term: Term, priority: int, kind: str, operators: Operators, i
     # ISO 13211-1, 8.14.3.3 and its second corrigendum, for the comma, the bar, `[]` and `{}`.
     if name == ",":
         raise permission_error("modify", "operator", term)
-    if name == "|" and (priority < 1001 and priority or len(kind) != 3):
+    if name == "|" and (priority < 1001 and priority or len(op_type) != 3):
         raise permission_error("create", "operator", term)
     if term is NIL or name == "{}":
         raise permission_error("create", "operator", term)
-    if len(kind) == 2 and kind[0] != "f" and name in operators.infix:
+    if len(op_type) == 2 and op_type[0] != "f" and name in operators.infix:
         raise permission_error("create", "operator", term)
     return name
 
 
 @nondeterministic("current_op/3")
-def current_op(machine: Machine, priority: Term, kind: Term, name: Term) -> Solutions:
+def current_op(machine: Machine, priority: Term, op_type: Term, name: Term) -> Solutions:
     """Enumerate the operators."""
-    priority, kind, name = deref(priority), deref(kind), deref(name)
+    priority, op_type, name = deref(priority), deref(op_type), deref(name)
     if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
         raise domain_error("operator_priority", priority)
-    if kind.__class__ not in (Var, Atom) and not is_iso(machine):
-        raise type_error("atom", kind)
-    if kind.__class__ is not Var and (kind.__class__ is not Atom or kind.name not in _SPECIFIERS):
-        raise domain_error("operator_specifier", kind)
+    if op_type.__class__ not in (Var, Atom) and not is_iso(machine):
+        raise type_error("atom", op_type)
+    if op_type.__class__ is not Var and (op_type.__class__ is not Atom or op_type.name not in _SPECIFIERS):
+        raise domain_error("operator_specifier", op_type)
     if name.__class__ not in (Var, Atom):
         raise type_error("atom", name)
     # The goal may change the table between two solutions, so it is copied.
-    for defined_priority, defined_kind, defined_name in list(machine.logic.operators):
+    for defined_priority, defined_type, defined_name in list(machine.logic.operators):
         if name.__class__ is Atom and name.name != defined_name:
             continue
         if machine.unify_all(
-            (priority, defined_priority), (kind, atom(defined_kind)), (name, atom(defined_name))
+            (priority, defined_priority), (op_type, atom(defined_type)), (name, atom(defined_name))
         ):
             yield None
 
@@ -248,10 +248,10 @@ def char_conversion(machine: Machine, char: Term, converted: Term) -> bool:
 @nondeterministic("current_char_conversion/2")
 def current_char_conversion(machine: Machine, char: Term, converted: Term) -> Solutions:
     """Enumerate the character conversions: each character is converted to itself."""
-    given = deref(char) if deref(char).__class__ is not Var else deref(converted)
-    if given.__class__ is not Var:
-        _character(given)
-        if machine.unify_all((char, given), (converted, given)):
+    character = deref(char) if deref(char).__class__ is not Var else deref(converted)
+    if character.__class__ is not Var:
+        _character(character)
+        if machine.unify_all((char, character), (converted, character)):
             yield LAST
         return
     for code in range(256):
@@ -369,7 +369,7 @@ def get_flag(machine: Machine, name: Term, value: Term) -> bool:
 
 
 @control("halt/0", "halt/1")
-def halt(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def halt(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Raise a permission error: a program may not end the process that it runs in."""
     if args:
         integer(args[0])
@@ -462,28 +462,28 @@ _INITIALIZATION_TIMES = ("now", "after_load", "restore", "restore_state", "progr
     "non_terminal/1",
     "expects_dialect/1",
 )
-def declaration(machine: Machine, given: Term) -> bool:
+def declaration(machine: Machine, declared: Term) -> bool:
     """Accept a declaration that has no effect."""
-    if deref(given).__class__ is Var:
+    if deref(declared).__class__ is Var:
         raise instantiation_error()
     return True
 
 
 @control("initialization/1")
-def initialization(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def initialization(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal. In a file the loader calls it after the file has been loaded."""
-    return machine.logic.control.call(args[0], after)
+    return machine.logic.control.call(args[0], continuation)
 
 
 @control("initialization/2")
-def initialization_at(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def initialization_at(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal, unless its time is ``main``: the process does not belong to the program."""
     when = deref(args[1])
     if when.__class__ is Var:
         raise instantiation_error()
     if not isinstance(when, Atom) or when.name not in _INITIALIZATION_TIMES:
         raise domain_error("initialization_type", when)
-    return after if when is _MAIN else machine.logic.control.call(args[0], after)
+    return continuation if when is _MAIN else machine.logic.control.call(args[0], continuation)
 
 
 @deterministic("dcg_translate_rule/2")

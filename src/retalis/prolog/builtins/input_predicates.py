@@ -55,18 +55,20 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
             raise domain_error("stream_option", option)
         if option[0].name in values:
             values[option[0].name] = atom_of(option[1]).name
-    kind, encoding, eof_action = values["type"], values["encoding"], values["eof_action"]
-    if kind not in ("text", "binary") or eof_action not in ("", "error", "eof_code", "reset"):
+    stream_type, encoding, eof_action = values["type"], values["encoding"], values["eof_action"]
+    if stream_type not in ("text", "binary") or eof_action not in ("", "error", "eof_code", "reset"):
         raise domain_error("stream_option", options[-1])
     streams = streams_of(machine)
     # Latin-1 maps each byte to the character with its code, so binary streams need no second implementation.
-    python_encoding = "latin-1" if kind == "binary" else _ENCODINGS.get(encoding, "utf-8")
-    opened = streams.open(deref(name), stream_mode, values["alias"] or None, kind, python_encoding)
-    source = streams.find_open(opened)
+    python_encoding = "latin-1" if stream_type == "binary" else _ENCODINGS.get(encoding, "utf-8")
+    open_stream = streams.open(
+        deref(name), stream_mode, values["alias"] or None, stream_type, python_encoding
+    )
+    source = streams.find_open(open_stream)
     # The default depends on the stream: a terminal is read again after its end, a file is not.
     if eof_action and isinstance(source, InputStream):
         source.eof_action = eof_action
-    return unify(stream, opened, machine.trail)
+    return unify(stream, open_stream, machine.trail)
 
 
 def _mode_of(term: Term) -> str:
@@ -93,10 +95,10 @@ _ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "latin-1"}
 def close(machine: Machine, stream: Term) -> bool:
     """Close a stream; standard streams stay open."""
     streams = streams_of(machine)
-    opened = streams.find(stream)
+    open_stream = streams.find(stream)
     # `find` returns the name of a standard stream.
-    if not isinstance(opened, str):
-        streams.close(opened)
+    if not isinstance(open_stream, str):
+        streams.close(open_stream)
     return True
 
 
@@ -148,16 +150,18 @@ def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
     streams, name = streams_of(machine), deref(name)
     if isinstance(name, tuple) and name[0].name == "$stream":
         return name
-    known = atom_of(name).name if name.__class__ is Atom else ""
-    if known in streams.aliases or known in ("user", "user_input", "user_output", "user_error"):
+    alias = atom_of(name).name if name.__class__ is Atom else ""
+    if alias in streams.aliases or alias in ("user", "user_input", "user_output", "user_error"):
         return name
     # A file that was opened by `see` or `tell` before is continued, not opened again (Edinburgh input and output).
-    names = {opened.asked: opened for opened in streams.opened.values() if opened.mode == mode}
-    if known in names:
-        return streams.term_of(names[known])
-    opened = streams.open(name, mode)
-    streams.find_open(opened).asked = known
-    return opened
+    names = {
+        open_stream.asked: open_stream for open_stream in streams.opened.values() if open_stream.mode == mode
+    }
+    if alias in names:
+        return streams.term_of(names[alias])
+    open_stream = streams.open(name, mode)
+    streams.find_open(open_stream).asked = alias
+    return open_stream
 
 
 @deterministic("seen/0")
@@ -207,9 +211,9 @@ def current_output(machine: Machine, stream: Term) -> bool:
 @deterministic("flush_output/1")
 def flush_output_of(machine: Machine, stream: Term) -> bool:
     """Write the buffered text of a stream to its file."""
-    opened = streams_of(machine).to_write(stream)
-    if isinstance(opened, OutputStream):
-        opened.flush()
+    open_stream = streams_of(machine).to_write(stream)
+    if isinstance(open_stream, OutputStream):
+        open_stream.flush()
     return True
 
 
@@ -217,9 +221,13 @@ def flush_output_of(machine: Machine, stream: Term) -> bool:
 def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
     """Set a property of a stream; properties other than ``alias`` are ignored."""
     streams, property_term = streams_of(machine), deref(setting)
-    opened = streams.find(stream)
-    if isinstance(property_term, tuple) and property_term[0].name == "alias" and not isinstance(opened, str):
-        number = next(number for number, candidate in streams.opened.items() if candidate is opened)
+    open_stream = streams.find(stream)
+    if (
+        isinstance(property_term, tuple)
+        and property_term[0].name == "alias"
+        and not isinstance(open_stream, str)
+    ):
+        number = next(number for number, candidate in streams.opened.items() if candidate is open_stream)
         streams.aliases[atom_of(property_term[1]).name] = number
     return True
 
@@ -280,12 +288,12 @@ def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callab
         as_term: converts a character to a term; "" is the end of the stream.
         check: raises an error for an invalid output argument.
     """
-    kind = "binary" if name.endswith("byte") else "text"
+    stream_type = "binary" if name.endswith("byte") else "text"
 
     def read_character(machine: Machine, source: InputStream, value: Term) -> bool:
         # Checked before a character is consumed, so that an error loses no input.
         check(deref(value))
-        _require_kind(source, kind)
+        _require_kind(source, stream_type)
         return unify(value, as_term(source.character(take)), machine.trail)
 
     @deterministic(f"{name}/1")
@@ -297,13 +305,13 @@ def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callab
         return read_character(machine, streams_of(machine).to_read(stream), value)
 
 
-def _require_kind(source: InputStream, kind: str) -> None:
+def _require_kind(source: InputStream, stream_type: str) -> None:
     """Check that a stream is binary if bytes are read from it. Characters may be read from any stream.
 
     Raises:
         PrologError: a permission error for a text stream.
     """
-    if kind == "binary" and source.kind == "text":
+    if stream_type == "binary" and source.kind == "text":
         raise permission_error("input", "text_stream", source.itself)
 
 

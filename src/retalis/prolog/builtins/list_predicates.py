@@ -173,9 +173,9 @@ def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[i
         if any(cuts) and cuts != [len(run) for run in runs]:
             before = _merged([run[:cut] for run, cut in zip(runs, cuts)], keys, reverse)
             return before + _merged([run[cut:] for run, cut in zip(runs, cuts)], keys, reverse)
-    whole = [position for run in runs for position in run]
-    whole.sort(key=keys.__getitem__, reverse=reverse)
-    return whole
+    positions = [position for run in runs for position in run]
+    positions.sort(key=keys.__getitem__, reverse=reverse)
+    return positions
 
 
 def _count_before(run: List[int], pivot: Any, keys: Sequence[Any], reverse: bool) -> int:
@@ -265,7 +265,7 @@ _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 
 
 @control("length/2")
-def length(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def length(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Relate a list with its length; a partial list is extended."""
     values, tail = list_parts(args[0])
     count = len(values)
@@ -273,17 +273,19 @@ def length(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     if size.__class__ is not Var:
         natural(size)
     if tail is NIL:
-        return after if unify(size, count, machine.trail) else None
+        return continuation if unify(size, count, machine.trail) else None
     if tail.__class__ is not Var:
         raise type_error("list", args[0])
     if size.__class__ is int:
         if size - count > MAX_STEPS:
             raise resource_error("memory")
-        return after if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
+        return (
+            continuation if size >= count and unify(tail, _open_list(size - count), machine.trail) else None
+        )
     # `length(L, L)` has no solution, since no list is a number, but enumeration would not end.
     if size is tail:
         return None
-    return _enumerate_lengths(machine, tail, size, count, count, after)
+    return _enumerate_lengths(machine, tail, size, count, count, continuation)
 
 
 def _open_list(size: int) -> Term:
@@ -297,11 +299,13 @@ def _open_list(size: int) -> Term:
 
 
 def _enumerate_lengths(
-    machine: Machine, tail: Term, size: Term, count: int, total: int, after: Frame
+    machine: Machine, tail: Term, size: Term, count: int, total: int, continuation: Frame
 ) -> Optional[Frame]:
     # There is always a longer list, so the choice point is pushed for every solution.
-    machine.choices.append((_NEXT_LENGTH, machine, tail, size, count, total + 1, after, len(machine.trail)))
-    return after if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
+    machine.choices.append(
+        (_NEXT_LENGTH, machine, tail, size, count, total + 1, continuation, len(machine.trail))
+    )
+    return continuation if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
 
 
 _NEXT_LENGTH = Code("length", lambda entry: _enumerate_lengths(*entry[1:7]))
@@ -387,13 +391,13 @@ def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
 
 
 @control("$predmerge/4")
-def predmerge(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def predmerge(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Merge two sorted lists for ``predsort/3``: a goal compares two items, and of equal ones the first is kept."""
     closure, first, second, result = args
     # The predicate is resolved once, not for each comparison; the arguments are replaced in `_merge`.
     goal: Any = add_arguments(closure, (NIL, NIL, NIL), machine.logic.database.modules)
     call = (machine.logic.database.predicate(goal[0]), *goal[1:-3])
-    return _merge(machine, call, items(first), 0, items(second), 0, [], result, after)
+    return _merge(machine, call, items(first), 0, items(second), 0, [], result, continuation)
 
 
 def _merge(
@@ -405,12 +409,12 @@ def _merge(
     second_position: int,
     merged: List[Term],
     result: Term,
-    after: Frame,
+    continuation: Frame,
 ) -> Optional[Frame]:
     """Return the frame that compares the next items of both lists, or the continuation if one list has ended."""
     if position == len(first) or second_position == len(second):
         return (
-            after
+            continuation
             if unify(
                 result, make_list([*merged, *first[position:], *second[second_position:]]), machine.trail
             )
@@ -428,7 +432,7 @@ def _merge(
         second_position,
         merged,
         result,
-        after,
+        continuation,
         order,
         height,
     )
@@ -438,24 +442,47 @@ def _merge(
 def _ordered(frame: Frame) -> Optional[Frame]:
     """Append the item that is first by the result of the comparison goal, which is cut."""
     machine: Machine
-    _, machine, call, first, position, second, second_position, merged, result, after, order, height = frame
+    (
+        _,
+        machine,
+        call,
+        first,
+        position,
+        second,
+        second_position,
+        merged,
+        result,
+        continuation,
+        order,
+        height,
+    ) = frame
     # Cuts the comparison goal, which is called once.
     del machine.choices[height:]
     order = deref(order)
     # An unbound order unifies with all three results, in this sequence on backtracking.
     if order.__class__ is Var:
         for skipped, name in enumerate((_GREATER, _SAME)):
-            again = (*frame[:7], list(merged), *frame[8:10], name, height + skipped)
-            machine.choices.append((RESUME, again, len(machine.trail)))
+            retry_frame = (*frame[:7], list(merged), *frame[8:10], name, height + skipped)
+            machine.choices.append((RESUME, retry_frame, len(machine.trail)))
         order = _LESS
     if order is _GREATER:
         merged.append(second[second_position])
-        return _merge(machine, call, first, position, second, second_position + 1, merged, result, after)
+        return _merge(
+            machine, call, first, position, second, second_position + 1, merged, result, continuation
+        )
     if order is not _LESS and order is not _SAME:
         return None
     merged.append(first[position])
     return _merge(
-        machine, call, first, position + 1, second, second_position + (order is _SAME), merged, result, after
+        machine,
+        call,
+        first,
+        position + 1,
+        second,
+        second_position + (order is _SAME),
+        merged,
+        result,
+        continuation,
     )
 
 
@@ -473,19 +500,19 @@ def _checked_pair(term: Term) -> CompoundTerm:
 
 
 @control("reverse/2", locked=False)
-def reverse(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def reverse(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Reverse a list."""
     values = list_items(args[0])
     if values is None:
-        return (machine.logic.database.predicate(_REVERSE), *args, after)
-    return after if unify(args[1], make_list(values[::-1]), machine.trail) else None
+        return (machine.logic.database.predicate(_REVERSE), *args, continuation)
+    return continuation if unify(args[1], make_list(values[::-1]), machine.trail) else None
 
 
 @deterministic("memberchk/2", locked=False)
-def memberchk(machine: Machine, item: Term, given: Term) -> bool:
+def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
     """Unify with the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
-    tail = deref(given)
+    tail = deref(list_term)
     rounds = 0
     while tail.__class__ is tuple and tail[0] is CONS:
         for _ in BULK:
@@ -516,8 +543,8 @@ def _fold_predicate(
     """Return a predicate that folds the numbers of a list, from ``start`` or, for None, from the first item."""
     outer, inner = functor(name, 2), functor(name, 3)
 
-    def run(machine: Machine, given: Term, result: Term) -> bool:
-        values, tail = list_parts(given)
+    def run(machine: Machine, list_term: Term, result: Term) -> bool:
+        values, tail = list_parts(list_term)
         value: Optional[Term] = start
         for item in watched(values):
             value = item if value is None else step(value, item)
@@ -555,51 +582,51 @@ def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
 
 
 @control("last/2", locked=False)
-def last(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def last(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Unify with the last item of a list."""
     values = list_items(args[0])
     if values is None:
-        return (machine.logic.database.predicate(_LAST_ITEM), *args, after)
-    return after if values and unify(args[1], values[-1], machine.trail) else None
+        return (machine.logic.database.predicate(_LAST_ITEM), *args, continuation)
+    return continuation if values and unify(args[1], values[-1], machine.trail) else None
 
 
 @deterministic("list_to_set/2", locked=False)
-def list_to_set(machine: Machine, given: Term, result: Term) -> bool:
+def list_to_set(machine: Machine, list_term: Term, result: Term) -> bool:
     """Remove duplicates by ``==``, and keep the first of each."""
-    values = items(given)
+    values = items(list_term)
     # The sort is stable, so the first of equal items is the one that was first in the list.
     pairs = sort_by(range(len(values)), values)
     # Marks the positions to keep, so that the order of the list is preserved.
-    kept = bytearray(len(values))
+    is_first = bytearray(len(values))
     for index, (item, position) in enumerate(watched(pairs)):
-        kept[position] = index == 0 or compare(pairs[index - 1][0], item) != 0
-    return unify(result, make_list(compress(values, kept)), machine.trail)
+        is_first[position] = index == 0 or compare(pairs[index - 1][0], item) != 0
+    return unify(result, make_list(compress(values, is_first)), machine.trail)
 
 
 @deterministic("list_to_ord_set/2", locked=False)
-def list_to_ord_set(machine: Machine, given: Term, result: Term) -> bool:
+def list_to_ord_set(machine: Machine, list_term: Term, result: Term) -> bool:
     """Sort without duplicates."""
-    return sort(machine, given, result)
+    return sort(machine, list_term, result)
 
 
 def _nth(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
-    def run(machine: Machine, index: Term, given: Term, item: Term) -> Outcome:
+    def run(machine: Machine, index: Term, list_term: Term, item: Term) -> Outcome:
         index = deref(index)
         if index.__class__ is Var:
-            return _numbered(machine, index, base, given, item)
+            return _numbered(machine, index, base, list_term, item)
         number = integer(index)
         if number < base:
             return False
         if number > MAX_STEPS:
             raise resource_error("term_size")
-        return _unify_item(machine, number - base, given, item)
+        return _unify_item(machine, number - base, list_term, item)
 
     return run
 
 
-def _unify_item(machine: Machine, skipped: int, given: Term, item: Term) -> bool:
+def _unify_item(machine: Machine, skipped: int, list_term: Term, item: Term) -> bool:
     """Unify the item after ``skipped`` others; a partial list is extended."""
-    tail = deref(given)
+    tail = deref(list_term)
     while skipped > 0 and tail.__class__ is tuple and tail[0] is CONS:
         skipped -= 1
         tail = deref(tail[2])
@@ -612,9 +639,9 @@ def _unify_item(machine: Machine, skipped: int, given: Term, item: Term) -> bool
     )
 
 
-def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term) -> Solutions:
+def _numbered(machine: Machine, index: Term, base: int, list_term: Term, item: Term) -> Solutions:
     """Enumerate the items with their numbers; a partial list is extended."""
-    tail = deref(given)
+    tail = deref(list_term)
     number = base
     while tail.__class__ is tuple and tail[0] is CONS:
         rest = deref(tail[2])
@@ -626,14 +653,14 @@ def _numbered(machine: Machine, index: Term, base: int, given: Term, item: Term)
             look()
             if number > MAX_STEPS:
                 raise TermTooLarge
-    known = number
+    known_count = number
     # If the tail is also the index there is no solution, because a list is not a number.
     while tail.__class__ is Var and tail is not index:
         look()
-        if machine.unify_all((tail, _extended_list(number - known, item)), (index, number)):
+        if machine.unify_all((tail, _extended_list(number - known_count, item)), (index, number)):
             yield None
         number += 1
-        if number - known > MAX_STEPS:
+        if number - known_count > MAX_STEPS:
             raise TermTooLarge
 
 
@@ -704,33 +731,33 @@ def _filter(
 ) -> Callable[[Machine, Term, Term, Term], bool]:
     """Return a predicate that keeps the items of a list that are, or are not, in another list."""
 
-    def run(machine: Machine, given: Term, other: Term, result: Term) -> bool:
-        rest = deref(given)
+    def run(machine: Machine, list_term: Term, second_list: Term, result: Term) -> bool:
+        rest = deref(list_term)
         for _ in bounded():
             if not is_cons(rest):
                 break
-            if memberchk(machine, rest[1], other) is keeps:
+            if memberchk(machine, rest[1], second_list) is keeps:
                 tail = Var()
                 if not unify(result, (CONS, rest[1], tail), machine.trail):
                     return False
                 result = tail
             rest = deref(rest[2])
         if rest is not NIL:
-            raise no_matching_rule("lists", (key, rest, other, result))
-        return unify(result, end(other), machine.trail)
+            raise no_matching_rule("lists", (key, rest, second_list, result))
+        return unify(result, end(second_list), machine.trail)
 
     return run
 
 
-deterministic("subtract/3", locked=False)(_filter(_SUBTRACT, False, lambda other: NIL))
-deterministic("intersection/3", locked=False)(_filter(_INTERSECTION, True, lambda other: NIL))
-deterministic("union/3", locked=False)(_filter(_UNION, False, lambda other: other))
+deterministic("subtract/3", locked=False)(_filter(_SUBTRACT, False, lambda second_list: NIL))
+deterministic("intersection/3", locked=False)(_filter(_INTERSECTION, True, lambda second_list: NIL))
+deterministic("union/3", locked=False)(_filter(_UNION, False, lambda second_list: second_list))
 
 
 @deterministic("subset/2", locked=False)
-def subset(machine: Machine, given: Term, superset: Term) -> bool:
+def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
     """Test that each item of a list unifies with an item of another list."""
-    rest = deref(given)
+    rest = deref(list_term)
     for _ in bounded():
         if not is_cons(rest):
             break
@@ -746,8 +773,8 @@ def _extreme_member(name: str, sign: int) -> Callable[[Machine, Term, Term], boo
     """Return a predicate that finds the last item in the standard order, or the first one if ``sign`` is -1."""
     outer, inner = functor(name, 2), functor(f"{name}_", 3)
 
-    def run(machine: Machine, result: Term, given: Term) -> bool:
-        rest = deref(given)
+    def run(machine: Machine, result: Term, list_term: Term) -> bool:
+        rest = deref(list_term)
         if rest is NIL:
             return False
         if not is_cons(rest):
@@ -837,18 +864,18 @@ def random_between(machine: Machine, low: Term, high: Term, value: Term) -> bool
 
 
 @deterministic("random_member/2")
-def random_member(machine: Machine, value: Term, given: Term) -> bool:
+def random_member(machine: Machine, value: Term, list_term: Term) -> bool:
     """Unify with a random item of a list."""
-    values = items(given)
+    values = items(list_term)
     if not values:
-        raise domain_error("non_empty_list", given)
+        raise domain_error("non_empty_list", list_term)
     return unify(value, random.choice(values), machine.trail)
 
 
 @deterministic("random_permutation/2")
-def random_permutation(machine: Machine, given: Term, result: Term) -> bool:
+def random_permutation(machine: Machine, list_term: Term, result: Term) -> bool:
     """Unify with a random permutation of a list."""
-    values = items(given)
+    values = items(list_term)
     # Sorting by random ranks instead of `random.shuffle` has the checks of limits of `order_of`.
     ranks = [random.random() for _ in watched(values)]
     return unify(result, make_list([values[position] for position in order_of(ranks)]), machine.trail)

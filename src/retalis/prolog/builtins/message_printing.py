@@ -30,9 +30,9 @@ _LINE: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
 
 
 @deterministic("print_message/2")
-def print_message(machine: Machine, kind: Term, message: Term) -> bool:
+def print_message(machine: Machine, message_kind: Term, message: Term) -> bool:
     """Report a message: ``format(Format, Args)``, an error term, or any other term."""
-    name = atom_of(kind).name
+    name = atom_of(message_kind).name
     # Messages of these kinds are not shown.
     if name in ("silent", "debug", "banner"):
         return True
@@ -245,18 +245,18 @@ def listing_all(machine: Machine) -> bool:
 
 
 def _list_predicate(machine: Machine, predicate: Predicate) -> None:
-    own = predicate.with_clauses
+    displayed_predicate = predicate.with_clauses
     # Predicates that are written in Python have no clauses.
-    if own.kind != "user" and not own.dynamic:
+    if displayed_predicate.kind != "user" and not displayed_predicate.dynamic:
         return
     logic = machine.logic
     modules = logic.database.modules
     key = modules.plain_of(predicate.functor) or predicate.functor
-    for declaration, source in (("dynamic", own), ("table", predicate)):
-        if own.dynamic if declaration == "dynamic" else own is not predicate:
+    for declaration, source in (("dynamic", displayed_predicate), ("table", predicate)):
+        if displayed_predicate.dynamic if declaration == "dynamic" else displayed_predicate is not predicate:
             incremental = " as incremental" if source.incremental else ""
             logic.write(f":- {declaration} {logic.show(indicator(key))}{incremental}.\n\n")
-    for clause in own.live():
+    for clause in displayed_predicate.live():
         logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
     logic.write("\n")
 
@@ -269,7 +269,7 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
     """Enumerate the properties of a predicate."""
     logic = machine.logic
     modules = logic.database.modules
-    head = modules.looked_for(head)
+    head = modules.searched_clause(head)
     if head.__class__ is Var:
         # The goal may define predicates between two solutions, so the table is copied.
         for key, predicate in list(logic.database.predicates.items()):
@@ -293,20 +293,20 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
 def _properties(predicate: Predicate) -> Iterator[Term]:
     yield atom("defined")
     yield atom("visible")
-    own = predicate.with_clauses
-    yield atom("dynamic" if own.dynamic else "static")
+    stored_predicate = predicate.with_clauses
+    yield atom("dynamic" if stored_predicate.dynamic else "static")
     if predicate.library:
         yield atom("system" if predicate.system else "library")
         if predicate.system:
             yield atom("built_in")
-    if own.kind != "user" and not own.dynamic:
+    if stored_predicate.kind != "user" and not stored_predicate.dynamic:
         yield atom("foreign")
     else:
-        own.note_read()
-        yield (functor("number_of_clauses", 1), len(own))
-    if own.discontiguous:
+        stored_predicate.note_read()
+        yield (functor("number_of_clauses", 1), len(stored_predicate))
+    if stored_predicate.discontiguous:
         yield atom("discontiguous")
-    if own.multifile:
+    if stored_predicate.multifile:
         yield atom("multifile")
     if predicate.incremental:
         yield atom("incremental")
@@ -322,14 +322,14 @@ def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> S
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     predicate = machine.logic.lookup(key)
-    given = deref(number)
+    clause_number = deref(number)
     clauses: Iterable[Clause] = ()
     if predicate is not None:
         predicate.with_clauses.note_read()
         clauses = predicate.with_clauses.live()
     for position, clause in enumerate(clauses, 1):
         # A known number selects a single clause, and leaves no choice point.
-        if given.__class__ is int and position != given:
+        if clause_number.__class__ is int and position != clause_number:
             continue
         if machine.unify_all((number, position), (reference, copy((_NECK, clause.head, clause.body)))):
-            yield None if given.__class__ is Var else LAST
+            yield None if clause_number.__class__ is Var else LAST

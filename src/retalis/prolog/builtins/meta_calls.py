@@ -52,32 +52,32 @@ def fail(machine: Machine) -> bool:
 
 
 @control("not/1")
-def not_provable(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def not_provable(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Test that a goal has no solution."""
-    return machine.logic.control.call((NOT, (CALL, args[0])), after)
+    return machine.logic.control.call((NOT, (CALL, args[0])), continuation)
 
 
 @control("apply/2")
-def apply(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def apply(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal with the items of a list as additional arguments."""
     goal = callable_of(args[0])
     modules = machine.logic.database.modules
     extra = tuple(items(args[1]))
     goal = add_arguments(goal, extra, modules) if extra else goal
-    return machine.logic.control.call(goal, after)
+    return machine.logic.control.call(goal, continuation)
 
 
 @control("^/2")
-def existential(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def existential(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call the goal of ``Variable^Goal``: outside of ``bagof/3`` and ``setof/3`` the quantifier has no effect."""
-    return machine.logic.control.call(args[1], after)
+    return machine.logic.control.call(args[1], continuation)
 
 
 # Grammars
 
 
 @control("phrase/2", "phrase/3")
-def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def phrase(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Parse a list with a grammar body."""
     rest = args[2] if len(args) == 3 else NIL
     for term in (args[1], rest):
@@ -99,14 +99,14 @@ def phrase(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
         goal = machine.logic.database.modules.body(module, goal)
     # Reports a non-callable part of the body now, not when the goal reaches it.
     check_body(goal)
-    return machine.logic.control.call(goal, after)
+    return machine.logic.control.call(goal, continuation)
 
 
 # Limits
 
 
 @control("call_with_time_limit/2")
-def call_with_time_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def call_with_time_limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal once, and throw ``time_limit_exceeded`` if it takes longer than a number of seconds."""
     seconds = number(args[0])
     if seconds <= 0:
@@ -115,26 +115,26 @@ def call_with_time_limit(machine: Machine, args: Values, after: Frame) -> Option
     height = len(machine.choices)
     budget = machine.budget
     # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
-    before = watched_by(budget.look)
-    machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), before, len(machine.trail)))
-    budget.warn_at(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
-    return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, after))
+    previous_watch = watched_by(budget.look)
+    machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), previous_watch, len(machine.trail)))
+    budget.add_alarm(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
+    return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, continuation))
 
 
 def _remove_time_limit(entry: Frame) -> None:
     """Remove the alarms that were set since the choice point was pushed, and restore the previous check."""
     budget: Budget
-    _, budget, count, before, _ = entry
+    _, budget, count, previous_watch, _ = entry
     for _, error in budget.alarms[count:]:
         error.close()
     del budget.alarms[count:]
-    watched_by(before)
+    watched_by(previous_watch)
 
 
 def _finish_in_time(frame: Frame) -> Frame:
     machine: Machine
-    after: Frame
-    _, machine, height, after = frame
+    continuation: Frame
+    _, machine, height, continuation = frame
     entry = machine.choices[height]
     _, error = entry[1].alarms[entry[2]]
     _remove_time_limit(entry)
@@ -142,7 +142,7 @@ def _finish_in_time(frame: Frame) -> Frame:
     del machine.choices[height:]
     # The limit may have passed just before the end of the goal; then the error is raised here.
     error.deliver()
-    return after
+    return continuation
 
 
 _TIME_LIMIT = atom("time_limit_exceeded")
@@ -151,16 +151,16 @@ _FINISHED_IN_TIME = Code("call_with_time_limit", _finish_in_time)
 
 
 @control("call_with_inference_limit/3")
-def call_with_inference_limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def call_with_inference_limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal with a limit of inferences, counted in thousands; the result is that of SWI-Prolog."""
     goal, count, result = args
-    ball = (_INFERENCE_LIMIT, machine.budget.cap(integer(count)))
-    inner = (_WITHIN, goal, ball, result)
-    return machine.logic.control.catch(inner, ball, (_EQUAL, result, _EXCEEDED), after)
+    ball = (_INFERENCE_LIMIT, machine.budget.ceiling_after(integer(count)))
+    limited_goal = (_WITHIN, goal, ball, result)
+    return machine.logic.control.catch(limited_goal, ball, (_EQUAL, result, _EXCEEDED), continuation)
 
 
 @control("$within/3")
-def within(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def within(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal with the ceiling of inferences that `call_with_inference_limit` has computed."""
     goal, ball, result = args
     ball = deref(ball)
@@ -169,9 +169,9 @@ def within(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     ceiling = integer(ball[1])
     height = len(machine.choices)
     budget = machine.budget
-    budget.warn_past(ceiling, LimitPassed("inference", ball))
+    budget.add_ceiling(ceiling, LimitPassed("inference", ball))
     machine.choices.append((_INFERENCE_GUARD, budget, ceiling, len(machine.trail)))
-    return machine.logic.control.call(goal, (_FINISHED_WITHIN, machine, height, result, after))
+    return machine.logic.control.call(goal, (_FINISHED_WITHIN, machine, height, result, continuation))
 
 
 def _remove_ceiling(entry: Frame) -> None:
@@ -185,8 +185,8 @@ def _remove_ceiling(entry: Frame) -> None:
 
 def _finish_within(frame: Frame) -> Optional[Frame]:
     machine: Machine
-    after: Frame
-    _, machine, height, result, after = frame
+    continuation: Frame
+    _, machine, height, result, continuation = frame
     entry = machine.choices[height]
     error = entry[1].ceilings.get(entry[2])
     _remove_ceiling(entry)
@@ -195,7 +195,7 @@ def _finish_within(frame: Frame) -> Optional[Frame]:
         machine.choices.pop()
     if error is not None:
         error.deliver()
-    return after if unify(result, _DETERMINATE if is_determinate else TRUE, machine.trail) else None
+    return continuation if unify(result, _DETERMINATE if is_determinate else TRUE, machine.trail) else None
 
 
 _EQUAL = functor("=", 2)
@@ -210,98 +210,98 @@ _FINISHED_WITHIN = Code("call_with_inference_limit", _finish_within)
 
 
 @control("limit/2")
-def limit(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Return only the first solutions of a goal."""
     count = evaluate(args[0])
     if count <= 0:
         return None
     height = len(machine.choices)
-    return machine.logic.control.call(args[1], (_COUNT_SOLUTION, machine, height, [count], after))
+    return machine.logic.control.call(args[1], (_COUNT_SOLUTION, machine, height, [count], continuation))
 
 
 def _count_solution(frame: Frame) -> Frame:
     machine: Machine
-    after: Frame
-    _, machine, height, remaining, after = frame
+    continuation: Frame
+    _, machine, height, remaining, continuation = frame
     remaining[0] -= 1
     if remaining[0] <= 0:
         del machine.choices[height:]
-    return after
+    return continuation
 
 
 _COUNT_SOLUTION = Code("limit", _count_solution)
 
 
 @control("offset/2")
-def offset(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def offset(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Skip the first solutions of a goal."""
     count = evaluate(args[0])
     if count < 0:
         raise domain_error("not_less_than_zero", count)
-    return machine.logic.control.call(args[1], (_SKIP_SOLUTION, [count], after))
+    return machine.logic.control.call(args[1], (_SKIP_SOLUTION, [count], continuation))
 
 
 def _skip_solution(frame: Frame) -> Optional[Frame]:
-    after: Frame
-    _, remaining, after = frame
+    continuation: Frame
+    _, remaining, continuation = frame
     if remaining[0] > 0:
         remaining[0] -= 1
         return None
-    return after
+    return continuation
 
 
 _SKIP_SOLUTION = Code("offset", _skip_solution)
 
 
 @control("distinct/1", "distinct/2")
-def distinct(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Return only solutions whose witness, by default the goal, is not a variant of an earlier one."""
     # The set belongs to this call: backtracking into the goal keeps it, a new call starts with an empty one.
-    seen: Set[Hashable] = set()
-    return machine.logic.control.call(args[-1], (_FILTER_DISTINCT, args[0], seen, after))
+    seen_keys: Set[Hashable] = set()
+    return machine.logic.control.call(args[-1], (_FILTER_DISTINCT, args[0], seen_keys, continuation))
 
 
 def _filter_distinct(frame: Frame) -> Optional[Frame]:
-    after: Frame
-    _, witness, seen, after = frame
+    continuation: Frame
+    _, witness, seen_keys, continuation = frame
     key = term_key(witness)
-    if key in seen:
+    if key in seen_keys:
         return None
-    seen.add(key)
-    return after
+    seen_keys.add(key)
+    return continuation
 
 
 _FILTER_DISTINCT = Code("distinct", _filter_distinct)
 
 
 @control("call_nth/2")
-def call_nth(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def call_nth(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Enumerate the solutions of a goal with their numbers, or return the one with a given number."""
     number = deref(args[1])
     if number.__class__ is not Var and integer(number) < 1:
         raise domain_error("not_less_than_one", number)
     height = len(machine.choices)
-    return machine.logic.control.call(args[0], (_NUMBER_SOLUTION, machine, height, [0], number, after))
+    return machine.logic.control.call(args[0], (_NUMBER_SOLUTION, machine, height, [0], number, continuation))
 
 
 def _number_solution(frame: Frame) -> Optional[Frame]:
     machine: Machine
-    after: Frame
-    _, machine, height, count, number, after = frame
+    continuation: Frame
+    _, machine, height, count, number, continuation = frame
     count[0] += 1
     if number.__class__ is Var:
-        return after if unify(number, count[0], machine.trail) else None
+        return continuation if unify(number, count[0], machine.trail) else None
     if count[0] < number:
         return None
     del machine.choices[height:]
-    return after
+    return continuation
 
 
 _NUMBER_SOLUTION = Code("call_nth", _number_solution)
 
 
 @control(*[f">>/{arity}" for arity in range(2, 10)], locked=False)
-def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def call_lambda(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a lambda expression ``Free/[X1, ...]>>Body`` with arguments.
 
     Its variables are renamed for each call, except those in ``Free``, as in SWI-Prolog's ``library(yall)``.
@@ -311,23 +311,23 @@ def call_lambda(machine: Machine, args: Values, after: Frame) -> Optional[Frame]
     if parameters.__class__ is tuple and parameters[0] is SLASH:
         fresh = {var: var for var in variables(parameters[1])}
         parameters = deref(parameters[2])
-    taken = 0
-    while taken < len(actual) and parameters.__class__ is tuple and parameters[0] is CONS:
+    parameter_count = 0
+    while parameter_count < len(actual) and parameters.__class__ is tuple and parameters[0] is CONS:
         parameter = deref(parameters[1])
         # A parameter that is a variable is replaced by the argument, which is cheaper than a unification.
         if parameter.__class__ is Var and parameter not in fresh:
-            fresh[parameter] = actual[taken]
-        elif not machine.unify(copy(parameter, fresh), actual[taken]):
+            fresh[parameter] = actual[parameter_count]
+        elif not machine.unify(copy(parameter, fresh), actual[parameter_count]):
             return None
-        taken += 1
+        parameter_count += 1
         parameters = deref(parameters[2])
     body = deref(copy(body, fresh))
     # Without parameters left, the remaining arguments are appended to the body of `Free/Body`.
-    given = actual[taken:]
-    if body.__class__ is tuple and body[0] is SLASH and given:
+    extra_arguments = actual[parameter_count:]
+    if body.__class__ is tuple and body[0] is SLASH and extra_arguments:
         body = deref(body[2])
-    goal = add_arguments(body, given, machine.logic.database.modules) if given else body
-    return machine.logic.control.call(goal, after)
+    goal = add_arguments(body, extra_arguments, machine.logic.database.modules) if extra_arguments else body
+    return machine.logic.control.call(goal, continuation)
 
 
 class _Cleanup:
@@ -369,42 +369,42 @@ class _Cleanup:
 
 
 @control("setup_call_cleanup/3")
-def setup_call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def setup_call_cleanup(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup after it has failed, raised an error, exited without choice points, or been cut."""
     setup, goal, cleanup = args
-    return machine.logic.control.once(setup, (_CALL_GUARDED, machine, goal, cleanup, after))
+    return machine.logic.control.once(setup, (_CALL_GUARDED, machine, goal, cleanup, continuation))
 
 
 @control("call_cleanup/2")
-def call_cleanup(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def call_cleanup(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup after it has failed, raised an error, exited without choice points, or been cut."""
-    return setup_call_cleanup(machine, (atom("true"), *args), after)
+    return setup_call_cleanup(machine, (atom("true"), *args), continuation)
 
 
 def _call_guarded(frame: Frame) -> Optional[Frame]:
     machine: Machine
-    after: Frame
-    _, machine, goal, cleanup, after = frame
+    continuation: Frame
+    _, machine, goal, cleanup, continuation = frame
     # Checked after the setup goal, which may have bound it.
     if deref(cleanup).__class__ is Var:
         raise instantiation_error()
     height = len(machine.choices)
     machine.choices.append((_CLEANUP, _Cleanup(machine, cleanup), len(machine.trail)))
-    return machine.logic.control.call(goal, (_GOAL_EXITED, machine, height, after))
+    return machine.logic.control.call(goal, (_GOAL_EXITED, machine, height, continuation))
 
 
 def _exit_goal(frame: Frame) -> Optional[Frame]:
     machine: Machine
-    after: Frame
-    _, machine, height, after = frame
+    continuation: Frame
+    _, machine, height, continuation = frame
     # The goal may have more solutions, so its cleanup has to wait.
     if len(machine.choices) > height + 1:
-        return after
+        return continuation
     cleanup: _Cleanup = machine.choices.pop()[1]
     # From here on the cleanup is an ordinary goal, whose errors the program may catch.
     cleanup.done = True
     goal = (SEMICOLON, (ARROW, (CALL, cleanup.goal), TRUE), TRUE)
-    return machine.logic.control.once(goal, after)
+    return machine.logic.control.once(goal, continuation)
 
 
 _CALL_GUARDED = Code("setup_call_cleanup", _call_guarded)

@@ -379,7 +379,7 @@ def sformat_2(machine: Machine, text: Term, form: Term) -> bool:
 
 
 @control("with_output_to/2")
-def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def with_output_to(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal once, and unify its output with an output specification such as ``atom(A)``."""
     sink = deref(args[0])
     if sink.__class__ is Var:
@@ -390,7 +390,7 @@ def with_output_to(machine: Machine, args: Values, after: Frame) -> Optional[Fra
     height = len(machine.choices)
     capture = OutputCapture(logic)
     machine.choices.append((_CAPTURE_GUARD, capture, len(machine.trail)))
-    return logic.control.call(args[1], (_UNIFY_CAPTURED, machine, height, sink, capture.texts, after))
+    return logic.control.call(args[1], (_UNIFY_CAPTURED, machine, height, sink, capture.texts, continuation))
 
 
 def _end_capture(entry: Frame) -> None:
@@ -400,11 +400,11 @@ def _end_capture(entry: Frame) -> None:
 
 def _unify_captured(frame: Frame) -> Optional[Frame]:
     machine: Machine
-    after: Frame
-    _, machine, height, sink, captured, after = frame
+    continuation: Frame
+    _, machine, height, sink, captured, continuation = frame
     _end_capture(machine.choices[height])
     del machine.choices[height:]
-    return after if fill_sink(machine, sink, join_texts(captured)) else None
+    return continuation if fill_sink(machine, sink, join_texts(captured)) else None
 
 
 _CAPTURE_GUARD = Guard("with_output_to", _end_capture)
@@ -432,7 +432,7 @@ def put_code_to(machine: Machine, stream: Term, code: Term) -> bool:
     return True
 
 
-def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], named: Term, byte: Term) -> bool:
+def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], stream_term: Term, byte: Term) -> bool:
     byte = deref(byte)
     if byte.__class__ is Var:
         raise instantiation_error()
@@ -440,7 +440,7 @@ def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], named: Term
         raise type_error("byte", byte)
     # Standard streams and captures are text streams.
     if not isinstance(stream, OutputStream) or stream.kind != "binary":
-        raise permission_error("output", "text_stream", deref(named))
+        raise permission_error("output", "text_stream", deref(stream_term))
     stream.write(chr(byte))
     return True
 

@@ -23,7 +23,7 @@ Matrix = List[List[float]]
 _M, _Q = atom("M"), atom("Q")
 
 
-def numbers(term: Term, count: int, kind: str) -> Vector:
+def numbers(term: Term, count: int, type_name: str) -> Vector:
     """Return the values of a list of ``count`` numbers.
 
     Raises:
@@ -45,7 +45,7 @@ def numbers(term: Term, count: int, kind: str) -> Vector:
     if item.__class__ is Var:
         raise instantiation_error()
     if item is not NIL or len(values) != count:
-        raise type_error(kind, term)
+        raise type_error(type_name, term)
     return values
 
 
@@ -169,8 +169,8 @@ def interpolate(first: Pose, second: Pose, fraction: float) -> Pose:
             aw + second_weight * (bw - aw),
         )
     angle = acos(cosine)
-    whole = sin(angle)
-    first_weight, second_weight = sin(first_weight * angle) / whole, sin(second_weight * angle) / whole
+    sine = sin(angle)
+    first_weight, second_weight = sin(first_weight * angle) / sine, sin(second_weight * angle) / sine
     return position, (
         ai * first_weight + bi * second_weight,
         aj * first_weight + bj * second_weight,

@@ -232,11 +232,11 @@ class Table:
 
     def depend(self, reads: Reads) -> None:
         """Add the reads of another table to those of an incremental table."""
-        own = self.reads
-        if own is not None and own is not reads:
+        own_reads = self.reads
+        if own_reads is not None and own_reads is not reads:
             for read, version in reads.items():
-                if own.setdefault(read, version) != version:
-                    own[read] = _CHANGED
+                if own_reads.setdefault(read, version) != version:
+                    own_reads[read] = _CHANGED
 
 
 _ANSWER = functor("answer", 0)
@@ -325,9 +325,9 @@ class Tables:
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
         return [(key, table.answers, table.ground) for key, table in complete]
 
-    def restore(self, kept: List[Tuple[Hashable, List[Values], bool]]) -> None:
+    def restore(self, saved_tables: List[Tuple[Hashable, List[Values], bool]]) -> None:
         """Add the complete tables that `kept` has returned."""
-        for key, answers, ground in kept:
+        for key, answers, ground in saved_tables:
             table = self.by_call[key] = Table()
             table.answers, table.ground = answers, ground
             table.complete()
@@ -384,30 +384,30 @@ class Tables:
                     break
             else:
                 key = tuple(key)
-            after: Frame = frame[-1]
+            continuation: Frame = frame[-1]
             table = find(key)
             if table is None:
                 table = self.by_call[key] = Table(predicate.incremental)
             elif table.state == "complete":
                 # A single ground answer, the most common case, is bound without a further call.
                 if len(table.answers) != 1 or not table.ground:
-                    return self._enumerate(table.answers, table.ground, 0, free, after)
+                    return self._enumerate(table.answers, table.ground, 0, free, continuation)
                 for var, value in zip(free, table.answers[0]):
                     var.ref = value
                     bound(var)
-                return after
+                return continuation
             elif table.state == "checked" and table.reads is not None:
                 if not table.is_outdated:
                     self._depend(table.reads)
-                    return self._enumerate(table.answers, table.ground, 0, free, after)
+                    return self._enumerate(table.answers, table.ground, 0, free, continuation)
                 # Goals that are still enumerating its answers keep the old list, which `renew` does not change.
                 table.renew()
             if table.state == "new":
                 collect = self._collector(table, free, moded, modes)
                 own = collect[2]
                 args = copy(goal, dict(zip(free, own)))[1:] if walked else _renamed(key, own)
-                return self._evaluate((predicate.tabled, *args, collect), table, free, after)
-            return self._consult(table, free, after)
+                return self._evaluate((predicate.tabled, *args, collect), table, free, continuation)
+            return self._consult(table, free, continuation)
 
         return call
 
@@ -418,7 +418,7 @@ class Tables:
             return (self._new_answer, table, own)
         return (self._combine_answer, table, own, list(map(free.index, moded)), modes)
 
-    def _consult(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+    def _consult(self, table: Table, free: List[Var], continuation: Frame) -> Optional[Frame]:
         """Return the answers of an incomplete table, and record that the active table depends on it."""
         # A waiting table has left the stack. Its dependency is that of its nearest ancestor that is still active; the
         # path to it is compressed as in a union-find structure.
@@ -427,31 +427,31 @@ class Tables:
         ancestor = table.parent if table.state == "waiting" else table
         newest = self.active[-1]
         newest.low = min(newest.low, ancestor.index)  # type: ignore[union-attr]
-        return self._follow(table, 0, free, after)
+        return self._follow(table, 0, free, continuation)
 
-    def _follow(self, table: Table, position: int, free: List[Var], after: Frame) -> Optional[Frame]:
+    def _follow(self, table: Table, position: int, free: List[Var], continuation: Frame) -> Optional[Frame]:
         """Return the answers of an incomplete table from ``position`` on, then suspend the call."""
         answers = table.answers
         while position < len(answers) and answers[position] is None:
             position += 1
         if position < len(answers):
             self.machine.choices.append(
-                (self._more_answers, table, position + 1, free, after, len(self.machine.trail))
+                (self._more_answers, table, position + 1, free, continuation, len(self.machine.trail))
             )
-            return self.give(answers[position], table.ground, free, after)
+            return self.give(answers[position], table.ground, free, continuation)
         choices, trail = self.machine.choices, self.machine.trail
         newest = self.active[-1]
         # A choice point that closes, such as that of a negation, ends before the continuation could be resumed. The
         # call is only recorded then, and an answer that it misses makes the leader repeat the evaluation.
         if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
-            follower = Follower(position, free, after, None, 0)
+            follower = Follower(position, free, continuation, None, 0)
         else:
             bound = [(entry, entry.ref) for entry in trail[newest.mark :]]
-            follower = Follower(position, free, after, bound, len(choices))
+            follower = Follower(position, free, continuation, bound, len(choices))
         table.followers.append(follower)
         return None
 
-    def _evaluate(self, clauses: Frame, table: Table, free: List[Var], after: Frame) -> Frame:
+    def _evaluate(self, clauses: Frame, table: Table, free: List[Var], continuation: Frame) -> Frame:
         """Start the evaluation of a table; its bindings are undone on completion."""
         if table.reads is not None and len(self.by_call) >= self._drop_at:
             self._drop_outdated()
@@ -462,7 +462,7 @@ class Tables:
         machine.choices.append((self._guard, index, table, len(machine.trail)))
         self.active.append(table)
         table.state = "active"
-        self._begin_round(table, clauses, free, after)
+        self._begin_round(table, clauses, free, continuation)
         return clauses
 
     def _drop_outdated(self) -> None:
@@ -478,10 +478,10 @@ class Tables:
         if self.active:
             self.active[-1].depend(reads)
 
-    def _begin_round(self, table: Table, clauses: Frame, free: List[Var], after: Frame) -> None:
+    def _begin_round(self, table: Table, clauses: Frame, free: List[Var], continuation: Frame) -> None:
         """Push the choice point that ends a round: it is reached when the clauses have no more solutions."""
         table.mark = len(self.machine.trail)
-        self.machine.choices.append((self._round, table, clauses, free, after, table.mark))
+        self.machine.choices.append((self._round, table, clauses, free, continuation, table.mark))
         table.height = len(self.machine.choices)
 
     def _store_answer(self, table: Table, key: Hashable, answer: Values) -> None:
@@ -537,8 +537,8 @@ class Tables:
                 merged[position] = Var()
                 goals.append(mode.goal(old, new, merged[position]))
         grows = any(mode.grows for mode in modes)
-        after = (self._replace_answer, table, key, merged, grows)
-        return self.machine.logic.control.once(conjunction(goals), after) if goals else after
+        continuation = (self._replace_answer, table, key, merged, grows)
+        return self.machine.logic.control.once(conjunction(goals), continuation) if goals else continuation
 
     def _replace(self, frame: Frame) -> None:
         """Replace an answer of a moded table if the combined one differs from it."""
@@ -558,12 +558,12 @@ class Tables:
         """Resume a follower, start another round, or complete the SCC, when a round has no more solutions."""
         table: Table
         clauses: Frame
-        _, table, clauses, free, after, _ = entry
+        _, table, clauses, free, continuation, _ = entry
         # Not the leader of its SCC: an older table decides when both are complete.
         if table.low < table.index:
-            return self._defer_completion(table, free, after)
+            return self._defer_completion(table, free, continuation)
         waiting, ready = table.first
-        again = False
+        has_new_answers = False
         # Followers that were ready before this table became active belong to older tables.
         while len(self.ready) > ready:
             followed, follower = self.ready.pop()
@@ -571,19 +571,19 @@ class Tables:
                 return self._resume(entry, followed, follower)
             # This follower missed answers and cannot be resumed, so the round is repeated, which serves all others
             # too.
-            again = True
+            has_new_answers = True
             del self.ready[ready:]
         members = [table]
         if len(self.waiting) > waiting:
             members += self.waiting[waiting:]
             del self.waiting[waiting:]
-        if again:
+        if has_new_answers:
             # The answers stay, so each round adds some or is the last one.
             for member in members:
                 member.followers.clear()
                 member.state = "active" if member is table else "new"
             self._earlier_rounds.setdefault(table, set()).update(members[1:])
-            self._begin_round(table, clauses, free, after)
+            self._begin_round(table, clauses, free, continuation)
             return clauses
         if len(members) > 1 or self._earlier_rounds:
             self._merge_reads(members)
@@ -594,7 +594,7 @@ class Tables:
         self.machine.choices.pop()  # the guard
         if table.reads is not None:
             self._depend(table.reads)
-        return self._enumerate(table.answers, table.ground, 0, free, after)
+        return self._enumerate(table.answers, table.ground, 0, free, continuation)
 
     def _reset_uncalled(self, members: List[Table]) -> None:
         """Reset tables that the last round has not called: their reads are not among those of the SCC."""
@@ -630,7 +630,7 @@ class Tables:
     def _leave_padding(self, entry: Frame) -> None:
         del self.machine.choices[entry[1] :]
 
-    def _defer_completion(self, table: Table, free: List[Var], after: Frame) -> Optional[Frame]:
+    def _defer_completion(self, table: Table, free: List[Var], continuation: Frame) -> Optional[Frame]:
         """Leave a table that depends on an older one, which completes both."""
         self.active.pop()
         self.machine.choices.pop()  # the guard
@@ -639,10 +639,15 @@ class Tables:
         table.parent = parent
         table.state = "waiting"
         self.waiting.append(table)
-        return self._follow(table, 0, free, after)
+        return self._follow(table, 0, free, continuation)
 
     def _enumerate(
-        self, answers: List[Tuple[Term, ...]], ground: bool, position: int, free: List[Var], after: Frame
+        self,
+        answers: List[Tuple[Term, ...]],
+        ground: bool,
+        position: int,
+        free: List[Var],
+        continuation: Frame,
     ) -> Optional[Frame]:
         """Return the answers from ``position`` on, one at each solution."""
         count = len(answers)
@@ -650,10 +655,12 @@ class Tables:
             return None
         if position + 1 < count:
             mark = len(self.machine.trail)
-            self.machine.choices.append((self._next_answer, answers, ground, position + 1, free, after, mark))
-        return self.give(answers[position], ground, free, after)
+            self.machine.choices.append(
+                (self._next_answer, answers, ground, position + 1, free, continuation, mark)
+            )
+        return self.give(answers[position], ground, free, continuation)
 
-    def give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], after: Frame) -> Frame:
+    def give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], continuation: Frame) -> Frame:
         """Bind the free variables of a call to the values of an answer."""
         trail = self.machine.trail
         if ground:
@@ -665,7 +672,7 @@ class Tables:
                 # Cannot fail, as the call's variables are unbound. The order of arguments keeps the caller's
                 # variable.
                 unify(value, var, trail)
-        return after
+        return continuation
 
     def _discard(self, entry: Frame) -> None:
         """Discard the evaluations above an exception, with their answers, which may be incomplete."""
@@ -681,10 +688,10 @@ class Tables:
         del self.ready[ready:]
 
 
-def _renamed(key: Sequence[Optional[Term]], own: List[Var]) -> List[Term]:
+def _renamed(key: Sequence[Optional[Term]], variables: List[Var]) -> List[Term]:
     """Return the arguments of a call from its key, which has None for each variable, with new variables."""
-    fresh = iter(own)
-    return [next(fresh) if known is None else known for known in key[1:]]
+    fresh = iter(variables)
+    return [next(fresh) if term is None else term for term in key[1:]]
 
 
 def tables_of(machine: Machine) -> Tables:

@@ -171,8 +171,8 @@ def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
     """Relate two integers with their sum; one of the three may be unbound."""
     left, right, total = deref(left), deref(right), deref(total)
     # All arguments are checked first, so that a wrong type is reported even if another one is unbound.
-    for known in (left, right, total):
-        integer_or_var(known)
+    for operand in (left, right, total):
+        integer_or_var(operand)
     if total.__class__ is Var:
         return unify(total, integer(left) + integer(right), machine.trail)
     if right.__class__ is Var:
@@ -200,9 +200,9 @@ deterministic("callable/1")(_type_test(Atom, tuple))
 
 
 @deterministic("blob/2")
-def blob(machine: Machine, term: Term, kind: Term) -> bool:
+def blob(machine: Machine, term: Term, blob_type: Term) -> bool:
     """Unify with the type of an atom, which is always ``text``."""
-    return deref(term).__class__ is Atom and unify(kind, atom("text"), machine.trail)
+    return deref(term).__class__ is Atom and unify(blob_type, atom("text"), machine.trail)
 
 
 @deterministic("is_list/1")
@@ -236,13 +236,15 @@ def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
     """Test that two terms unify without binding variables of the second one."""
     trail = machine.trail
     mark = len(trail)
-    before = variables(specific)
+    specific_variables = variables(specific)
     subsumes = unify(general, specific, trail)
     if subsumes:
-        after = [deref(var) for var in watched(before)]
-        subsumes = all(var.__class__ is Var for var in after) and len(set(after)) == len(before)
+        remaining_variables = [deref(var) for var in watched(specific_variables)]
+        subsumes = all(var.__class__ is Var for var in remaining_variables) and len(
+            set(remaining_variables)
+        ) == len(specific_variables)
         # A variable of the specific term may be bound to one of the general term, not the other way round.
-        subsumes = subsumes and variables((CONS, *before)) == after
+        subsumes = subsumes and variables((CONS, *specific_variables)) == remaining_variables
     undo(trail, mark)
     return subsumes
 
@@ -325,19 +327,19 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
 
 
 @control("freeze/2")
-def freeze(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def freeze(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a term is bound; raise an error otherwise."""
     if deref(args[0]).__class__ is Var:
         raise _undecided(_FREEZE)
-    return machine.logic.control.call(args[1], after)
+    return machine.logic.control.call(args[1], continuation)
 
 
 @control("when/2")
-def when(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def when(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a condition holds; raise an error otherwise."""
     if not _holds(machine, args[0]):
         raise _undecided(_WHEN)
-    return machine.logic.control.call(args[1], after)
+    return machine.logic.control.call(args[1], continuation)
 
 
 def _holds(machine: Machine, condition: Term) -> bool:
@@ -383,6 +385,6 @@ def _same(machine: Machine, left: Term, right: Term) -> bool:
     trail = machine.trail
     mark = len(trail)
     # Equal if they unify without binding a variable.
-    same = unify(left, right, trail) and len(trail) == mark
+    is_same = unify(left, right, trail) and len(trail) == mark
     undo(trail, mark)
-    return same
+    return is_same

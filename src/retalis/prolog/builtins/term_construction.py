@@ -291,12 +291,12 @@ def flag(machine: Machine, name: Term, old: Term, new: Term) -> bool:
 def nb_current(machine: Machine, name: Term, value: Term) -> Solutions:
     """Enumerate the global variables."""
     values = machine.logic.globals
-    given = deref(name)
-    if given.__class__ is not Var:
-        key = atom_of(given).name
+    name_term = deref(name)
+    if name_term.__class__ is not Var:
+        key = atom_of(name_term).name
         if key in values and machine.unify(value, values[key]):
             yield LAST
         return
-    for key, known in list(values.items()):
-        if machine.unify_all((given, atom(key)), (value, known)):
+    for key, stored_value in list(values.items()):
+        if machine.unify_all((name_term, atom(key)), (value, stored_value)):
             yield None

@@ -102,12 +102,12 @@ def constant_text(term: Term) -> Optional[str]:
     return None
 
 
-def text_of(term: Term, kind: str = "text", numbers: bool = True) -> str:
+def text_of(term: Term, type_name: str = "text", numbers: bool = True) -> str:
     """Return the text of an argument: a constant, or a list of character codes or characters.
 
     Args:
         term: the argument; ``[]`` is the empty list.
-        kind: the expected type, for the error term.
+        type_name: the expected type, for the error term.
         numbers: whether a number is accepted.
 
     Raises:
@@ -117,22 +117,22 @@ def text_of(term: Term, kind: str = "text", numbers: bool = True) -> str:
     if term is NIL:
         return ""
     if term.__class__ is tuple:
-        return _checked_list(term, kind)
+        return _checked_list(term, type_name)
     text = constant_text(term)
     if text is None:
         raise instantiation_error()
     if not numbers and term.__class__ in (int, float):
-        raise type_error(kind, term)
+        raise type_error(type_name, term)
     return text
 
 
-def whole_text(term: Term, kind: str) -> str:
+def whole_text(term: Term, type_name: str) -> str:
     """Return the text of an argument like `text_of`, but with the whole list as the culprit of a type error."""
     term = deref(term)
     if term.__class__ is tuple:
         text = _good_list_text(term)
         if text is None:
-            raise type_error(kind, term)
+            raise type_error(type_name, term)
         return text
     return text_of(term)
 
@@ -149,10 +149,10 @@ def _good_list_text(term: Term) -> Optional[str]:
         return None
 
 
-def _checked_list(term: Term, kind: str) -> str:
+def _checked_list(term: Term, type_name: str) -> str:
     codes_or_chars, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
-        raise type_error(kind, term)
+        raise type_error(type_name, term)
     check_text_length(len(codes_or_chars))
     # A wrong item takes precedence over an unbound one or an unbound tail, as in SWI-Prolog.
     culprit = first_item_error(codes_or_chars)
@@ -228,22 +228,22 @@ def check_text_list(term: Term) -> None:
         raise error
 
 
-def atomic_text(term: Term, kind: str = "atomic") -> str:
+def atomic_text(term: Term, type_name: str = "atomic") -> str:
     """Return the text of an atomic argument."""
     term = deref(term)
     text = constant_text(term)
     if text is None:
         if term.__class__ is Var:
             raise instantiation_error()
-        raise type_error(kind, term)
+        raise type_error(type_name, term)
     return text
 
 
-def require_no_compound(term: Term, kind: str) -> None:
+def require_no_compound(term: Term, type_name: str) -> None:
     """Raise a type error for an output argument that is a compound term."""
     term = deref(term)
     if term.__class__ is tuple:
-        raise type_error(kind, term)
+        raise type_error(type_name, term)
 
 
 def codes(text: str) -> Term:
@@ -267,8 +267,8 @@ def parse_number(text: str, operators: Operators) -> Optional[Term]:
     # Excludes most texts before the reader is called, which raises and formats an error for each.
     if not body or not (body[0].isdigit() or body[:3] in ("inf", "nan")) or body[-1].isspace():
         return None
-    after = body[3:] if body.startswith("0'") else body
-    if "%" in after or "/*" in after:
+    digits = body[3:] if body.startswith("0'") else body
+    if "%" in digits or "/*" in digits:
         return None
     try:
         term = read_term(body, operators, positions=False).term
@@ -376,9 +376,9 @@ def end_of_file(machine: Machine) -> ReadTerm:
 @deterministic("term_string/2")
 def term_string(machine: Machine, term: Term, text: Term) -> bool:
     """Convert between a term and its text as a string."""
-    given = deref(text)
-    if given.__class__ is not Var:
-        return unify(term, parse(machine, text_of(given)), machine.trail)
+    text_term = deref(text)
+    if text_term.__class__ is not Var:
+        return unify(term, parse(machine, text_of(text_term)), machine.trail)
     return unify(text, String(machine.logic.show(term)), machine.trail)
 
 
@@ -393,9 +393,9 @@ def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bo
     """Read a term and the names of its variables from a text."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
-    whole = text_of(text)
+    source_text = text_of(text)
     partial_items(bindings)
-    result = read(machine, whole)
+    result = read(machine, source_text)
     names = make_list([(_EQUAL, atom(name), var) for name, var in result.names.items()])
     return machine.unify_all((term, result.term), (bindings, names))
 
@@ -403,13 +403,13 @@ def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bo
 @deterministic("read_term_from_atom/3")
 def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text, with the options of ``read_term/2``."""
-    whole = text_of(text, numbers=False)
+    source_text = text_of(text, numbers=False)
     requested: List[CompoundTerm] = []
     for option in option_values(options):
         if option.__class__ is not tuple:
             raise type_error("option", option)
         requested.append(option)
-    result = read(machine, whole, flags_of(machine, requested))
+    result = read(machine, source_text, flags_of(machine, requested))
     return unify(term, result.term, machine.trail) and unify_options(machine, result, requested)
 
 

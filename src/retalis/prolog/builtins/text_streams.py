@@ -169,9 +169,9 @@ class InputStream:
             program = read_program(self.text[self.at :], operators, self.name, flags, self.line)
             self._program, self._base = program, self.at
         program.operators, program.flags = operators, flags
-        before = program.end
+        previous_end = program.end
         result = next(iter(program), None)
-        self._next = self._base + program.end if program.end > before else len(self.text)
+        self._next = self._base + program.end if program.end > previous_end else len(self.text)
         # The reader cannot continue after an error, so the next term starts a new one.
         if isinstance(result, SyntaxFault):
             self._program = None
@@ -307,7 +307,12 @@ class ProgramStreams:
         return None if ask is None else ask()
 
     def open(
-        self, name: Term, mode: str, alias: Optional[str] = None, kind: str = "text", encoding: str = "utf-8"
+        self,
+        name: Term,
+        mode: str,
+        alias: Optional[str] = None,
+        stream_type: str = "text",
+        encoding: str = "utf-8",
     ) -> Term:
         """Open a file; return the stream's term.
 
@@ -315,7 +320,7 @@ class ProgramStreams:
             name: name of the file.
             mode: ``read``, ``write`` or ``append``.
             alias: alias of the stream.
-            kind: ``text`` or ``binary``.
+            stream_type: ``text`` or ``binary``.
             encoding: Python name of the encoding; latin-1 for binary files.
 
         Raises:
@@ -336,7 +341,7 @@ class ProgramStreams:
         else:
             path = files.to_write(name, mode == "append")
             stream = OutputStream(path, mode, lambda text: files.add(path, text, encoding))
-        stream.itself, stream.kind = self.new_term(), kind
+        stream.itself, stream.kind = self.new_term(), stream_type
         self.opened[self._number] = stream
         if alias is not None:
             self.aliases[alias] = self._number
@@ -381,9 +386,9 @@ class ProgramStreams:
 
     def find_open(self, term: Term) -> OpenStream:
         """Return an opened stream by its stream term."""
-        opened = self.find(term)
-        assert not isinstance(opened, str)
-        return opened
+        open_stream = self.find(term)
+        assert not isinstance(open_stream, str)
+        return open_stream
 
     def to_read(self, term: Optional[Term]) -> InputStream:
         """Return an input stream; the current one for None.
@@ -393,12 +398,12 @@ class ProgramStreams:
         """
         if term is None:
             return self.input
-        opened = self.find(term)
-        if opened in ("user_input", "user"):
+        open_stream = self.find(term)
+        if open_stream in ("user_input", "user"):
             return self.user
-        if not isinstance(opened, InputStream):
+        if not isinstance(open_stream, InputStream):
             raise permission_error("input", "stream", deref(term))
-        return opened
+        return open_stream
 
     def to_write(self, term: Term) -> Union[OutputStream, OutputCapture, str]:
         """Return an output stream; for a standard stream, return its name.
@@ -406,10 +411,10 @@ class ProgramStreams:
         Raises:
             PrologError: a permission error for an input stream, or an error of `find`.
         """
-        opened = self.find(term)
-        if opened == "user_input" or isinstance(opened, InputStream):
+        open_stream = self.find(term)
+        if open_stream == "user_input" or isinstance(open_stream, InputStream):
             raise permission_error("output", "stream", deref(term))
-        return opened
+        return open_stream
 
     def write(self, term: Term, text: str) -> None:
         """Write a text to a stream."""
@@ -474,9 +479,9 @@ class ProgramStreams:
         self, stream: Optional[OutputStream], replaced: Optional[_ReplacedOutput]
     ) -> Tuple[Optional[OutputStream], Optional[_ReplacedOutput]]:
         """Set the current output stream and the output that it replaces; return the previous ones."""
-        before = self.output, self._replaced
+        previous_output = self.output, self._replaced
         self.output, self._replaced = stream, replaced
-        return before
+        return previous_output
 
     def set_output(self, stream: Union[OutputStream, OutputCapture, str]) -> None:
         """Set the current output."""
@@ -503,8 +508,8 @@ class ProgramStreams:
         # The output is reset before the stream is removed, so that nothing can be written to a closed stream.
         if stream is self.output:
             self.set_output("user_output")
-        for number, opened in list(self.opened.items()):
-            if opened is stream:
+        for number, open_stream in list(self.opened.items()):
+            if open_stream is stream:
                 del self.opened[number]
                 self.aliases = {alias: index for alias, index in self.aliases.items() if index != number}
         if isinstance(stream, OutputStream):
@@ -612,10 +617,10 @@ def _require_property(property_term: Term) -> None:
     if property_term.__class__ is Var:
         return
     if isinstance(property_term, tuple):
-        known = len(property_term) == 2 and property_term[0].name in _WITH_VALUE
+        is_known = len(property_term) == 2 and property_term[0].name in _WITH_VALUE
     else:
-        known = property_term in [atom(name) for name in _WITHOUT_VALUE]
-    if not known:
+        is_known = property_term in [atom(name) for name in _WITHOUT_VALUE]
+    if not is_known:
         raise domain_error("stream_property", property_term)
 
 
@@ -666,11 +671,11 @@ def set_stream_position(machine: Machine, stream: Term, position: Term) -> bool:
     position = deref(position)
     if position.__class__ is Var or deref(stream).__class__ is Var:
         raise instantiation_error()
-    opened = streams_of(machine).find(stream)
+    open_stream = streams_of(machine).find(stream)
     characters = deref(position[1]) if isinstance(position, tuple) and position[0] is _POSITION else None
     if not isinstance(characters, int):
         raise domain_error("stream_position", position)
-    if not isinstance(opened, InputStream) or not opened.go_to(characters):
+    if not isinstance(open_stream, InputStream) or not open_stream.go_to(characters):
         raise permission_error("reposition", "stream", deref(stream))
     return True
 
@@ -685,11 +690,11 @@ def line_count(machine: Machine, stream: Term, line: Term) -> bool:
 def line_position(machine: Machine, stream: Term, column: Term) -> bool:
     """Unify with the number of characters read or written of the current line."""
     streams = streams_of(machine)
-    opened = streams.find(stream)
-    if opened == "user_input" or isinstance(opened, InputStream):
+    open_stream = streams.find(stream)
+    if open_stream == "user_input" or isinstance(open_stream, InputStream):
         position = streams.to_read(stream).position[2]
     else:
-        position = streams.column(opened)
+        position = streams.column(open_stream)
     return unify(column, position, machine.trail)
 
 

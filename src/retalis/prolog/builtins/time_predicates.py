@@ -173,9 +173,9 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
 
 
 def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
-    *whole, second, rest = fields
+    *date_fields, second, rest = fields
     exact: Number = second + rest / SECOND if rest else second
-    return (DATIME6, *whole, float(exact) if is_float else exact)
+    return (DATIME6, *date_fields, float(exact) if is_float else exact)
 
 
 @deterministic("datime_plus_sec/3")
@@ -230,11 +230,11 @@ _EPOCH = datetime(1970, 1, 1)
 def _fields_of_stamp(stamp: float) -> Tuple[datetime, float]:
     """Return the date and time of a stamp, and its second with the fraction."""
     try:
-        whole = int(stamp // 1)
-        moment = _EPOCH + timedelta(seconds=whole)
+        full_seconds = int(stamp // 1)
+        moment = _EPOCH + timedelta(seconds=full_seconds)
     except (OverflowError, ValueError):  # also an infinite stamp
         raise domain_error("time_stamp", stamp) from None
-    return moment, moment.second + (stamp - whole)
+    return moment, moment.second + (stamp - full_seconds)
 
 
 def _fields_of_date(term: CompoundTerm) -> Tuple[datetime, float]:
@@ -304,29 +304,29 @@ def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> 
 
 
 @deterministic("date_time_stamp/2")
-def date_time_stamp(machine: Machine, given: Term, stamp: Term) -> bool:
+def date_time_stamp(machine: Machine, date: Term, stamp: Term) -> bool:
     """Unify with the stamp of a date term."""
-    given = deref(given)
-    if given.__class__ is Var:
+    date = deref(date)
+    if date.__class__ is Var:
         raise instantiation_error()
-    if given.__class__ is not tuple or given[0] not in (_DATE9, _DATE3):
-        raise type_error("time", given)
-    return unify(stamp, _stamp(*_fields_of_date(given)), machine.trail)
+    if date.__class__ is not tuple or date[0] not in (_DATE9, _DATE3):
+        raise type_error("time", date)
+    return unify(stamp, _stamp(*_fields_of_date(date)), machine.trail)
 
 
 _FIELDS = ("year", "month", "day", "hour", "minute", "second", "utc_offset", "time_zone", "daylight_saving")
 
 
 @nondeterministic("date_time_value/3")
-def date_time_value(machine: Machine, name: Term, given: Term, value: Term) -> Solutions:
+def date_time_value(machine: Machine, name: Term, date: Term, value: Term) -> Solutions:
     """Enumerate the fields of a date term."""
-    given = deref(given)
-    if given.__class__ is not tuple or given[0] is not _DATE9:
+    date = deref(date)
+    if date.__class__ is not tuple or date[0] is not _DATE9:
         return
-    for field, part in zip(_FIELDS, given[1:]):
+    for field, part in zip(_FIELDS, date[1:]):
         if deref(part) is not _NONE and machine.unify_all((name, atom(field)), (value, part)):
             yield None
-    if machine.unify_all((name, atom("date")), (value, (_DATE3, *given[1:4]))):
+    if machine.unify_all((name, atom("date")), (value, (_DATE3, *date[1:4]))):
         yield LAST
 
 
@@ -385,9 +385,9 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
 
 
 @deterministic("format_time/3")
-def format_time(machine: Machine, sink: Term, form: Term, given: Term) -> bool:
+def format_time(machine: Machine, sink: Term, form: Term, time_term: Term) -> bool:
     """Write a formatted stamp or date to a stream, or unify it with an output specification such as ``atom(A)``."""
-    text = _formatted(text_of(form), *_time_of(given))
+    text = _formatted(text_of(form), *_time_of(time_term))
     sink = deref(sink)
     if is_sink(sink):
         return fill_sink(machine, sink, text)

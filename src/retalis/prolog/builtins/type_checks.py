@@ -106,52 +106,64 @@ _WHOLLY_BOUND = frozenset(("text", "string", "rational", "ground", "oneof"))
 """Types for which a term that contains variables is an instantiation error."""
 
 
-def holds(kind: Term, term: Term) -> Optional[bool]:
+def holds(type_term: Term, term: Term) -> Optional[bool]:
     """Return whether a term has a type, or None for an unknown type.
 
     Raises:
         PrologError: if an argument of the type is invalid.
     """
-    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
-    if kind.__class__ is tuple:
-        return _has_parametric_type(name, kind, term)
+    name = (
+        type_term.name
+        if type_term.__class__ is Atom
+        else type_term[0].name
+        if type_term.__class__ is tuple
+        else ""
+    )
+    if type_term.__class__ is tuple:
+        return _has_parametric_type(name, type_term, term)
     # The tests take a dereferenced term.
     test = _TYPE_TESTS.get(name)
     return None if test is None else test(term)
 
 
-def _has_parametric_type(name: str, kind: CompoundTerm, term: Term) -> Optional[bool]:
-    if name == "oneof" and len(kind) == 2:
-        return is_ground(term) and any(not compare(item, term) for item in watched(items(kind[1])))
-    if name == "between" and len(kind) == 3:
-        low, high = deref(kind[1]), deref(kind[2])
+def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Optional[bool]:
+    if name == "oneof" and len(type_term) == 2:
+        return is_ground(term) and any(not compare(item, term) for item in watched(items(type_term[1])))
+    if name == "between" and len(type_term) == 3:
+        low, high = deref(type_term[1]), deref(type_term[2])
         # Bounds that are integers require an integer, other bounds accept any number.
         if low.__class__ is int:
             return term.__class__ is int and low <= term <= integer(high)
         return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
-    if name in ("list", "list_of") and len(kind) == 2:
+    if name in ("list", "list_of") and len(type_term) == 2:
         values = list_items(term)
-        return values is not None and all(holds(deref(kind[1]), deref(item)) for item in watched(values))
+        return values is not None and all(holds(deref(type_term[1]), deref(item)) for item in watched(values))
     return None
 
 
-def check(kind: Term, term: Term) -> Optional[PrologError]:
+def check(type_term: Term, term: Term) -> Optional[PrologError]:
     """Return the error for a term that does not have a type, or None if it does."""
-    kind, term = deref(kind), deref(term)
-    if kind.__class__ is Var:
+    type_term, term = deref(type_term), deref(term)
+    if type_term.__class__ is Var:
         return instantiation_error()
-    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
+    name = (
+        type_term.name
+        if type_term.__class__ is Atom
+        else type_term[0].name
+        if type_term.__class__ is tuple
+        else ""
+    )
     # `chars` and `codes` are checked as lists of a type, so that the error names the wrong item.
-    item_type = _ITEM_TYPES.get(name) if kind.__class__ is Atom else None
+    item_type = _ITEM_TYPES.get(name) if type_term.__class__ is Atom else None
     if item_type is not None:
-        kind = (_LIST_OF, item_type)
-    known = holds(kind, term)
-    if known:
+        type_term = (_LIST_OF, item_type)
+    result = holds(type_term, term)
+    if result:
         return None
-    if known is None:
-        return existence_error("type", kind)
+    if result is None:
+        return existence_error("type", type_term)
     if name in ("list", "list_of") or item_type is not None:
-        return _list_error(kind, term)
+        return _list_error(type_term, term)
     if name == "var":
         return uninstantiation_error(term)
     if name in ("cyclic", "acyclic"):
@@ -159,36 +171,36 @@ def check(kind: Term, term: Term) -> Optional[PrologError]:
     # An unbound part might still be bound to a value of the type.
     if term.__class__ is Var or (name in _WHOLLY_BOUND and not is_ground(term)):
         return instantiation_error()
-    return type_error_of(kind, term)
+    return type_error_of(type_term, term)
 
 
-def _list_error(kind: Term, term: Term) -> Optional[PrologError]:
+def _list_error(type_term: Term, term: Term) -> Optional[PrologError]:
     """Return the error for a term that is not a list, or for the first item of the wrong type."""
     values = list_items(term)
-    if values is None or kind.__class__ is not tuple:
-        return instantiation_error() if _is_partial_list(term) else type_error_of(kind, term)
-    errors = (check(kind[1], item) for item in watched(values))
+    if values is None or type_term.__class__ is not tuple:
+        return instantiation_error() if _is_partial_list(term) else type_error_of(type_term, term)
+    errors = (check(type_term[1], item) for item in watched(values))
     return next((error for error in errors if error is not None), None)
 
 
-def type_error_of(kind: Term, term: Term) -> PrologError:
+def type_error_of(type_term: Term, term: Term) -> PrologError:
     """Return the type error for a type, which may be a compound term."""
-    return error((_TYPE_ERROR, kind, term))
+    return error((_TYPE_ERROR, type_term, term))
 
 
 @deterministic("must_be/2", locked=False)
-def must_be(machine: Machine, kind: Term, term: Term) -> bool:
+def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
     """Raise an error unless a term has a type."""
-    failure = check(kind, term)
+    failure = check(type_term, term)
     if failure is not None:
         raise failure
     return True
 
 
 @deterministic("is_of_type/2", locked=False)
-def is_of_type(machine: Machine, kind: Term, term: Term) -> bool:
+def is_of_type(machine: Machine, type_term: Term, term: Term) -> bool:
     """Test that a term has a type; fail for an unknown type."""
-    kind = deref(kind)
-    if kind.__class__ is Var:
+    type_term = deref(type_term)
+    if type_term.__class__ is Var:
         raise instantiation_error()
-    return bool(holds(kind, deref(term)))
+    return bool(holds(type_term, deref(term)))

@@ -85,9 +85,9 @@ def evaluate_to_term(scope: Scope, expression: Term) -> Operand:
 
 
 def _write_variable(scope: Scope, var: Var) -> Operand:
-    known = scope.numbers.get(var)
-    if known is not None:
-        return known
+    number_type = scope.numbers.get(var)
+    if number_type is not None:
+        return number_type
     name = scope.local(var)
     target = scope.temp("n")
     if scope.entry:
@@ -124,7 +124,7 @@ def _write_operation(scope: Scope, expression: CompoundTerm, depth: int) -> Oper
     target = scope.temp()
     symbol = "//" if key is _TRUNCATING_DIVISION else _BIT_SYMBOLS.get(key) or _FLOOR_SYMBOLS.get(key)
     if symbol is not None:
-        untyped = [name for name, kind in operands if kind != "int"]
+        untyped = [name for name, number_type in operands if number_type != "int"]
         test = " and ".join(f"{name}.__class__ is int" for name in untyped) or "True"
         if key in _FLOOR_SYMBOLS:
             test = f"{operands[1][0]} and {test}"

@@ -139,7 +139,7 @@ class BodyGenerator:
         scope.line("if k is Var:")
         # The rare case enumerates arguments by backtracking. Interpreting the rest keeps one copy of its code: a
         # second compiled copy would double the function with each arg/3 of the clause.
-        before = scope.branch()
+        saved_scope = scope.branch()
         scope.depth += 1
         height = scope.names.get(self.entry)
         if height is None:
@@ -149,7 +149,7 @@ class BodyGenerator:
         self._flush(scope)
         scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
         scope.depth -= 1
-        scope.restore(before)
+        scope.restore(saved_scope)
         return inline_goal
 
     # Leaving the function
@@ -271,16 +271,18 @@ class BodyGenerator:
             return "False"
         return " and ".join(f"{name}.__class__ in PLAIN" for name in names) or "True"
 
-    def _frame_expression(self, scope: Scope, call: GoalNode, after: str) -> str:
+    def _frame_expression(self, scope: Scope, call: GoalNode, continuation: str) -> str:
         if isinstance(call, Interpret):
             term = scope.build(call.term)
-            return f"({scope.unit.constant(self.interpret)}, {term}, {scope.names[call.height]}, {after})"
+            return (
+                f"({scope.unit.constant(self.interpret)}, {term}, {scope.names[call.height]}, {continuation})"
+            )
         assert isinstance(call, CallNode)
         if self.outputs is not None and call.key is _OUTPUTS:
             code = self.unit.constant(self.outputs)
         else:
             code = self.unit.predicate(call.key)
-        parts = [code, *[scope.build(arg) for arg in call.args], after]
+        parts = [code, *[scope.build(arg) for arg in call.args], continuation]
         return f"({', '.join(parts)})"
 
     def _write_turn(self, scope: Scope, call: GoalNode) -> bool:
@@ -315,20 +317,20 @@ class BodyGenerator:
         return sorted((var for var in needed if var in scope.names), key=self.clause.number)
 
     def _continuation_frame(
-        self, scope: Scope, nodes: Sequence[GoalNode], after: str, retried: bool = False
+        self, scope: Scope, nodes: Sequence[GoalNode], continuation: str, retried: bool = False
     ) -> str:
         """Return an expression for the frame that runs ``nodes``; their function is written by a job of the unit.
 
         Args:
             scope: the function that builds the frame.
             nodes: the goals that the frame runs.
-            after: expression for the frame that follows them.
+            continuation: expression for the frame that follows them.
             retried: whether the frame is a choice point, which ends with the length of the trail.
         """
         live = self._live_variables(scope, needed_by(nodes))
         code, function = self._new_code()
         self._add_job(function, live, nodes, retried)
-        parts = [code, *[scope.names[var] for var in live], after]
+        parts = [code, *[scope.names[var] for var in live], continuation]
         if retried:
             parts.append("len(trail)")
         # The frame holds these variables now, so code that runs later may bind them.
@@ -360,12 +362,12 @@ class BodyGenerator:
 
         Branches and continuation run in different functions and must refer to the same variable.
         """
-        seen: FrozenSet[Needed] = _NONE_NEEDED
+        shared_needs: FrozenSet[Needed] = _NONE_NEEDED
         shared: FrozenSet[Needed] = _NONE_NEEDED
         for group in groups:
             needed = needed_by(group)
-            shared |= seen & needed
-            seen |= needed
+            shared |= shared_needs & needed
+            shared_needs |= needed
         for var in sorted(shared, key=self.clause.number):
             if isinstance(var, Var) and var not in scope.names:
                 scope.create(var)
@@ -430,11 +432,11 @@ class BodyGenerator:
             self._require_height(scope, rest)
             self._write_joined_frame(scope, rest)
         unset = write_test(scope, node.test)
-        before = scope.branch()
+        saved_scope = scope.branch()
         scope.depth += 1
         self.write(scope, node.then)
         scope.depth -= 1
-        scope.restore(before)
+        scope.restore(saved_scope)
         forget(scope, unset)
         scope.line("else:")
         scope.depth += 1

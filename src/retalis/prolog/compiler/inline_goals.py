@@ -369,12 +369,12 @@ def _write_condition(scope: Scope, node: IfThenElse) -> None:
     later = scope.later
     scope.later = later | needed_by(node.then)
     unset = write_test(scope, node.test)
-    before = scope.branch()
+    saved_scope = scope.branch()
     scope.depth += 1
     start = len(scope.lines)
     write_sequence(scope, node.then, later)
     middle, then_state = len(scope.lines), scope.branch()
-    scope.restore(before)
+    scope.restore(saved_scope)
     # The else branch starts without the values that the test would have computed.
     forget(scope, unset)
     scope.depth -= 1

@@ -200,7 +200,7 @@ def write_building(
     pattern, cell = deref(args[switch]), deref(args[shape.position])
     assert pattern.__class__ is tuple
     assert cell.__class__ is tuple
-    before = scope.branch()
+    saved_scope = scope.branch()
     scope.dereference(built_local)
     scope.line("if k is Var:")
     scope.depth += 1
@@ -231,7 +231,7 @@ def write_building(
     scope.line("    break")
     scope.depth -= 1
     scope.line("else:")
-    scope.line("    BUDGET.turned()")
+    scope.line("    BUDGET.count_loops()")
     scope.line("last = hole = Var()")
     _write_cells(scope, cell, shape)
     scope.line(f"{built_local}.ref = last")
@@ -244,7 +244,7 @@ def write_building(
     scope.line(f"{built_local} = hole")
     scope.line("continue")
     scope.depth -= 1
-    scope.restore(before)
+    scope.restore(saved_scope)
     scope.looped = True
 
 
@@ -315,7 +315,7 @@ class PredicateGenerator:
         self.key = key
         self.clauses = clauses
         self.code = code
-        self.locals = [f"a{at}" for at in range(1, key.arity + 1)]
+        self.locals = [f"a{position}" for position in range(1, key.arity + 1)]
         self._unbound = unbound
         self.position = _selective_position(clauses, key.arity, unbound)
         self._retries: Dict[Tuple[int, ...], Code] = {}
@@ -331,7 +331,7 @@ class PredicateGenerator:
         if body.looped:
             loop = ["    for _ in LOOP:", *["    " + line for line in body.lines]]
             arguments = ", ".join([unit.constant(self.code), *self.locals, "after"])
-            lines = [head, *loop, "    BUDGET.turned()", f"    return ({arguments})"]
+            lines = [head, *loop, "    BUDGET.count_loops()", f"    return ({arguments})"]
         else:
             lines = [head, *body.lines]
         unit.add(["def main(frame):", *lines])
@@ -477,31 +477,35 @@ class PredicateGenerator:
 
     # Chains of clauses
 
-    def _write_chain(self, outer: Scope, chain: Tuple[int, ...], key: object, retried: bool = False) -> None:
+    def _write_chain(
+        self, outer_scope: Scope, chain: Tuple[int, ...], key: object, retried: bool = False
+    ) -> None:
         """Write the clauses of a chain in order.
 
         Args:
-            outer: the function that is written.
+            outer_scope: the function that is written.
             chain: indexes of the clauses.
             key: functor or constant of the switched argument, if known.
             retried: whether the function runs on backtracking, where ``mark`` is set.
         """
-        unit = outer.unit
+        unit = outer_scope.unit
         if len(chain) > 1 and not retried:
-            outer.line("mark = len(trail)")
+            outer_scope.line("mark = len(trail)")
         for offset, index in enumerate(chain[:_MAX_CHAIN_CLAUSES]):
             rest = chain[offset + 1 :]
-            scope = self._clause_scope(unit, index, rest, key, outer.depth, not retried, len(chain) == 1)
-            outer.looped |= scope.looped
-            outer.pushes |= scope.pushes
-            outer.lines += scope.lines
+            scope = self._clause_scope(
+                unit, index, rest, key, outer_scope.depth, not retried, len(chain) == 1
+            )
+            outer_scope.looped |= scope.looped
+            outer_scope.pushes |= scope.pushes
+            outer_scope.lines += scope.lines
             if rest and scope.binds:
-                outer.line("while len(trail) > mark:")
-                outer.line("    pop().ref = None")
+                outer_scope.line("while len(trail) > mark:")
+                outer_scope.line("    pop().ref = None")
         rest = chain[_MAX_CHAIN_CLAUSES:]
         if rest:
             frame = ", ".join([unit.constant(self._retry_code(rest)), *self.locals, "after", "mark"])
-            outer.line(f"return ({frame})")
+            outer_scope.line(f"return ({frame})")
 
     def _retry_code(self, chain: Tuple[int, ...]) -> Code:
         """Return the code of a choice point for a chain; the function is generated when it first runs."""

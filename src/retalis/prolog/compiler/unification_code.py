@@ -46,16 +46,16 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
         _unify_constant(scope, name, pattern)
 
 
-def _unify_locals(scope: Scope, known: str, name: str) -> None:
+def _unify_locals(scope: Scope, bound: str, name: str) -> None:
     """Write the unification of two locals; one of them is most likely an unbound variable."""
-    scope.line(f"if {known} is not {name}:")
-    scope.line(f"    if {name}.__class__ is Var and {name}.ref is None and {known}.__class__ is not Var:")
-    scope.line(f"        {name}.ref = {known}")
+    scope.line(f"if {bound} is not {name}:")
+    scope.line(f"    if {name}.__class__ is Var and {name}.ref is None and {bound}.__class__ is not Var:")
+    scope.line(f"        {name}.ref = {bound}")
     scope.line(f"        push({name})")
-    scope.line(f"    elif {known}.__class__ is Var and {known}.ref is None and {name}.__class__ is not Var:")
-    scope.line(f"        {known}.ref = {name}")
-    scope.line(f"        push({known})")
-    scope.line(f"    elif not unify({known}, {name}, trail):")
+    scope.line(f"    elif {bound}.__class__ is Var and {bound}.ref is None and {name}.__class__ is not Var:")
+    scope.line(f"        {bound}.ref = {name}")
+    scope.line(f"        push({bound})")
+    scope.line(f"    elif not unify({bound}, {name}, trail):")
     scope.line(f"        {scope.fail}")
 
 
@@ -70,7 +70,7 @@ def _is_unpackable(scope: Scope, pattern: Term) -> bool:
     """Return whether a pattern has several compounds and otherwise only atoms and distinct new variables."""
     # A repeated variable would need a unification, and numbers and strings are compared by value, not by identity.
     compounds = 0
-    seen = set()
+    seen_variables = set()
     stack = [pattern]
     while stack:
         item = deref(stack.pop())
@@ -78,9 +78,9 @@ def _is_unpackable(scope: Scope, pattern: Term) -> bool:
             compounds += 1
             stack.extend(item[1:])
         elif item.__class__ is Var:
-            if item in scope.names or item in seen:
+            if item in scope.names or item in seen_variables:
                 return False
-            seen.add(item)
+            seen_variables.add(item)
         elif item.__class__ is not Atom:
             return False
     return _MIN_UNPACKED_COMPOUNDS <= compounds <= _MAX_UNPACKED_COMPOUNDS
@@ -174,14 +174,14 @@ def _write_both_modes(scope: Scope, name: str, pattern: CompoundTerm, depth: int
     """Write both modes: binding of an unbound variable to a new term, and taking a compound term apart."""
     scope.dereference(name)
     scope.line("if k is Var:")
-    before = scope.branch()
+    saved_scope = scope.branch()
     scope.depth += 1
     new_term = scope.build(pattern)
     scope.line(f"{name}.ref = {new_term}")
     scope.line(f"push({name})")
     scope.depth -= 1
     written_names = scope.names
-    scope.restore(before)
+    scope.restore(saved_scope)
     scope.line("else:")
     scope.depth += 1
     # A lazy term knows its functor without being decoded, so a mismatch costs nothing.
@@ -271,7 +271,7 @@ def decoded_local(scope: Scope, term: Term) -> str:
     return name
 
 
-def write_argument(scope: Scope, result: str, otherwise: str, number: Term, whole: Term) -> None:
+def write_argument(scope: Scope, result: str, otherwise: str, number: Term, compound: Term) -> None:
     """Write the look-up of an argument of a compound term.
 
     Args:
@@ -279,9 +279,9 @@ def write_argument(scope: Scope, result: str, otherwise: str, number: Term, whol
         result: the local that receives the argument.
         otherwise: the built-in, which handles all other cases and raises the errors.
         number: position of the argument, from 1.
-        whole: the compound term.
+        compound: the compound term.
     """
-    position, term = scope.build(number), decoded_local(scope, whole)
+    position, term = scope.build(number), decoded_local(scope, compound)
     tests = [f"{term}.__class__ is tuple", f"0 < {position} < len({term})"]
     if deref(number).__class__ is not int:
         tests.insert(1, f"{position}.__class__ is int")
@@ -295,20 +295,20 @@ def write_argument(scope: Scope, result: str, otherwise: str, number: Term, whol
 
 def write_functor(scope: Scope, node: CallNode) -> None:
     """Write ``functor/3``: construction for a variable without a value, otherwise both modes."""
-    whole, name, arity = (deref(arg) for arg in node.args)
+    compound, name, arity = (deref(arg) for arg in node.args)
     functional = scope.unit.database.predicate(_NEW_TERM).functional
     assert functional is not None
     blank = scope.unit.constant(functional.function)
     if (
-        whole.__class__ is Var
-        and whole not in scope.names
-        and whole not in variables((node.key, name, arity))
+        compound.__class__ is Var
+        and compound not in scope.names
+        and compound not in variables((node.key, name, arity))
     ):
         new_term = scope.temp("p")
         scope.line(f"{new_term} = {blank}({scope.build(name)}, {scope.build(arity)})")
-        match(scope, new_term, whole)
+        match(scope, new_term, compound)
     else:
-        term, name_local, arity_local = decoded_local(scope, whole), scope.temp("p"), scope.temp("p")
+        term, name_local, arity_local = decoded_local(scope, compound), scope.temp("p"), scope.temp("p")
         # An unbound variable is bound to a new term first; then name and arity are read in either case.
         scope.line(f"if {term}.__class__ is Var:")
         scope.line(

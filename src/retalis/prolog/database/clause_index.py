@@ -150,42 +150,42 @@ class Index:
         if key is None:
             self.others.append(clause)
             return
-        own = self.own.setdefault(key, [])
+        key_clauses = self.own.setdefault(key, [])
         # For each clause with a key, the number of clauses with a variable before it: enough to merge both lists in
         # the order of the program, and nothing is stored as long as there are no variables.
         if self.others:
             counts_before = self._before.get(key)
             if counts_before is None:
-                counts_before = self._before[key] = [0] * len(own)
+                counts_before = self._before[key] = [0] * len(key_clauses)
             counts_before.append(len(self.others))
-        own.append(clause)
+        key_clauses.append(clause)
 
     def merged(self, key: object) -> List[Clause]:
         """Return all clauses that may match a key, in order. Call it only if there are `others`.
 
         The list is never shortened, so a choice point may keep a position in it.
         """
-        own, others = self.own.get(key), self.others
-        if own is None:
+        key_clauses, others = self.own.get(key), self.others
+        if key_clauses is None:
             return others
         clauses, own_count, others_count = self._merged.get(key) or ([], 0, 0)
-        if own_count == len(own) and others_count == len(others):
+        if own_count == len(key_clauses) and others_count == len(others):
             return clauses
         # The merged list is extended by the clauses that were added since the last look-up.
         counts_before = self._before.get(key, ())
         self._copies += len(others) - others_count
-        for position in range(own_count, len(own)):
+        for position in range(own_count, len(key_clauses)):
             others_before = counts_before[position] if position < len(counts_before) else 0
             if others_before > others_count:
                 clauses += others[others_count:others_before]
                 others_count = others_before
-            clauses.append(own[position])
+            clauses.append(key_clauses[position])
         clauses += others[others_count:]
         # The lists are dropped and not shortened, because running calls hold them.
         if self._copies > _MAX_MERGED_COPIES:
             self._merged.clear()
             self._copies = len(others)
-        self._merged[key] = clauses, len(own), len(others)
+        self._merged[key] = clauses, len(key_clauses), len(others)
         return clauses
 
     def __len__(self) -> int:
@@ -284,7 +284,7 @@ class Indexes:
 
 def indexed_step(
     position: int,
-    own: Dict[object, List[Clause]],
+    clauses_by_key: Dict[object, List[Clause]],
     choices: List[Frame],
     search: Callable[..., Optional[Frame]],
     otherwise: Step,
@@ -296,7 +296,7 @@ def indexed_step(
 
     Args:
         position: position of the indexed argument, from 0; no clause has a variable there.
-        own: the clauses by the key of that argument.
+        clauses_by_key: the clauses by the key of that argument.
         choices: the choice point stack of the machine.
         search: finds a ground fact; see `fact_search`.
         otherwise: step for calls that leave several clauses, or one that has not been compiled yet.
@@ -313,7 +313,7 @@ def indexed_step(
                 return otherwise(frame)
             arg = ref
             arg_class = ref.__class__
-        candidates = own.get(
+        candidates = clauses_by_key.get(
             arg if arg_class is Atom or arg_class is int else arg[0] if arg_class is tuple else key_of(arg)
         )
         if candidates is None:

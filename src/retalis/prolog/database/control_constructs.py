@@ -7,8 +7,8 @@ exception.
 
 Rarely called bodies are interpreted, but a body that is called once may run its goals a million times by
 backtracking. `JustInTimeBodies` finds those by sampling: the machine reports the goal that it is about to interpret
-once per slice of steps (`Machine.meet`). A body that is reported twice is compiled, with its variables as arguments,
-and the compiled code runs from then on.
+once per slice of steps (`Machine.note_interpreted`). A body that is reported twice is compiled, with its variables
+as arguments, and the compiled code runs from then on.
 """
 
 from typing import Any, Callable, Dict, List, Optional, Set, Tuple
@@ -73,7 +73,7 @@ class JustInTimeBodies:
         self._reported.clear()
         self._refused.clear()
 
-    def meet(self, body: Term) -> None:
+    def note_interpreted(self, body: Term) -> None:
         """Record that a body is about to be interpreted, and compile it if that was recorded before."""
         if body.__class__ is not tuple or self._database.interprets:
             return
@@ -202,20 +202,20 @@ class Control:
         }
         self.bodies = JustInTimeBodies(database)
         self._compiled = self.bodies.compiled
-        database.machine.meet = self.bodies.meet
+        database.machine.note_interpreted = self.bodies.note_interpreted
         database.machine.budget.on_new = database.on_forget = self.bodies.clear
         database.interpret = self.code
         database.solve = self.solve
 
     def solve(  # noqa: C901 -- runs every interpreted goal; calls of helpers would slow it
-        self, goal: Any, height: int, after: Frame
+        self, goal: Any, height: int, continuation: Frame
     ) -> Optional[Frame]:
-        """Return the frame that runs a goal and then ``after``; None if the goal fails at once.
+        """Return the frame that runs a goal and then ``continuation``; None if the goal fails at once.
 
         Args:
             goal: the goal.
             height: height of the choice point stack that cuts in the goal restore.
-            after: the next frame.
+            continuation: the next frame.
         """
         while True:
             goal_class = goal.__class__
@@ -226,42 +226,42 @@ class Control:
                 key = goal[0]
                 # The first goal continues in this loop; only the second one needs a frame.
                 if key is COMMA:
-                    after = (self.code, goal[2], height, after)
+                    continuation = (self.code, goal[2], height, continuation)
                     goal = goal[1]
                     continue
                 construct = self._constructs.get(key)
                 if construct is not None:
-                    return construct(goal, height, after)
+                    return construct(goal, height, continuation)
                 if key is _COLON:
                     goal = self._database.modules.goal(goal)
                     continue
-                return (self._database.predicate(key), *goal[1:], after)
+                return (self._database.predicate(key), *goal[1:], continuation)
             if goal_class is Atom:
                 if goal is TRUE:
-                    return after
+                    return continuation
                 key = goal.functor
                 if key is _CUT:
                     del self._choices[height:]
-                    return after
+                    return continuation
                 if key is _FAIL or goal is FALSE:
                     return None
-                return (self._database.predicate(key), after)
+                return (self._database.predicate(key), continuation)
             if goal_class is Var:
                 raise instantiation_error()
             raise type_error("callable", goal)
 
-    def call(self, goal: Term, after: Frame) -> Optional[Frame]:
+    def call(self, goal: Term, continuation: Frame) -> Optional[Frame]:
         """Return the frame of ``call/1``, in which cuts are local to the goal."""
         if goal.__class__ is not tuple:
             goal = deref(goal)
         if goal.__class__ is tuple and goal[0] in STRUCTURES:
             goal = check_body(goal)
-        return self.solve(goal, len(self._choices), after)
+        return self.solve(goal, len(self._choices), continuation)
 
-    def once(self, goal: Term, after: Frame) -> Optional[Frame]:
+    def once(self, goal: Term, continuation: Frame) -> Optional[Frame]:
         """Return the frame that runs a goal for its first solution."""
         height = len(self._choices)
-        return self.call(goal, (self._cut_code, height, after))
+        return self.call(goal, (self._cut_code, height, continuation))
 
     def _run(self, frame: Frame) -> Optional[Frame]:
         # Most programs have no such body: the test of the empty dictionary is all that they pay.
@@ -277,33 +277,33 @@ class Control:
 
     # Control constructs
 
-    def _solve_disjunction(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_disjunction(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
         first = deref(goal[1])
         if first.__class__ is tuple and first[0] is ARROW:
-            return self._solve_condition(first[1], first[2], goal[2], height, after)
+            return self._solve_condition(first[1], first[2], goal[2], height, continuation)
         if first.__class__ is tuple and first[0] is SOFT_ARROW:
             base = len(self._choices)
-            self._choices.append((self.code, goal[2], height, after, len(self._trail)))
+            self._choices.append((self.code, goal[2], height, continuation, len(self._trail)))
             # The first solution of the test disables the else branch; the choice points of the test stay.
-            then = (self._soft_code, base, (self.code, first[2], height, after))
+            then = (self._soft_code, base, (self.code, first[2], height, continuation))
             return self.solve(first[1], base + 1, then)
-        self._choices.append((self.code, goal[2], height, after, len(self._trail)))
-        return self.solve(first, height, after)
+        self._choices.append((self.code, goal[2], height, continuation, len(self._trail)))
+        return self.solve(first, height, continuation)
 
     def _solve_condition(
-        self, test: Term, then: Term, otherwise: Term, height: int, after: Frame
+        self, test: Term, then: Term, otherwise: Term, height: int, continuation: Frame
     ) -> Optional[Frame]:
         base = len(self._choices)
-        self._choices.append((self.code, otherwise, height, after, len(self._trail)))
-        return self.solve(test, base + 1, (self._cut_code, base, (self.code, then, height, after)))
+        self._choices.append((self.code, otherwise, height, continuation, len(self._trail)))
+        return self.solve(test, base + 1, (self._cut_code, base, (self.code, then, height, continuation)))
 
-    def _solve_if_then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_if_then(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
         # Without an else branch no choice point is needed: if the test fails, the goal fails.
         base = len(self._choices)
-        return self.solve(goal[1], base, (self._cut_code, base, (self.code, goal[2], height, after)))
+        return self.solve(goal[1], base, (self._cut_code, base, (self.code, goal[2], height, continuation)))
 
-    def _solve_soft_if_then(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
-        return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, after))
+    def _solve_soft_if_then(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
+        return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, continuation))
 
     def _soft_run(self, frame: Frame) -> Frame:
         # Replaced by an entry that fails, because entries above it cannot move.
@@ -311,39 +311,39 @@ class Control:
         self._choices[base] = (DEAD, self._choices[base][-1])
         return frame[2]  # type: ignore[no-any-return]
 
-    def _solve_negation(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_negation(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
         # If the goal fails, its failure resumes ``after``; if it succeeds, the rejection removes that choice point.
         base = len(self._choices)
-        self._choices.append((RESUME, after, len(self._trail)))
-        return self.solve(goal[1], base + 1, (self._reject_code, base, after))
+        self._choices.append((RESUME, continuation, len(self._trail)))
+        return self.solve(goal[1], base + 1, (self._reject_code, base, continuation))
 
     def _reject_run(self, frame: Frame) -> None:
         del self._choices[frame[1] :]
 
-    def _solve_once(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
-        return self.once(goal[1], after)
+    def _solve_once(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
+        return self.once(goal[1], continuation)
 
-    def _solve_ignore(self, goal: CompoundTerm, height: int, after: Frame) -> Optional[Frame]:
+    def _solve_ignore(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
         predicate = self._database.predicate(IGNORE)
         if not predicate.library:
-            return (predicate, goal[1], after)
+            return (predicate, goal[1], continuation)
         base = len(self._choices)
-        self._choices.append((RESUME, after, len(self._trail)))
-        return self.call(goal[1], (self._cut_code, base, after))
+        self._choices.append((RESUME, continuation, len(self._trail)))
+        return self.call(goal[1], (self._cut_code, base, continuation))
 
     # Exceptions
 
-    def catch(self, goal: Term, catcher: Term, recovery: Term, after: Frame) -> Optional[Frame]:
+    def catch(self, goal: Term, catcher: Term, recovery: Term, continuation: Frame) -> Optional[Frame]:
         """Return the frame of ``catch/3``."""
         mark = CatchMark()
         base = len(self._choices)
-        recover = (self._database.predicate(CALL), recovery, after)
+        recover = (self._database.predicate(CALL), recovery, continuation)
         self._choices.append((self.machine.catch_code, mark, catcher, recover, len(self._trail)))
-        return (self._database.predicate(CALL), goal, (self._exit_code, mark, base, after))
+        return (self._database.predicate(CALL), goal, (self._exit_code, mark, base, continuation))
 
     def _exit_run(self, frame: Frame) -> Frame:
-        after: Frame
-        _, mark, base, after = frame
+        continuation: Frame
+        _, mark, base, continuation = frame
         if len(self._choices) == base + 1:
             self._choices.pop()  # the goal left no choice points
         else:
@@ -351,7 +351,7 @@ class Control:
             # backtracking into the goal resets it, which activates the catch again.
             mark.ref = True
             self._trail.append(mark)
-        return after
+        return continuation
 
     # Collecting solutions
 
@@ -374,10 +374,10 @@ class Control:
     def _collect_run(frame: Frame) -> None:
         frame[1].append(copy(frame[2]))
 
-    def forall(self, condition: Term, action: Term, after: Frame) -> Optional[Frame]:
+    def forall(self, condition: Term, action: Term, continuation: Frame) -> Optional[Frame]:
         """Return the frame of ``forall/2``."""
         goal = (NOT, (COMMA, (CALL, condition), (NOT, (CALL, action))))
-        return self.solve(goal, 0, after)
+        return self.solve(goal, 0, continuation)
 
 
 def check_body(goal: Term) -> Term:
@@ -443,8 +443,10 @@ def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) 
     closure_class = closure.__class__
     if closure_class is tuple:
         if closure[0] is _COLON:
-            inner = deref(closure[2]) if modules is None else modules.qualified_closure(closure, len(extra))
-            return add_arguments(inner, extra, modules)
+            plain_closure = (
+                deref(closure[2]) if modules is None else modules.qualified_closure(closure, len(extra))
+            )
+            return add_arguments(plain_closure, extra, modules)
         return (functor(closure[0].name, len(closure) - 1 + len(extra)), *closure[1:], *extra)
     if closure_class is Atom:
         return (functor(closure.name, len(extra)), *extra)
@@ -468,30 +470,30 @@ def thrown(ball: Term) -> PrologError:
 def control_predicates(control: Control) -> Dict[Tuple[str, int], ControlFunction]:
     """Return the control built-ins, functions ``(machine, args, next) -> frame``, by name and arity."""
 
-    def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    def call(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         if len(args) == 1:
-            return control.call(args[0], after)
-        return control.call(add_arguments(args[0], args[1:], machine.logic.database.modules), after)
+            return control.call(args[0], continuation)
+        return control.call(add_arguments(args[0], args[1:], machine.logic.database.modules), continuation)
 
-    def catch(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-        return control.catch(args[0], args[1], args[2], after)
+    def catch(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+        return control.catch(args[0], args[1], args[2], continuation)
 
-    def throw(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    def throw(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         raise thrown(args[0])
 
-    def findall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+    def findall(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         template, goal, result = args[0], args[1], args[2]
         tail = args[3] if len(args) == 4 else NIL
         if machine.logic.flags["iso"] is TRUE:
             check_partial_list(result)
 
         def then(solutions: List[Term]) -> Optional[Frame]:
-            return after if machine.unify(result, make_list(solutions, tail)) else None
+            return continuation if machine.unify(result, make_list(solutions, tail)) else None
 
         return control.collect(goal, template, then)
 
-    def forall(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-        return control.forall(args[0], args[1], after)
+    def forall(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+        return control.forall(args[0], args[1], continuation)
 
     predicates: Dict[Tuple[str, int], ControlFunction] = {("call", arity): call for arity in range(1, 9)}
     predicates.update(
@@ -504,19 +506,19 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], ControlFunctio
 
 
 def _construct(control: Control, key: Functor) -> ControlFunction:
-    def run(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-        return control.call((key, *args), after)
+    def run(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+        return control.call((key, *args), continuation)
 
     return run
 
 
 def _repeat(machine: Machine) -> ControlFunction:
-    def repeat(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
-        machine.choices.append((again, args, after, len(machine.trail)))
-        return after
+    def repeat(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+        machine.choices.append((retry_code, args, continuation, len(machine.trail)))
+        return continuation
 
-    again = Code("repeat", lambda frame: repeat(machine, frame[1], frame[2]))
-    again.functor = functor("repeat", 0)
+    retry_code = Code("repeat", lambda frame: repeat(machine, frame[1], frame[2]))
+    retry_code.functor = functor("repeat", 0)
     return repeat
 
 

@@ -5,8 +5,8 @@ own; the clauses of the library keep calling theirs, which `Library` resolves. P
 may be redefined in files but not by asserting a clause, which is most likely an accident.
 
 A call of an unknown functor creates an undefined predicate. Programs that construct functors could create them
-without limit, so undefined predicates are moved to a weak dictionary from time to time (`put_aside`) and live only as
-long as a frame or a clause refers to them.
+without limit, so undefined predicates are moved to a weak dictionary from time to time (`move_undefined`) and live
+only as long as a frame or a clause refers to them.
 """
 
 from typing import Any, Callable, Dict, Iterable, Optional, Set
@@ -82,7 +82,7 @@ class Database:
         self.predicates: Dict[Functor, Predicate] = {}
         self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
         """Undefined predicates that live only as long as something refers to them."""
-        self._put_aside_at = _MAX_SPARE_PREDICATES
+        self._undefined_limit = _MAX_SPARE_PREDICATES
         self.modules = Modules()
         self.modules.is_defined = self._exists
         self.modules.on_change = self.forget
@@ -90,7 +90,7 @@ class Database:
         self.goals: WeakSet[Any] = WeakSet()
         """Goals that have been compiled for Python code."""
         self.interpret: Optional[Code] = None
-        self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, after: None
+        self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, continuation: None
         self.on_forget: Callable[[], None] = lambda: None
         self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
 
@@ -98,8 +98,8 @@ class Database:
         """Return the predicate of a functor, creating an undefined one if there is none."""
         predicate = self.predicates.get(key)
         if predicate is None:
-            if len(self.predicates) >= self._put_aside_at:
-                self.put_aside()
+            if len(self.predicates) >= self._undefined_limit:
+                self.move_undefined()
             # A frame may still refer to the predicate that was put aside; a second one of the name would split its
             # calls.
             predicate = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
@@ -109,19 +109,19 @@ class Database:
         predicate = self.predicates.get(key)
         return predicate is not None and not predicate.is_blank
 
-    def put_aside(self) -> None:
+    def move_undefined(self) -> None:
         """Move undefined predicates to the weak dictionary."""
         for key, predicate in list(self.predicates.items()):
             if predicate.is_blank:
                 self._unused[key] = self.predicates.pop(key)
-        self._put_aside_at = 2 * len(self.predicates) + _MAX_SPARE_PREDICATES
+        self._undefined_limit = 2 * len(self.predicates) + _MAX_SPARE_PREDICATES
 
     def compile_named(self, terms: Iterable[Term]) -> None:
         """Compile the program's predicates that occur in terms, and those that their clauses refer to.
 
         They would be compiled after enough calls; predicates that events lead to are ready for the first event.
         """
-        seen: Set[Functor] = set()
+        visited: Set[Functor] = set()
         stack = list(terms)
         while stack:
             term = deref(stack.pop())
@@ -129,8 +129,8 @@ class Database:
                 continue
             stack += term[1:]
             predicate = self.predicates.get(term[0])
-            if predicate is not None and predicate.is_fixed and term[0] not in seen:
-                seen.add(term[0])
+            if predicate is not None and predicate.is_fixed and term[0] not in visited:
+                visited.add(term[0])
                 predicate.prepare()
                 stack += [clause.body for clause in predicate.live()]
 
@@ -146,20 +146,22 @@ class Database:
         predicate = self.predicates.get(key)
         return predicate is not None and predicate.kind == "builtin"
 
-    def define(self, key: Functor, function: Optional[Callable[..., Any]], run: Step, kind: str) -> Predicate:
+    def define(
+        self, key: Functor, function: Optional[Callable[..., Any]], run: Step, predicate_kind: str
+    ) -> Predicate:
         """Define a predicate in Python, replacing any earlier definition.
 
         Args:
             key: functor of the predicate.
             function: Python function that compiled clauses call inline, or None.
             run: step that runs a call.
-            kind: "builtin" (deterministic) or "control".
+            predicate_kind: "builtin" (deterministic) or "control".
         """
         predicate = self.predicate(key)
         # Compiled clauses contain inline calls of the former definition.
         if predicate.kind != "undefined":
             self.forget()
-        predicate.kind = kind
+        predicate.kind = predicate_kind
         predicate.function = function
         predicate.functional = None
         predicate.bound_form = None
@@ -194,7 +196,7 @@ class Database:
         if locked or key in FIXED:
             raise permission_error(action, "static_procedure", indicator(key))
 
-    def give_back(self, predicate: Predicate) -> None:
+    def restore_library(self, predicate: Predicate) -> None:
         """Replace the program's own version of a predicate by the library's."""
         key = predicate.functor
         if self.predicates.get(key) is not predicate:
@@ -202,13 +204,13 @@ class Database:
             self.library.kept.pop(key, None)
             self.forget()
 
-    def take_back(self, own: Predicate) -> None:
-        """Undo `give_back`: replace the library's version of a predicate by the program's own."""
-        key = own.functor
+    def restore_program(self, program_predicate: Predicate) -> None:
+        """Undo `restore_library`: replace the library's version of a predicate by the program's own."""
+        key = program_predicate.functor
         current = self.predicates.get(key)
         if current is not None and current.library:
             self.library.kept[key] = current
-            self.predicates[key] = own
+            self.predicates[key] = program_predicate
             self.forget()
 
     def writable(self, key: Functor, action: str, asserted: bool = False) -> Predicate:
@@ -223,9 +225,9 @@ class Database:
             return predicate if predicate.tabled is None else predicate.tabled
         # Code compiled so far calls the library's version, hence the `forget` afterwards.
         self.library.kept[key] = predicate
-        own = self.predicates[key] = Predicate(self, key)
+        program_predicate = self.predicates[key] = Predicate(self, key)
         self.forget()
-        return own
+        return program_predicate
 
 
 class Library:
@@ -267,8 +269,8 @@ class Library:
     def predicate(self, key: Functor) -> Predicate:
         """Return the library's version of a predicate, else the program's."""
         # Compared with None: a predicate without clauses, such as one in Python, has length 0 and is false.
-        kept = self.kept.get(key)
-        return self._database.predicate(key) if kept is None else kept
+        library_predicate = self.kept.get(key)
+        return self._database.predicate(key) if library_predicate is None else library_predicate
 
     def is_inline(self, key: Functor) -> bool:
         """Return whether the library's predicate is a deterministic built-in."""

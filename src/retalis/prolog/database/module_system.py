@@ -169,16 +169,16 @@ class ModuleNames:
             may_be_module: whether the file may declare a module, and belongs to the module of the file that loads it
                 otherwise. False for files of event rules, whose goals belong to no module.
         """
-        outer = self.loading
+        outer_module = self.loading
         if not may_be_module:
             self.loading = None
         self._files.append(may_be_module)
         depth = len(self._files)
         try:
             yield
-            self.last = "" if self.loading is None or self.loading is outer else self.loading.name
+            self.last = "" if self.loading is None or self.loading is outer_module else self.loading.name
         finally:
-            self.loading = outer
+            self.loading = outer_module
             # An exception may have left entries of files that this one was loading.
             del self._files[depth - 1 :]
 
@@ -209,7 +209,7 @@ class ModuleNames:
             self.on_change()
         return True
 
-    def bring_in(self, name: str) -> None:
+    def import_exports(self, name: str) -> None:
         """Import the exports of a module into the module of the file that is being loaded."""
         module = self.table.get(name)
         if module is not None and self.loading is not None and module is not self.loading:
@@ -220,15 +220,17 @@ class ModuleNames:
 
     def _exported_elsewhere(self, module: Module) -> Set[Functor]:
         """Return the plain names that other modules export."""
-        other_modules = (other for other in self.table.values() if other is not module)
-        return {key for other in other_modules for key in other.exports - other.hidden}
+        other_modules = (other_module for other_module in self.table.values() if other_module is not module)
+        return {key for other_module in other_modules for key in other_module.exports - other_module.hidden}
 
     def _warn_of_clash(self, module: Module, key: Functor, importer: str, current: Functor) -> None:
         exporter = next(
             (
-                other.name
-                for other in self.table.values()
-                if other is not module and key in other.exports and self.own(other, key) is current
+                other_module.name
+                for other_module in self.table.values()
+                if other_module is not module
+                and key in other_module.exports
+                and self.own(other_module, key) is current
             ),
             "user",
         )
@@ -277,8 +279,10 @@ class ModuleNames:
 
     def assertion_target(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate to which a module asserts clauses: its own, or an imported one."""
-        own = self.own(module, key)
-        return module.imports[key] if key in module.imports and not self.is_defined(own) else own
+        own_functor = self.own(module, key)
+        return (
+            module.imports[key] if key in module.imports and not self.is_defined(own_functor) else own_functor
+        )
 
     def resolve(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate that a name refers to in a module."""
@@ -294,13 +298,13 @@ class ModuleNames:
     def restore(self, table: Dict[str, ModuleData]) -> None:
         """Add the modules that `to_data` returned."""
         # Older states lack the names of imported predicates, which were the plain ones then.
-        for name, (exports, imports, own, *import_names) in table.items():
+        for name, (exports, imports, own_names, *import_names) in table.items():
             module = self.table.setdefault(name, Module(name))
             module.exports.update(exports)
             module.hidden = module.exports & self._exported_elsewhere(module)
             names = import_names[0] if import_names else [key.name for key in imports]
             module.imports.update({key: functor(plain, key.arity) for key, plain in zip(imports, names)})
-            self._plain.update({f"{name}:{plain}": plain for plain in own})
+            self._plain.update({f"{name}:{plain}": plain for plain in own_names})
 
     def to_data(self) -> Dict[str, ModuleData]:
         """Return all modules as plain data, for `restore`."""
@@ -308,7 +312,11 @@ class ModuleNames:
             name: (
                 sorted(module.exports, key=str),
                 sorted(module.imports, key=str),
-                sorted(plain for whole, plain in self._plain.items() if whole == f"{name}:{plain}"),
+                sorted(
+                    plain
+                    for qualified_name, plain in self._plain.items()
+                    if qualified_name == f"{name}:{plain}"
+                ),
                 [module.imports[key].name for key in sorted(module.imports, key=str)],
             )
             for name, module in self.table.items()
@@ -348,122 +356,153 @@ class Modules(ModuleNames):
             if deref(goal[1]).__class__ is Var:
                 raise instantiation_error()
             return deref(goal[2])
-        inner = deref(goal[2])
-        if inner.__class__ is Var:
+        plain_goal = deref(goal[2])
+        if plain_goal.__class__ is Var:
             raise instantiation_error()
-        if inner.__class__ is not tuple and inner.__class__ is not Atom:
-            raise type_error("callable", inner)
-        return self.body(module, inner)
+        if plain_goal.__class__ is not tuple and plain_goal.__class__ is not Atom:
+            raise type_error("callable", plain_goal)
+        return self.body(module, plain_goal)
 
-    def hatted(self, goal: CompoundTerm) -> Term:
+    def quantified_goal(self, goal: CompoundTerm) -> Term:
         """Return the goal that ``Module:Goal`` calls if ``Variable^`` may precede the goal."""
-        module, inner = self.named(goal[1]), deref(goal[2])
+        module, plain_goal = self.named(goal[1]), deref(goal[2])
         return (
-            inner
-            if module is None or inner.__class__ is Var
-            else self._resolved_argument(module, "^", inner, _NO_VARIABLES)
+            plain_goal
+            if module is None or plain_goal.__class__ is Var
+            else self._resolved_argument(module, "^", plain_goal, _NO_VARIABLES)
         )
 
-    def qualified_closure(self, goal: CompoundTerm, more: int) -> Term:
-        """Return the closure that ``Module:Closure`` refers to if ``more`` arguments are added to it."""
+    def qualified_closure(self, goal: CompoundTerm, extra_count: int) -> Term:
+        """Return the closure that ``Module:Closure`` refers to if ``extra_count`` arguments are added to it."""
         module = self.named(goal[1])
-        inner = deref(goal[2])
-        return inner if module is None or inner.__class__ is Var else self.closure(module, inner, more)
+        plain_closure = deref(goal[2])
+        return (
+            plain_closure
+            if module is None or plain_closure.__class__ is Var
+            else self.closure(module, plain_closure, extra_count)
+        )
 
-    def body(self, module: Module, goal: Term, held: FrozenSet[Var] = _NO_VARIABLES) -> Term:
+    def body(self, module: Module, goal: Term, module_variables: FrozenSet[Var] = _NO_VARIABLES) -> Term:
         """Return a goal of a module with all names resolved, so that it has the same meaning anywhere.
 
         Args:
             module: module in which the goal was written.
             goal: the goal.
-            held: variables whose values carry their modules already.
+            module_variables: variables whose values carry their modules already.
         """
         # Iterates along conjunctions, which may be longer than the recursion limit allows.
         chain: List[Tuple[Functor, Term]] = []
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] in _CHAINS:
-            chain.append((goal[0], self.body(module, goal[1], held)))
+            chain.append((goal[0], self.body(module, goal[1], module_variables)))
             goal = deref(goal[2])
-        resolved = self._resolved_goal(module, goal, held)
+        resolved = self._resolved_goal(module, goal, module_variables)
         for key, conjunct in reversed(chain):
             resolved = (key, conjunct, resolved)
         return resolved
 
-    def _resolved_goal(self, module: Module, goal: Term, held: FrozenSet[Var]) -> Term:
+    def _resolved_goal(self, module: Module, goal: Term, module_variables: FrozenSet[Var]) -> Term:
         # The goal is known only at run time, so the module travels with it.
         if goal.__class__ is Var:
-            return goal if goal in held else (COLON, module.mark, goal)
+            return goal if goal in module_variables else (COLON, module.mark, goal)
         if goal.__class__ is Atom:
             key = self.resolve(module, goal.functor)
             return goal if key is goal.functor else atom(key.name)
         if goal.__class__ is not tuple:
             return goal
         if goal[0] is COLON:
-            other = self.named(goal[1])
-            return goal if other is None else self.body(other, goal[2], held)
+            named_module = self.named(goal[1])
+            return goal if named_module is None else self.body(named_module, goal[2], module_variables)
         key = self.resolve(module, goal[0])
-        return (key, *self._resolved_arguments(module, key, goal[1:], held))
+        return (key, *self._resolved_arguments(module, key, goal[1:], module_variables))
 
     def _resolved_arguments(
-        self, module: Module, key: Functor, args: Tuple[Term, ...], held: FrozenSet[Var]
+        self, module: Module, key: Functor, args: Tuple[Term, ...], module_variables: FrozenSet[Var]
     ) -> Sequence[Term]:
         kinds = self.kinds(key)
         if kinds is None:
             return args
-        return [self._resolved_argument(module, kind, arg, held) for kind, arg in zip(kinds, args)]
+        return [
+            self._resolved_argument(module, argument_kind, arg, module_variables)
+            for argument_kind, arg in zip(kinds, args)
+        ]
 
-    def _resolved_argument(self, module: Module, kind: ArgumentKind, arg: Term, held: FrozenSet[Var]) -> Term:
-        if kind is PLAIN or kind == PLAIN:
+    def _resolved_argument(
+        self, module: Module, argument_kind: ArgumentKind, arg: Term, module_variables: FrozenSet[Var]
+    ) -> Term:
+        if argument_kind is PLAIN or argument_kind == PLAIN:
             return arg
-        if isinstance(kind, int):
-            return self.closure(module, arg, kind, held) if kind else self.body(module, arg, held)
+        if isinstance(argument_kind, int):
+            return (
+                self.closure(module, arg, argument_kind, module_variables)
+                if argument_kind
+                else self.body(module, arg, module_variables)
+            )
         arg = deref(arg)
-        if kind == "names" or kind == "named":
-            return self.indicators(module, arg, self.own if kind == "names" else self.resolve)
+        if argument_kind == "names" or argument_kind == "named":
+            return self.indicators(module, arg, self.own if argument_kind == "names" else self.resolve)
         if arg.__class__ is Var:
-            return arg if arg in held else (COLON, module.mark, arg)
-        if kind == "^":
+            return arg if arg in module_variables else (COLON, module.mark, arg)
+        if argument_kind == "^":
             if arg.__class__ is tuple and arg[0] is _HAT:
-                return (_HAT, arg[1], self._resolved_argument(module, kind, arg[2], held))
-            return self.body(module, arg, held)
-        if kind == "clause":
-            return self.clause(module, arg, held, self.assertion_target)
-        if kind == "match":
+                return (
+                    _HAT,
+                    arg[1],
+                    self._resolved_argument(module, argument_kind, arg[2], module_variables),
+                )
+            return self.body(module, arg, module_variables)
+        if argument_kind == "clause":
+            return self.clause(module, arg, module_variables, self.assertion_target)
+        if argument_kind == "match":
             return self._searched_clause(module, arg)
-        if kind == "head":
+        if argument_kind == "head":
             return self._resolved_head(module, arg, self.resolve)
         return arg if arg.__class__ is tuple and arg[0] is COLON else (COLON, module.mark, arg)
 
-    def closure(self, module: Module, goal: Term, more: int, held: FrozenSet[Var] = _NO_VARIABLES) -> Term:
-        """Return a closure, to which ``more`` arguments are added, with all names resolved; see `body`."""
+    def closure(
+        self, module: Module, goal: Term, extra_count: int, module_variables: FrozenSet[Var] = _NO_VARIABLES
+    ) -> Term:
+        """Return a closure, to which ``extra_count`` arguments are added, with all names resolved; see `body`."""
         goal = deref(goal)
         if goal.__class__ is Var:
-            return goal if goal in held else (COLON, module.mark, goal)
+            return goal if goal in module_variables else (COLON, module.mark, goal)
         if goal.__class__ is Atom:
-            key = self.resolve(module, functor(goal.name, more))
+            key = self.resolve(module, functor(goal.name, extra_count))
             return goal if key.name == goal.name else atom(key.name)
         if goal.__class__ is not tuple:
             return goal
         if goal[0] is COLON:
-            other = self.named(goal[1])
-            return goal if other is None else self.closure(other, goal[2], more, held)
+            named_module = self.named(goal[1])
+            return (
+                goal
+                if named_module is None
+                else self.closure(named_module, goal[2], extra_count, module_variables)
+            )
         if goal[0] is _LAMBDA:
-            return self._resolved_lambda(module, goal, more, held)
-        inner: Term = deref(goal[-1])
-        if goal[0] is SLASH and inner.__class__ is tuple and inner[0] is _LAMBDA:
-            return (SLASH, goal[1], self.closure(module, inner, more, held))
+            return self._resolved_lambda(module, goal, extra_count, module_variables)
+        plain_closure: Term = deref(goal[-1])
+        if goal[0] is SLASH and plain_closure.__class__ is tuple and plain_closure[0] is _LAMBDA:
+            return (SLASH, goal[1], self.closure(module, plain_closure, extra_count, module_variables))
         # The name is resolved with the arity of the call, and the closure keeps its own arity.
-        whole = self.resolve(module, functor(goal[0].name, len(goal) - 1 + more))
-        key = goal[0] if whole.name == goal[0].name else functor(whole.name, len(goal) - 1)
-        return (key, *self._resolved_arguments(module, whole, goal[1:], held))
+        resolved_functor = self.resolve(module, functor(goal[0].name, len(goal) - 1 + extra_count))
+        key = (
+            goal[0]
+            if resolved_functor.name == goal[0].name
+            else functor(resolved_functor.name, len(goal) - 1)
+        )
+        return (key, *self._resolved_arguments(module, resolved_functor, goal[1:], module_variables))
 
-    def _resolved_lambda(self, module: Module, goal: CompoundTerm, more: int, held: FrozenSet[Var]) -> Term:
+    def _resolved_lambda(
+        self, module: Module, goal: CompoundTerm, extra_count: int, module_variables: FrozenSet[Var]
+    ) -> Term:
         parameters = deref(goal[1])
         if parameters.__class__ is tuple and parameters[0] is SLASH:
             parameters = deref(parameters[2])
-        missing = more - len(list_items(parameters) or ())
+        missing = extra_count - len(list_items(parameters) or ())
         body = (
-            self.closure(module, goal[2], missing, held) if missing > 0 else self.body(module, goal[2], held)
+            self.closure(module, goal[2], missing, module_variables)
+            if missing > 0
+            else self.body(module, goal[2], module_variables)
         )
         return (_LAMBDA, goal[1], body)
 
@@ -473,7 +512,7 @@ class Modules(ModuleNames):
         self,
         module: Module,
         term: Term,
-        held: FrozenSet[Var] = _NO_VARIABLES,
+        module_variables: FrozenSet[Var] = _NO_VARIABLES,
         name: Optional[Callable[[Module, Functor], Functor]] = None,
     ) -> Term:
         """Return a clause of a module with all names resolved.
@@ -481,7 +520,7 @@ class Modules(ModuleNames):
         Args:
             module: module in which the clause was written.
             term: the clause.
-            held: variables whose values carry their modules already; see `body`.
+            module_variables: variables whose values carry their modules already; see `body`.
             name: returns the functor of the clause's predicate; by default that of the module's own one (`own`).
         """
         name = name or self.own
@@ -493,19 +532,19 @@ class Modules(ModuleNames):
         if term[0] is _GRAMMAR:
             return (COLON, module.mark, term)
         if term[0] is COLON:
-            inner, named_module = deref(term[2]), self.named(term[1])
-            if named_module is not None and inner.__class__ is not Var:
-                return self.clause(named_module, inner, held, name)
+            plain_clause, named_module = deref(term[2]), self.named(term[1])
+            if named_module is not None and plain_clause.__class__ is not Var:
+                return self.clause(named_module, plain_clause, module_variables, name)
             return term
         head_term = deref(term[1])
         guard: Optional[Term] = None
         if term[0] is _SINGLE_SIDED and isinstance(head_term, tuple) and head_term[0] is COMMA:
             guard, head_term = head_term[2], deref(head_term[1])
         head = self._resolved_head(module, head_term, name)
-        held = held | self._goal_variables(head)
+        module_variables = module_variables | self._goal_variables(head)
         if guard is not None:
-            head = (COMMA, head, self.body(module, guard, held))
-        return (term[0], head, self.body(module, term[2], held))
+            head = (COMMA, head, self.body(module, guard, module_variables))
+        return (term[0], head, self.body(module, term[2], module_variables))
 
     def _goal_variables(self, head: Term) -> FrozenSet[Var]:
         """Return the variables of a head in arguments that are goals: callers pass these with their modules."""
@@ -523,11 +562,11 @@ class Modules(ModuleNames):
             return head
         if head[0] is not COLON:
             return (name(module, head[0]), *head[1:])
-        other = self.named(head[1])
-        inner = deref(head[2])
-        if other is None or inner.__class__ is Var:
-            return head if inner.__class__ is Var else inner
-        return self._resolved_head(other, inner, name)
+        named_module = self.named(head[1])
+        plain_head = deref(head[2])
+        if named_module is None or plain_head.__class__ is Var:
+            return head if plain_head.__class__ is Var else plain_head
+        return self._resolved_head(named_module, plain_head, name)
 
     def with_head_resolved(self, term: CompoundTerm) -> Term:
         """Return a clause outside of modules with a module in its head resolved."""
@@ -536,14 +575,14 @@ class Modules(ModuleNames):
             return (term[0], self._resolved_head(NO_MODULE, head, self.own), term[2])
         return term
 
-    def looked_for(self, term: Term) -> Term:
+    def searched_clause(self, term: Term) -> Term:
         """Return a clause or head that a goal searches, with a module before it resolved."""
         term = deref(term)
         while term.__class__ is tuple and term[0] is COLON:
-            module, inner = self.named(term[1]), deref(term[2])
-            if module is not None and (inner.__class__ is tuple or inner.__class__ is Atom):
-                inner = self._searched_clause(module, inner)
-            term = inner
+            module, plain_clause = self.named(term[1]), deref(term[2])
+            if module is not None and (plain_clause.__class__ is tuple or plain_clause.__class__ is Atom):
+                plain_clause = self._searched_clause(module, plain_clause)
+            term = plain_clause
         return term
 
     def names_of(self, term: Term) -> Term:
@@ -573,8 +612,8 @@ class Modules(ModuleNames):
             left = self.indicators(module, term[1], name)
             return (term[0], left, self.indicators(module, term[2], name))
         if term[0] is COLON:
-            other = self.named(term[1])
-            return deref(term[2]) if other is None else self.indicators(other, term[2], name)
+            named_module = self.named(term[1])
+            return deref(term[2]) if named_module is None else self.indicators(named_module, term[2], name)
         if term[0] is _AS:
             return (_AS, self.indicators(module, term[1], name), term[2])
         if term[0] is SLASH or term[0] is GRAMMAR_NAME:

@@ -337,48 +337,50 @@ class Predicate:
         self,
         frame: Frame,
         clauses: List[Clause],
-        at: int,
+        position: int,
         end: int,
         generation: int,
         keys: Optional[List[object]],
     ) -> Optional[Frame]:
-        """Try the clauses from ``at`` up to ``end``, pushing a choice point if another one may match.
+        """Try the clauses from ``position`` up to ``end``, pushing a choice point if another one may match.
 
         Args:
             frame: the call.
             clauses: candidates, including retracted ones.
-            at: position of the first clause to try.
+            position: position of the first clause to try.
             end: number of clauses when the call began; later ones are invisible to it.
             generation: generation when the call began; clauses retracted since then are visible to it.
             keys: first-level keys of the arguments; None if an index has compared all of them.
         """
         machine = self.database.machine
         trail = machine.trail
-        while at < end:
-            clause = clauses[at]
-            at += 1
+        while position < end:
+            clause = clauses[position]
+            position += 1
             if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):
                 continue
             # The next candidate is searched first: without one no choice point is pushed, and the call is
             # deterministic.
-            while at < end:
-                next_clause = clauses[at]
+            while position < end:
+                next_clause = clauses[position]
                 if next_clause.died > generation and (keys is None or may_match(keys, next_clause.keys)):
                     break
-                at += 1
+                position += 1
             height = len(machine.choices)
             mark = len(trail)
             # Facts need neither a frame for the body nor compilation. A static non-ground fact that is the last
             # candidate is treated as a rule instead, so that it gets compiled.
-            if clause.fact and (at < end or clause.ground or self.dynamic):
+            if clause.fact and (position < end or clause.ground or self.dynamic):
                 if match_head(frame, clause, {}, trail):
-                    if at < end:
-                        machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+                    if position < end:
+                        machine.choices.append(
+                            (self._retry, frame, clauses, position, end, generation, keys, mark)
+                        )
                     return frame[-1]  # type: ignore[no-any-return]
                 undo(trail, mark)
                 continue
-            if at < end:
-                machine.choices.append((self._retry, frame, clauses, at, end, generation, keys, mark))
+            if position < end:
+                machine.choices.append((self._retry, frame, clauses, position, end, generation, keys, mark))
             code = clause.code
             if code is None:
                 clause.uses += 1

@@ -116,9 +116,9 @@ class SplitInstant(_InstantNumber, float):
 
 def of_instant(instant: int) -> Union[int, float]:
     """Return an instant in ns as a number of seconds since the epoch that carries the instant."""
-    whole, rest = divmod(int(instant), SECOND)
+    seconds, rest = divmod(int(instant), SECOND)
     if not rest:
-        return WholeInstant(whole)
+        return WholeInstant(seconds)
     number = SplitInstant(timestamps.to_seconds(instant))
     number.instant = int(instant)
     return number
@@ -176,26 +176,26 @@ def measure(term: Any) -> Number:
     Raises:
         PrologError: instantiation, type or evaluation errors.
     """
-    kind = term.__class__
-    if kind is int or kind is float:
+    operand_class = term.__class__
+    if operand_class is int or operand_class is float:
         return term  # type: ignore[no-any-return]
-    if kind is Var:
+    if operand_class is Var:
         term = deref(term)
-        kind = term.__class__
-        if kind is int or kind is float:
+        operand_class = term.__class__
+        if operand_class is int or operand_class is float:
             return term  # type: ignore[no-any-return]
-    if kind is tuple and len(term) <= 3:
+    if operand_class is tuple and len(term) <= 3:
         function = EVALUABLE.get(term[0])
         if function is not None:
             # Most expressions are one operation on numbers, and need no stack. Nested ones fall through.
             left: Any = deref(term[1])
-            kind = left.__class__
-            if kind is int or kind is float:
+            operand_class = left.__class__
+            if operand_class is int or operand_class is float:
                 if len(term) == 2:
                     return function(left)
                 right: Any = deref(term[2])
-                kind = right.__class__
-                if kind is int or kind is float:
+                operand_class = right.__class__
+                if operand_class is int or operand_class is float:
                     return function(left, right)
     return _evaluate_deep(term)
 
@@ -219,10 +219,10 @@ def _evaluate_deep(term: Term) -> Number:
             values[-arity:] = [item.apply(*reversed(values[-arity:]))]
             continue
         item = deref(item)
-        kind = item.__class__
-        if kind is int or kind is float:
+        item_class = item.__class__
+        if item_class is int or item_class is float:
             values.append(item)
-        elif kind is tuple:
+        elif item_class is tuple:
             if item[0] is CONS:
                 values.append(_list_value(item))
                 continue
@@ -568,9 +568,9 @@ def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
 def round_half_away(value: float) -> int:
     """Return the nearest integer, with halves rounded away from zero."""
     # Python's `round` rounds halves to even, and `floor(x + 0.5)` is wrong for 0.49999999999999994.
-    whole = math.floor(abs(value))
-    whole += abs(value) - whole >= 0.5
-    return whole if value >= 0 else -whole
+    rounded = math.floor(abs(value))
+    rounded += abs(value) - rounded >= 0.5
+    return rounded if value >= 0 else -rounded
 
 
 EVALUABLE[functor("floor", 1)] = _rounded(math.floor)

@@ -82,8 +82,8 @@ def _context(context: Term) -> str:
     if context.__class__ is Var:
         return ""
     if context.__class__ is tuple and context[0] is CONTEXT:
-        where, message = deref(context[1]), deref(context[2])
-        text = "" if where.__class__ is Var else f" (in {_shown(where)})"
+        place, message = deref(context[1]), deref(context[2])
+        text = "" if place.__class__ is Var else f" (in {_shown(place)})"
         if message.__class__ is Atom:
             text += f": {beginning(message.name, MAX_MESSAGE_CHARACTERS)}"
         elif message.__class__ is String:
@@ -154,9 +154,9 @@ def instantiation_error() -> PrologError:
     return error(_INSTANTIATION_ERROR)
 
 
-def type_error(kind: str, culprit: Term) -> PrologError:
+def type_error(type_name: str, culprit: Term) -> PrologError:
     """Return the error for a term of the wrong type."""
-    return error((_TYPE_ERROR, atom(kind), culprit))
+    return error((_TYPE_ERROR, atom(type_name), culprit))
 
 
 def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
@@ -168,9 +168,9 @@ def _because(reason: Optional[str]) -> Optional[Term]:
     return None if reason is None else (CONTEXT, Var(), atom(reason))
 
 
-def existence_error(kind: str, culprit: Term, context: Optional[Term] = None) -> PrologError:
+def existence_error(object_type: str, culprit: Term, context: Optional[Term] = None) -> PrologError:
     """Return the error for an object that does not exist."""
-    return error((_EXISTENCE_ERROR, atom(kind), culprit), context)
+    return error((_EXISTENCE_ERROR, atom(object_type), culprit), context)
 
 
 def no_argument(number: int, term: Term) -> PrologError:
@@ -183,9 +183,11 @@ def no_matching_rule(module: str, goal: Term) -> PrologError:
     return existence_error("matching_rule", (_QUALIFIED, atom(module), goal))
 
 
-def permission_error(action: str, kind: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
+def permission_error(
+    action: str, object_type: str, culprit: Term, reason: Optional[str] = None
+) -> PrologError:
     """Return the error for an operation that is not allowed."""
-    return error((_PERMISSION_ERROR, atom(action), atom(kind), culprit), _because(reason))
+    return error((_PERMISSION_ERROR, atom(action), atom(object_type), culprit), _because(reason))
 
 
 def representation_error(limit: str, reason: Optional[str] = None) -> PrologError:
@@ -193,19 +195,21 @@ def representation_error(limit: str, reason: Optional[str] = None) -> PrologErro
     return error((_REPRESENTATION_ERROR, atom(limit)), _because(reason))
 
 
-def evaluation_error(what: str) -> PrologError:
+def evaluation_error(reason: str) -> PrologError:
     """Return the error for an arithmetic function without a result."""
-    return error((_EVALUATION_ERROR, atom(what)))
+    return error((_EVALUATION_ERROR, atom(reason)))
 
 
-def resource_error(what: str, context: Optional[Term] = None, reason: Optional[str] = None) -> PrologError:
+def resource_error(
+    resource: str, context: Optional[Term] = None, reason: Optional[str] = None
+) -> PrologError:
     """Return the error for a limit that has been reached."""
-    return error((_RESOURCE_ERROR, atom(what)), _because(reason) if context is None else context)
+    return error((_RESOURCE_ERROR, atom(resource)), _because(reason) if context is None else context)
 
 
-def syntax_error(what: str) -> PrologError:
+def syntax_error(message: str) -> PrologError:
     """Return the error for invalid syntax."""
-    return error((_SYNTAX_ERROR, atom(what)))
+    return error((_SYNTAX_ERROR, atom(message)))
 
 
 def system_error(message: str) -> PrologError:

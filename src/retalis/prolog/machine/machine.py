@@ -174,8 +174,8 @@ class Machine:
         choices: choice points; the list object never changes.
         done: the frame that ends a run, the continuation of the first frame of each `run`.
         goal_code: the code that runs a goal from its term, the first argument of its frame.
-        meet: called with the goal that is about to run, at most once in a slice of steps, to find goals worth
-            compiling.
+        note_interpreted: called with the goal that is about to run, at most once in a slice of steps, to find goals
+            worth compiling.
         budget: resource limits of goals, and their use.
         logic: the program that it runs.
         idle: lengths of choices and trail while no goal runs; see `recovery`.
@@ -194,7 +194,7 @@ class Machine:
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", fail, True)
         self.goal_code: Optional[Code] = None
-        self.meet: Callable[[Term], None] = lambda goal: None
+        self.note_interpreted: Callable[[Term], None] = lambda goal: None
         self.logic: PrologSystem = None  # type: ignore[assignment]  # set by the program
 
     def unify(self, left: Term, right: Term) -> bool:
@@ -225,8 +225,8 @@ class Machine:
         Raises:
             PrologError: if the program throws and does not catch; all bindings are undone.
         """
-        done = self.done
-        if frame is done:
+        done_code = self.done
+        if frame is done_code:
             return True
         choices = self.choices
         base = len(choices)
@@ -241,11 +241,11 @@ class Machine:
                 # starts with None and backtracks.
                 for _ in _FIRST_STEPS:
                     frame = frame[0].run(frame)
-                    if frame is done or frame is None:
+                    if frame is done_code or frame is None:
                         break
             except Exception as exc:
                 frame = self._handle(exc, frame, base)
-            return frame is done or self._loop(frame, base)
+            return frame is done_code or self._loop(frame, base)
         except BaseException:
             self._leave(base)
             undo(self.trail, mark)
@@ -259,7 +259,7 @@ class Machine:
             if limited:
                 budget.leave(saved)
             elif budget.used and not base and not budget.at_work:
-                budget.start_anew()
+                budget.reset()
 
     def check(self, frame: Frame, goal: RunnableGoal) -> bool:
         """Return whether a steady `CompiledGoal` has a solution; keep no bindings.
@@ -355,7 +355,7 @@ class Machine:
                     self.idle = (0, 0)
                     budget.running = False
                 if not (inside or budget.at_work):
-                    budget.start_anew()
+                    budget.reset()
 
     def _leave(self, base: int) -> None:
         """Notify the guards of a run that it has ended, also for exceptions that no program can catch."""
@@ -374,11 +374,11 @@ class Machine:
         """Continue an outermost run; long steps within it check the limits as well."""
         budget = self.budget
         previous_goal, budget.goal = budget.goal, goal
-        before = watched_by(budget.look)
+        previous_watch = watched_by(budget.look)
         try:
             return self._loop(frame, 0)
         finally:
-            watched_by(before)
+            watched_by(previous_watch)
             budget.goal = previous_goal
 
     def _loop(  # noqa: C901 -- a call for each step would cost more than the step
@@ -406,7 +406,7 @@ class Machine:
                             # Every run ends here: with its STOP after the last solution, or with `_FINISHED`, which
                             # `done` has pushed after a solution.
                             if frame[0] is STOP:
-                                self.budget.ended(len(SLICE) - steps.__length_hint__())
+                                self.budget.count_last_steps(len(SLICE) - steps.__length_hint__())
                                 if frame is _FINISHED:
                                     return True
                                 choices.append(frame)
@@ -414,10 +414,10 @@ class Machine:
                     # A slice has ended: a goal that is met here by sampling runs often, and may be compiled.
                     steps = iter(SLICE)
                     if frame[0] is self.goal_code:
-                        self.meet(frame[1])
+                        self.note_interpreted(frame[1])
                     if len(trail) > self._compact_at:
                         self._compact()
-                    self.budget.sliced()
+                    self.budget.count_slice()
             except Exception as exc:
                 frame = self._handle(exc, frame, base)
 

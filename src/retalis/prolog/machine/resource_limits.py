@@ -66,27 +66,27 @@ MAX_COUNT = 10**20
 Number = TypeVar("Number", int, float)
 
 
-def checked_number(name: str, value: object, kind: Type[Number]) -> Number:
+def checked_number(name: str, value: object, number_type: Type[Number]) -> Number:
     """Return the non-negative number that a setting contains.
 
     Args:
         name: the name of the setting, for the error message.
         value: an ``int`` or a ``float``.
-        kind: ``int`` for whole numbers, which may be given as floats (``1e6``).
+        number_type: ``int`` for whole numbers, which may be given as floats (``1e6``).
 
     Raises:
         UsageError: for any other value: a ``bool``, a text, a negative number, NaN, infinity, or a number above the
             maximum.
     """
-    largest = MAX_COUNT if kind is int else MAX_LIMIT
+    largest = MAX_COUNT if number_type is int else MAX_LIMIT
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        if 0 <= value <= largest and kind(value) == value:
-            return kind(value)
-        shown = str(value) if abs(value) < 1e300 else "a larger number"
+        if 0 <= value <= largest and number_type(value) == value:
+            return number_type(value)
+        value_text = str(value) if abs(value) < 1e300 else "a larger number"
     else:
-        shown = shortened(repr(value))
-    expected = "a whole number" if kind is int else "a number"
-    raise UsageError(f"{name}: expected {expected} from 0 to {largest:.0e}, found {shown}")
+        value_text = shortened(repr(value))
+    expected = "a whole number" if number_type is int else "a number"
+    raise UsageError(f"{name}: expected {expected} from 0 to {largest:.0e}, found {value_text}")
 
 
 class _LimitFields(NamedTuple):
@@ -175,9 +175,9 @@ class LimitPassed(LimitError):
         was_caught: whether code inside the call has caught the error and the call has continued.
     """
 
-    def __init__(self, kind: str, term: Term):
+    def __init__(self, limit_name: str, term: Term):
         super().__init__(term)
-        self.kind = kind
+        self.kind = limit_name
         self.open = True
         self.was_caught = False
 
@@ -294,7 +294,7 @@ class Budget:
         self._measured = 0.0
         self._expired: object = None
         self._entry: object = None  # the turn's entry at the first use
-        self.start_anew()
+        self.reset()
 
     def allow(self, limits: Limits) -> None:
         """Set the limits of each entry."""
@@ -335,9 +335,9 @@ class Budget:
         if self.running:
             return _NESTED_RUN
         self.running = True
-        before = WATCH.ask
+        previous_watch = WATCH.ask
         WATCH.ask = self._ask
-        return before
+        return previous_watch
 
     def leave(self, saved: "Union[Ask, _NestedRun]") -> None:
         """End a run with limits."""
@@ -346,19 +346,19 @@ class Budget:
         self.running = False
         WATCH.ask = saved
         if self.used:
-            self.start_anew()
+            self.reset()
 
     @contextmanager
     def watching(self) -> Iterator[None]:
         """Count long work on a solution of a goal for that goal."""
-        before = WATCH.ask
+        previous_watch = WATCH.ask
         WATCH.ask = self._ask
         try:
             yield
         finally:
-            WATCH.ask = before
+            WATCH.ask = previous_watch
 
-    def start_anew(self) -> None:
+    def reset(self) -> None:
         """Reset the use of resources."""
         self._begin()
         self.alarms.clear()
@@ -402,7 +402,7 @@ class Budget:
     def end(self) -> None:
         """End an entry: report refused goals and skipped pattern matching, and reset the use of resources."""
         self._report()
-        self.start_anew()
+        self.reset()
 
     def _report(self) -> None:
         """Report the refused goals and the skipped pattern matching of the entry."""
@@ -415,7 +415,7 @@ class Budget:
         """Run ``work`` as an entry of its own in the middle of another entry of a turn; return its result."""
         turn = self.turn
         assert turn is not None
-        outer = turn.entry, self.goal
+        previous_goal = turn.entry, self.goal
         # The use of the outer entry is saved attribute by attribute, because generated code and the machine refer to
         # this budget object.
         saved = [getattr(self, name) for name in _ENTRY_ATTRIBUTES] if self.used else None
@@ -425,7 +425,7 @@ class Budget:
         try:
             return work()
         finally:
-            turn.entry, self.goal = outer
+            turn.entry, self.goal = previous_goal
             if self.used:
                 self._report()
                 self._begin()
@@ -464,13 +464,13 @@ class Budget:
             error.final = error.refused = True
             raise error
         self.closed = False
-        past = self._past(monotonic())
+        past = self._exceeded_limit(monotonic())
         if past is not None:
             raise self._exceeded(past)
 
     def close(self, error: LimitError) -> None:
         """Refuse further goals of the entry because of an error that ended one of them."""
-        self._use()
+        self._mark_used()
         self.closed = True
         if self._out is None:
             self._out = error.what
@@ -508,7 +508,7 @@ class Budget:
             # The counter is negative here: the difference is the number of steps since the last check.
             self._steps += max(0, self._pattern_slice - self.pattern_steps[0])
             self._count()
-            past = self._past(monotonic()) if self._bounded else None
+            past = self._exceeded_limit(monotonic()) if self._bounded else None
             if past is None:
                 self.pattern_steps[0] = self._pattern_slice
                 return False
@@ -520,32 +520,32 @@ class Budget:
 
     # Limits of calls
 
-    def warn_at(self, instant: float, error: LimitPassed) -> None:
+    def add_alarm(self, instant: float, error: LimitPassed) -> None:
         """Throw an error after an instant of the monotonic clock (s)."""
-        self._use()
+        self._mark_used()
         self.alarms.append((instant, error))
 
-    def warn_past(self, ceiling: int, error: LimitPassed) -> None:
+    def add_ceiling(self, ceiling: int, error: LimitPassed) -> None:
         """Throw an error above a count of inferences."""
-        self._use()
+        self._mark_used()
         self.ceilings[ceiling] = error
 
-    def cap(self, most: int) -> int:
-        """Return the ceiling for ``most`` further inferences; no two ceilings are equal."""
+    def ceiling_after(self, limit: int) -> int:
+        """Return the ceiling for ``limit`` further inferences; no two ceilings are equal."""
         # Ceilings are keys of `ceilings`: two calls with the same limit must not share one.
-        ceiling = self.inferences + most
+        ceiling = self.inferences + limit
         while ceiling in self.ceilings:
             ceiling += 1
         return ceiling
 
     # Counting
 
-    def sliced(self) -> None:
+    def count_slice(self) -> None:
         """Count a slice of steps and enforce the limits."""
         self._steps += len(SLICE)
         self._enforce()
 
-    def turned(self) -> None:
+    def count_loops(self) -> None:
         """Count `LOOP` iterations of a loop within a step, and enforce the limits once per slice."""
         self._steps += len(LOOP)
         if self._steps >= len(SLICE):
@@ -556,12 +556,12 @@ class Budget:
         self._steps += work
         self._enforce(size)
 
-    def ended(self, steps: int) -> None:
+    def count_last_steps(self, steps: int) -> None:
         """Count the steps of a run that has ended. If a limit is exceeded, the next goal does not start."""
         self._steps += steps
         if self._steps >= len(SLICE):
             self._count()
-            if self._bounded and self._past(monotonic()) is not None:
+            if self._bounded and self._exceeded_limit(monotonic()) is not None:
                 self.closed = True
 
     def count_output(self, size: int) -> None:
@@ -573,7 +573,7 @@ class Budget:
         limit = self.limits.output_megabytes
         if limit is None or not (self.running or self.at_work):
             return
-        self._use()
+        self._mark_used()
         if self._printed + size > limit * MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
             raise self._exceeded("output")
         self._printed += size
@@ -599,7 +599,7 @@ class Budget:
             inferences.append(self.limits.inferences - self._spent)
         return Left(min(times, default=None), min(inferences, default=None), self._memory)
 
-    def _use(self) -> None:
+    def _mark_used(self) -> None:
         """Record that the entry has used resources, so that they are reset at its end."""
         if not self.used:
             self.used = True
@@ -609,7 +609,7 @@ class Budget:
                 turn.follow(self.end)
 
     def _count(self) -> None:
-        self._use()
+        self._mark_used()
         steps = self._steps
         self._steps = 0
         self.inferences += steps
@@ -629,7 +629,7 @@ class Budget:
         for instant, error in self.alarms:
             if now > instant:
                 raise error
-        past = self._past(now, size)
+        past = self._exceeded_limit(now, size)
         if past is None:
             return
         if self.goal is None and self.at_work:
@@ -639,9 +639,9 @@ class Budget:
         else:
             raise self._exceeded(past)
 
-    def _past(self, now: float, size: int = 0) -> Optional[str]:
+    def _exceeded_limit(self, now: float, size: int = 0) -> Optional[str]:
         """Return the limit that the entry exceeds, or would exceed with ``size`` more bytes; None if none."""
-        self._use()
+        self._mark_used()
         limits = self.limits
         if limits.inferences is not None and self._spent > limits.inferences:
             return "inferences"
@@ -662,8 +662,8 @@ class Budget:
                 return "memory"
         return None
 
-    def _exceeded(self, what: str) -> LimitError:
-        error = self._error(what)
+    def _exceeded(self, resource: str) -> LimitError:
+        error = self._error(resource)
         error.final = self.rounds > 1
         self.closed = (
             self._out is not None
@@ -679,9 +679,9 @@ class Budget:
         self._expired = None
         return error
 
-    def _error(self, what: str) -> LimitError:
-        error = LimitError(resource_error(what).term)
-        error.budget, error.what = self, what
+    def _error(self, resource: str) -> LimitError:
+        error = LimitError(resource_error(resource).term)
+        error.budget, error.what = self, resource
         return error
 
 

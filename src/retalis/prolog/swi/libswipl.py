@@ -57,12 +57,12 @@ class _SignalStack(Structure):
 @contextmanager
 def signal_stack_kept() -> Iterator[None]:
     """Restore the signal stack of this thread at the end of the context."""
-    before = _SignalStack()
-    _C.sigaltstack(None, byref(before))
+    saved_stack = _SignalStack()
+    _C.sigaltstack(None, byref(saved_stack))
     try:
         yield
     finally:
-        _C.sigaltstack(byref(before), None)
+        _C.sigaltstack(byref(saved_stack), None)
 
 
 def signal_stack_predicates() -> List[Tuple[str, object]]:
@@ -72,10 +72,10 @@ def signal_stack_predicates() -> List[Tuple[str, object]]:
     because ``sigaltstack`` returns 0 on success. They call C directly: Python code would be a point where Python
     handles pending signals, and an exception of a signal handler could not be propagated through C.
     """
-    before = _SignalStack()
+    saved_stack = _SignalStack()
     return [
-        ("$retalis_note_stack", NullaryCallback(partial(_C.sigaltstack, None, byref(before)))),
-        ("$retalis_put_stack_back", NullaryCallback(partial(_C.sigaltstack, byref(before), None))),
+        ("$retalis_note_stack", NullaryCallback(partial(_C.sigaltstack, None, byref(saved_stack)))),
+        ("$retalis_put_stack_back", NullaryCallback(partial(_C.sigaltstack, byref(saved_stack), None))),
     ]
 
 
@@ -206,9 +206,9 @@ class SwiLibrary:
         Raises:
             UsageError: if it does not start.
         """
-        given = (c_char_p * (len(_ARGUMENTS) + 1))(*_ARGUMENTS)
+        arguments = (c_char_p * (len(_ARGUMENTS) + 1))(*_ARGUMENTS)
         with signal_stack_kept():
-            started = self.initialise(len(_ARGUMENTS), given)
+            started = self.initialise(len(_ARGUMENTS), arguments)
         if not started:
             raise UsageError(
                 "SWI-Prolog does not start: its library was found, but not its own files: install it again"
@@ -227,19 +227,19 @@ class SwiLibrary:
         samples = {"atom": b"a", "integer": b"1", "float": b"1.5", "nil": b"[]", "pair": b"[a]"}
         for name, text in {**samples, "compound": b"f(x)", "rational": b"1r3", "dict": b"_{a: 1}"}.items():
             read = self.read_text(text, ref)
-            kind = self.term_type(ref) if read else 0
+            term_type = self.term_type(ref) if read else 0
             # Versions without a type read its sample as another one, such as a rational as an integer.
-            self.kinds[name] = kind if kind not in self.kinds.values() else 0
+            self.kinds[name] = term_type if term_type not in self.kinds.values() else 0
         self.clear_exception()
         self.put_text(ref, b"text")
         self.kinds["string"] = self.term_type(ref)
         sample = "\u0430".encode()
-        for flag, written in _TEXT_FLAGS:
+        for flag, flag_text in _TEXT_FLAGS:
             self.read_text(b"'\\u0430'", ref)
             length, place = c_size_t(), c_void_p()
             got = self.get_text(ref, ctypes.byref(length), ctypes.byref(place), ATOM_TEXT | flag)
             if got and ctypes.string_at(place.value or 0, length.value) == sample:
-                self.utf8, self.written = flag, written
+                self.utf8, self.written = flag, flag_text
                 break
         self.discard_frame(frame)
 

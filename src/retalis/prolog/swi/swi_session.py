@@ -181,11 +181,11 @@ class SwiEngine:
         swi = self._swi
         self._busy = True
         self._level = level
-        before = c_void_p()
-        if swi.set_engine(self._engine, byref(before)):
+        saved_state = c_void_p()
+        if swi.set_engine(self._engine, byref(saved_state)):
             return
-        if before.value != self._engine:  # the exception came before the engine was attached
-            self._before.value = before.value
+        if saved_state.value != self._engine:  # the exception came before the engine was attached
+            self._before.value = saved_state.value
         # An interrupt for a goal that has ended must not hit the next one.
         if self.watched is not level.watched:
             self.watched = level.watched
@@ -198,8 +198,8 @@ class SwiEngine:
         last = self._open[-1].query if len(self._open) > level.base else level.query
         while swi.current_query() not in (0, last):
             self._close(swi.current_query())
-        for opened in dropped:
-            opened.closed = True
+        for open_goal in dropped:
+            open_goal.closed = True
         frame = dropped[0].frame if dropped else frame
         if frame:
             swi.discard_frame(frame)
@@ -239,8 +239,8 @@ class SwiEngine:
                 raise self._raised(query)
             bindings = [] if status == FAILED else terms.read_values(refs)
             if status == SOLVED:
-                opened = OpenGoal(query, frame, refs)
-                self._open.append(opened)
+                open_goal = OpenGoal(query, frame, refs)
+                self._open.append(open_goal)
             else:
                 swi.close_done(query)
                 swi.discard_frame(frame)
@@ -249,26 +249,26 @@ class SwiEngine:
             self._restore(level, error, frame)
             raise
         if status == SOLVED:
-            return self._solutions(machine, opened, bindings)
+            return self._solutions(machine, open_goal, bindings)
         return status != FAILED and (not bindings or machine.unify_all(*bindings))
 
-    def _solutions(self, machine: Machine, opened: OpenGoal, bindings: Bindings) -> Iterator[object]:
+    def _solutions(self, machine: Machine, open_goal: OpenGoal, bindings: Bindings) -> Iterator[object]:
         try:
             while True:
                 if machine.unify_all(*bindings):
-                    yield LAST if opened.closed else None
+                    yield LAST if open_goal.closed else None
                 # The last solution was known to be the last, or the goal has been closed by a restore.
-                if opened.closed:
+                if open_goal.closed:
                     return
-                next_bindings = self._next_bindings(opened)
+                next_bindings = self._next_bindings(open_goal)
                 if next_bindings is None:
                     return
                 bindings = next_bindings
         finally:
-            if not opened.closed:
-                self._drop_goal(opened)
+            if not open_goal.closed:
+                self._drop_goal(open_goal)
 
-    def _next_bindings(self, opened: OpenGoal) -> Optional[Bindings]:
+    def _next_bindings(self, open_goal: OpenGoal) -> Optional[Bindings]:
         """Return the bindings of the next solution, or None if there is none."""
         if self._thread != get_ident():
             raise RetalisError(
@@ -278,18 +278,18 @@ class SwiEngine:
         left = self._budget.left()
         try:
             self._enter()
-            if self._open[-1:] != [opened]:
+            if self._open[-1:] != [open_goal]:
                 self._close_finished()
-            if self._open[-1:] != [opened]:
+            if self._open[-1:] != [open_goal]:
                 raise RetalisError(
                     "solutions of an outer goal were requested while an inner one is still open"
                 )
-            status = self._next_status(opened.query, left)
+            status = self._next_status(open_goal.query, left)
             if status == RAISED:
-                raise self._raised(opened.query)
-            bindings = None if status == FAILED else self._terms.read_values(opened.refs)
+                raise self._raised(open_goal.query)
+            bindings = None if status == FAILED else self._terms.read_values(open_goal.refs)
             if status == LAST_SOLVED:
-                opened.over = True
+                open_goal.over = True
                 self._close_finished()
             self._leave()
         except BaseException as error:
@@ -308,21 +308,21 @@ class SwiEngine:
             status: int = self._swi.next_solution(query)
         else:
             # Counted by SWI-Prolog, and charged to the budget of the program afterwards.
-            before = 0 if left.inferences is None else self._inferences()
-            outer = self.watched
-            watched = self.watched = LimitedGoal(left, self.number, before)
+            start_inferences = 0 if left.inferences is None else self._inferences()
+            outer_watch = self.watched
+            watched = self.watched = LimitedGoal(left, self.number, start_inferences)
             if self._interrupter.asleep:
                 self._interrupter.wake()
             try:
                 status = self._swi.next_solution(query)
             finally:
-                self.watched = outer
+                self.watched = outer_watch
             if watched.fired:
                 # The interrupt may still be in progress. Without the wait it would hit the next goal.
                 self._interrupter.settle()
                 raise self._exceeded(watched.fired)
             if left.inferences is not None:
-                self._budget.look(self._inferences() - before)
+                self._budget.look(self._inferences() - start_inferences)
         failure = self._stored_error
         if failure is not None and not isinstance(failure, Exception):
             self._stored_error = None
@@ -360,9 +360,9 @@ class SwiEngine:
 
     # End of goals
 
-    def _drop_goal(self, opened: OpenGoal) -> None:
+    def _drop_goal(self, open_goal: OpenGoal) -> None:
         """Close a goal now, or before the next one if the engine is in use or this is another thread."""
-        opened.over = True
+        open_goal.over = True
         # A generator may be finalized at any time and in any thread; the goal is closed by the next call instead.
         if self._busy or self._thread != get_ident() or self._ended:
             return
@@ -380,14 +380,14 @@ class SwiEngine:
             self._close_last()
 
     def _close_last(self) -> None:
-        opened = self._open.pop()
-        opened.closed = True
-        self._close(opened.query)
-        self._swi.discard_frame(opened.frame)
+        open_goal = self._open.pop()
+        open_goal.closed = True
+        self._close(open_goal.query)
+        self._swi.discard_frame(open_goal.frame)
 
     def _close(self, query: int) -> None:
         """Close a query, with a time limit for its cleanup goals."""
-        outer = self.watched
+        outer_watch = self.watched
         watched = self.watched = LimitedGoal(
             Left(monotonic() + _CLEANUP_TIMEOUT_SECONDS, None, None), self.number
         )
@@ -396,28 +396,28 @@ class SwiEngine:
         try:
             self._swi.close_query(query)
         finally:
-            self.watched = outer
+            self.watched = outer_watch
         if watched.fired:
             self._interrupter.settle()
 
     # Callbacks
 
-    def answer(self, asked: int) -> bool:
+    def answer(self, call_ref: int) -> bool:
         """Unify the second argument of a term with the list of all solutions of its first one.
 
         Errors are raised in SWI-Prolog. Returns whether it succeeds.
         """
-        swi, terms, outer = self._swi, self._terms, self._level
+        swi, terms, outer_level = self._swi, self._terms, self._level
         try:
             # The callback starts a new level: an error in it closes only the goals that it has opened.
             level = GoalLevel(len(self._open), swi.current_query(), self._depth, self.watched)
             try:
                 self._level, self._busy = level, False
-                goal = self._callback_goal(asked)
+                goal = self._callback_goal(call_ref)
                 solutions = make_list(self._solved(goal))
                 self._close_all()
                 ref = swi.new_refs(1)
-                swi.get_argument(2, asked, ref)
+                swi.get_argument(2, call_ref, ref)
                 terms.put(ref, solutions, {})
             except BaseException as error:  # no exception can be propagated through C
                 self._restore(level, error)
@@ -426,16 +426,16 @@ class SwiEngine:
                 return False
             return True
         finally:
-            self._level, self._busy = outer, True
+            self._level, self._busy = outer_level, True
 
-    def _callback_goal(self, asked: int) -> Term:
+    def _callback_goal(self, call_ref: int) -> Term:
         """Return the goal of a callback."""
         swi, terms = self._swi, self._terms
         frame = swi.open_frame()
         try:
             terms.begin()
             ref = swi.new_refs(1)
-            swi.get_argument(1, asked, ref)
+            swi.get_argument(1, call_ref, ref)
             return terms.read(ref)
         finally:
             swi.discard_frame(frame)  # also undoes the marks of variables
@@ -531,12 +531,12 @@ class SwiProgram:
 def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, ended: List[bool]) -> None:
     """Destroy an engine and release its atoms; called from any thread."""
     ended.append(True)  # its solutions may be dropped after it
-    before = c_void_p()
-    if not swi.set_engine(engine, byref(before)):
+    saved_state = c_void_p()
+    if not swi.set_engine(engine, byref(saved_state)):
         try:
             terms.release()
         finally:
-            swi.set_engine(before.value, None)
+            swi.set_engine(saved_state.value, None)
     swi.destroy_engine(engine)
 
 

@@ -67,19 +67,19 @@ class Callbacks(List[Callable[[int], int]]):
                     break
                 generator.close()
         while len(self) < _PREPARED_GENERATORS:
-            own: List[_AnswerGenerator] = []
-            own.append(self._answering(own))
-            next(own[0])
-            self.append(own[0].send)
+            generators: List[_AnswerGenerator] = []
+            generators.append(self._answering(generators))
+            next(generators[0])
+            self.append(generators[0].send)
 
-    def _answering(self, own: List[_AnswerGenerator]) -> _AnswerGenerator:
+    def _answering(self, generators: List[_AnswerGenerator]) -> _AnswerGenerator:
         """Wait for a reference, answer it, and wait to be closed.
 
         The generator does not return after the answer, because its end would execute Python code when C has
         continued.
 
         Args:
-            own: a list with this generator.
+            generators: a list with this generator.
         """
         target: Any = None
         result, has_answered = 0, False
@@ -91,7 +91,7 @@ class Callbacks(List[Callable[[int], int]]):
                 self._refuse()
             else:
                 result = int(target.answer(ref))
-            self._finished += own
+            self._finished += generators
             # No call follows before the answer is returned: Python handles signals after calls.
             has_answered = True
             yield result
@@ -100,13 +100,13 @@ class Callbacks(List[Callable[[int], int]]):
         except BaseException as error:  # also an exception of a signal handler, since C needs an answer
             if has_answered:  # the exception belongs to the code that closes the generator
                 raise
-            self._finished += own
+            self._finished += generators
             target = self._targets.get(self._number())
             if target is not None:
                 target.fail(error)
             yield 0
         finally:
-            del own[:]
+            del generators[:]
 
 
 BRIDGE = "retalis_bridge"
@@ -165,6 +165,6 @@ def _started() -> Started:
 def _refuse(swi: SwiLibrary) -> None:
     """Raise the error for a callback from a thread of SWI-Prolog, which belongs to no program."""
     ref = swi.new_refs(1)
-    what = (functor("existence_error", 2), atom("retalis_engine"), (SLASH, atom("retalis"), 1))
-    SwiTerms(swi).put(ref, (functor("error", 2), what, Var()), {})
+    error_term = (functor("existence_error", 2), atom("retalis_engine"), (SLASH, atom("retalis"), 1))
+    SwiTerms(swi).put(ref, (functor("error", 2), error_term, Var()), {})
     swi.raise_exception(ref)

@@ -252,14 +252,14 @@ class SwiTerms:
             self._put_large(ref, term, refs)
 
     def _put_variable(self, ref: int, var: Var, refs: Refs) -> None:
-        known = refs.setdefault(var, ref)
-        if known != ref:
-            require(self._swi.unify(ref, known))
+        stored_ref = refs.setdefault(var, ref)
+        if stored_ref != ref:
+            require(self._swi.unify(ref, stored_ref))
 
-    def _put_large(self, ref: int, whole: Term, refs: Refs) -> None:
+    def _put_large(self, ref: int, root: Term, refs: Refs) -> None:
         """Bind a variable to a term that may be compound, from the outside to the inside."""
         swi, puts = self._swi, self._puts
-        stack = [(ref, whole)]
+        stack = [(ref, root)]
         steps = 0
         while stack:
             ref, term = stack.pop()
@@ -364,14 +364,14 @@ class SwiTerms:
         self._lenient = False
         values = []
         for var, ref in refs.items():
-            kind = kind_of(ref)
-            read = reads.get(kind)
+            term_type = kind_of(ref)
+            read = reads.get(term_type)
             if read is not None:
                 values.append((var, read(ref)))
-            elif kind == variable:
+            elif term_type == variable:
                 self._mark_variable(ref, var)
             else:
-                values.append((var, self._read_compound(ref, kind)))
+                values.append((var, self._read_compound(ref, term_type)))
         return values
 
     def read(self, ref: int) -> Term:
@@ -382,20 +382,24 @@ class SwiTerms:
                 terms without arguments, variables with constraints.
             TermTooLarge: if the term is cyclic.
         """
-        kind = self._swi.term_type(ref)
-        read = self._reads.get(kind)
+        term_type = self._swi.term_type(ref)
+        read = self._reads.get(term_type)
         if read is not None:
             return read(ref)
-        return self._mark_variable(ref, Var()) if kind == self._variable else self._read_compound(ref, kind)
+        return (
+            self._mark_variable(ref, Var())
+            if term_type == self._variable
+            else self._read_compound(ref, term_type)
+        )
 
-    def _read_compound(self, ref: int, kind: int) -> Term:
+    def _read_compound(self, ref: int, term_type: int) -> Term:
         """Return a term that is neither a constant nor a variable."""
-        if kind not in (self._compound, self._pair):
-            return self._read_unsupported(ref, kind)
+        if term_type not in (self._compound, self._pair):
+            return self._read_unsupported(ref, term_type)
         # Checked first, since the conversion of a cyclic term would not end before its limit.
         if not self._swi.is_acyclic(ref):
             raise TermTooLarge
-        return self._read_large(ref, kind)
+        return self._read_large(ref, term_type)
 
     def _mark_variable(self, ref: int, var: Var) -> Var:
         swi = self._swi
@@ -414,9 +418,9 @@ class SwiTerms:
         self._marked.append(var)
         return var
 
-    def _read_large(self, ref: int, kind: int) -> Term:
+    def _read_large(self, ref: int, term_type: int) -> Term:
         stack: List[TermParts] = []
-        top = self._parts(ref, kind)
+        top = self._parts(ref, term_type)
         steps = 0
         while True:
             steps += 1
@@ -432,24 +436,24 @@ class SwiTerms:
                 top = stack.pop()
                 top.values.append(term)
                 continue
-            kind = self._swi.term_type(part)
-            read = self._reads.get(kind)
+            term_type = self._swi.term_type(part)
+            read = self._reads.get(term_type)
             if read is not None:
                 top.values.append(read(part))
-            elif kind in (self._compound, self._pair):
+            elif term_type in (self._compound, self._pair):
                 stack.append(top)
-                top = self._parts(part, kind)
+                top = self._parts(part, term_type)
             else:
                 top.values.append(
                     self._mark_variable(part, Var())
-                    if kind == self._variable
-                    else self._read_unsupported(part, kind)
+                    if term_type == self._variable
+                    else self._read_unsupported(part, term_type)
                 )
 
-    def _parts(self, ref: int, kind: int) -> "TermParts":
+    def _parts(self, ref: int, term_type: int) -> "TermParts":
         """Return the iterator over the parts of a compound term."""
         swi = self._swi
-        if kind == self._pair:
+        if term_type == self._pair:
             items = require(swi.new_refs(2))
             swi.copy_ref(items + 1, ref)
             parts = ListParts(swi, items)
@@ -502,9 +506,9 @@ class SwiTerms:
     def _read_atom(self, ref: int) -> Term:
         self._swi.get_atom(ref, self._to_word)
         handle = self._word.value
-        known: Optional[Atom] = self._atoms.get(handle)
-        if known is not None:
-            return known
+        cached_atom: Optional[Atom] = self._atoms.get(handle)
+        if cached_atom is not None:
+            return cached_atom
         term = atom(self._text(ref, ATOM_TEXT))
         self._swi.register_atom(handle)
         self._atoms.keep(handle, term, len(term.name))
@@ -533,12 +537,12 @@ class SwiTerms:
             raise resource_error("memory")
         return string_at(self._place.value or 0, self._length.value).decode("utf-8", "surrogatepass")
 
-    def _read_unsupported(self, ref: int, kind: int) -> Term:
+    def _read_unsupported(self, ref: int, term_type: int) -> Term:
         """Return the text of a term that cannot be represented, or raise an error, unless reading is lenient."""
         if self._lenient:
             return atom(self._text(ref, self._swi.written))
         names = {self._swi.kinds["rational"]: "a rational number", self._swi.kinds["dict"]: "a dict"}
-        description = names.get(kind, "a stream, a clause or another handle")
+        description = names.get(term_type, "a stream, a clause or another handle")
         text = beginning(self._text(ref, self._swi.written))
         raise representation_error(
             "term", f"{description} of SWI-Prolog cannot be converted to a term: '{text}'"

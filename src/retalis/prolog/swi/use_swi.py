@@ -68,7 +68,7 @@ def define_use_swi(
     def use_all(machine: Machine, spec: Term) -> bool:
         return use(machine, spec, NIL)
 
-    def use(machine: Machine, spec: Term, wanted: Term) -> bool:
+    def use(machine: Machine, spec: Term, imports: Term) -> bool:
         reason = "" if allowed else "the setting allow_swi is off"
         # A goal of a service could otherwise run arbitrary code of SWI-Prolog, which has no sandbox.
         if not files.sandbox.is_loading:
@@ -77,7 +77,7 @@ def define_use_swi(
             raise permission_error("load", "swi_file", deref(spec), reason)
         source = _source(spec, files)
         name = source.name if isinstance(source, Atom) else logic.show(source)
-        use_swi(logic, SwiFile(name, source, copy(wanted)), warn)
+        use_swi(logic, SwiFile(name, source, copy(imports)), warn)
         return True
 
     logic.define("use_swi", 1, use_all).locked = True
@@ -190,8 +190,8 @@ def _check_import(
     logic: PrologSystem, program: "SwiProgram", module: str, predicate: ImportedPredicate
 ) -> None:
     """Raise an error for a predicate that does not exist in SWI-Prolog or has the name of a built-in predicate."""
-    known = logic.database.predicates.get(predicate.key)
-    if known is not None and known.locked:
+    existing_predicate = logic.database.predicates.get(predicate.key)
+    if existing_predicate is not None and existing_predicate.locked:
         raise permission_error("modify", "static_procedure", indicator(predicate.key))
     if not program.ask("defined", atom(module), atom(predicate.name), predicate.arity):
         raise existence_error("procedure", (SLASH, atom(predicate.name), predicate.arity))

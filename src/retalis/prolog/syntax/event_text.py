@@ -578,14 +578,14 @@ def to_text(  # noqa: C901 -- the loop of all events that go out: a call for eac
     pop = stack.pop
     while stack:
         item: Any = pop()
-        kind = item.__class__
-        if kind is str:
+        item_class = item.__class__
+        if item_class is str:
             put(item)
-        elif kind is float:
+        elif item_class is float:
             put(float_text(item))
-        elif kind is int:
+        elif item_class is int:
             put(integer_text(item))
-        elif kind is tuple:
+        elif item_class is tuple:
             if item[0] is CONS:
                 _list(item, stack)
             else:
@@ -594,11 +594,11 @@ def to_text(  # noqa: C901 -- the loop of all events that go out: a call for eac
                 for argument in item[:1:-1]:
                     stack += (argument, ",")
                 stack.append(item[1])
-        elif kind is Atom:
+        elif item_class is Atom:
             put(_name(item.name))
-        elif kind is String:
+        elif item_class is String:
             put(quote(item.text, '"'))
-        elif kind is Var and item.ref is None:
+        elif item_class is Var and item.ref is None:
             put(f"_G{serial(item)}")
         else:
             stack.append(deref(item))

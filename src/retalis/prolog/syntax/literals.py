@@ -44,9 +44,9 @@ def quote(text: str, mark: str) -> str:
             return "\\" + char if char == mark else char
         if char == "\\":
             return "\\\\"
-        named = _NAMED.get(char)
-        if named is not None:
-            return named
+        escape_letter = _NAMED.get(char)
+        if escape_letter is not None:
+            return escape_letter
         return char if char.isprintable() else f"\\x{ord(char):X}\\"
 
     if len(text) <= _CHUNK_CHARACTERS:

@@ -25,10 +25,10 @@ _MAX_NAMED_TYPES = 3
 
 def misnamed_message_error(parser: ParserState, slots: Slots) -> Optional[SyntaxFault]:
     """Return the error for a curly bracket after a name that is no message; None if it was not meant as a message."""
-    before, bracket = parser.tokens[parser.position - 1], parser.tokens[parser.position]
-    is_apart = before[3] != bracket[2]
-    if before[0] != VARIABLE and _is_message(before[1], slots):
-        message = f'no space is allowed between {atom_text(before[1])} and its "{{"'
+    previous_token, bracket = parser.tokens[parser.position - 1], parser.tokens[parser.position]
+    is_apart = previous_token[3] != bracket[2]
+    if previous_token[0] != VARIABLE and _is_message(previous_token[1], slots):
+        message = f'no space is allowed between {atom_text(previous_token[1])} and its "{{"'
         return parser.source.fault(message, bracket[2]) if is_apart else None
     name, start = _full_name(parser)
     candidates = slots.meant(name)
@@ -38,7 +38,7 @@ def misnamed_message_error(parser: ParserState, slots: Slots) -> Optional[Syntax
     elif names:
         hint = f"; did you mean {' or '.join(map(atom_text, names))}?"
     # Without a similar name, nothing shows that a message was meant: the general error is better.
-    elif is_apart or before[0] == VARIABLE or name != before[1]:
+    elif is_apart or previous_token[0] == VARIABLE or name != previous_token[1]:
         return None
     else:
         hint = ""
@@ -100,14 +100,14 @@ class NamedFieldParser(ParserStack):
     def _missing_operator_error(self) -> SyntaxFault:
         """Return the error for a token after a complete term; the token may be the bracket of a misspelt message."""
         provider = self.operators.slots
-        before, token = self.tokens[self.position - 1], self.tokens[self.position]
-        may_be_message = token[0] == "{" and before[0] in (NAME, QUOTED, VARIABLE)
+        previous_token, token = self.tokens[self.position - 1], self.tokens[self.position]
+        may_be_message = token[0] == "{" and previous_token[0] in (NAME, QUOTED, VARIABLE)
         error = None
         if may_be_message and provider is not None and not self.flags.event_text:
             error = misnamed_message_error(self, provider)
         return error or parser_stack.missing_operator_error(self, self.brackets[-1])
 
-    def _open_inner(self, at: int, start: int) -> bool:
+    def _open_inner(self, position: int, start: int) -> bool:
         """Open a nested message, whose name follows from the type of its field; return whether it is one."""
         around = self.brackets[-1]
         # An operator waits for this operand, so it is not the whole value of the field.
@@ -183,12 +183,12 @@ class NamedFieldParser(ParserStack):
         bracket = self._close_operators()
         bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_at)
 
-    def _close(self, kind: str) -> None:
+    def _close(self, bracket_kind: str) -> None:
         if self.brackets[-1][1] != SLOTS:
-            super()._close(kind)
+            super()._close(bracket_kind)
             return
         self._store_value()
-        if kind != "}":
+        if bracket_kind != "}":
             raise parser_stack.unbalanced_bracket_error(self, self.brackets[-1][2])
         self._close_slots()
 
@@ -212,11 +212,11 @@ class NamedFieldParser(ParserStack):
                 value = Var()
                 zeros[value] = slot.zero
             elif slot.real:
-                written, value = value, as_floats(value, slot.array)
+                original_value, value = value, as_floats(value, slot.array)
                 # Recorded, so that listings show `{x: 0}` as written and not as `{x: 0.0}`.
-                if value is not written:
+                if value is not original_value:
                     integer_slots.append(number)
-                    self._move_positions(written, value)
+                    self._move_positions(original_value, value)
             arguments.append(value)
             offsets.append(offset)
         if arguments:

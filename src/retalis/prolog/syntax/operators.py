@@ -128,15 +128,17 @@ class EventSyntax:
         self.canonical = canonical
         self.signs = signs
         self.canonical_in_patterns = {**canonical, **signs}
-        self.markers = frozenset(name for name, same in canonical.items() if same in ("<-", "do", "rule:"))
+        self.markers = frozenset(
+            name for name, canonical_name in canonical.items() if canonical_name in ("<-", "do", "rule:")
+        )
         self.arrows = arrows
         self.goal_right = goal_right
         self.pattern_arguments = pattern_arguments
         self.joining = joining
         self.advice = advice
         table = standard_operators()
-        for priority, kind, name in operators:
-            table.add(priority, kind, name)
+        for priority, op_type, name in operators:
+            table.add(priority, op_type, name)
         for spelling, name in canonical.items():
             for definitions in (table.infix, table.postfix):
                 if name in definitions:
@@ -205,7 +207,7 @@ class Operators:
         table.slots = self.slots
         return table
 
-    def become(self, other: "Operators") -> None:
+    def become(self, source: "Operators") -> None:
         """Replace the operators by those of another table.
 
         >>> operators = Operators.prolog()
@@ -214,10 +216,10 @@ class Operators:
         False
         """
         # In place, because the readers and writers of a program refer to this object.
-        self.prefix, self.infix, self.postfix = dict(other.prefix), dict(other.infix), dict(other.postfix)
+        self.prefix, self.infix, self.postfix = dict(source.prefix), dict(source.infix), dict(source.postfix)
         self._patterns = None
 
-    def add(self, priority: int, kind: str, name: str) -> None:
+    def add(self, priority: int, op_type: str, name: str) -> None:
         """Define an operator, or remove it if ``priority`` is 0.
 
         >>> operators = Operators.prolog()
@@ -227,7 +229,7 @@ class Operators:
 
         Args:
             priority: 0 to 1200.
-            kind: one of ``xfx xfy yfx fy fx xf yf``.
+            op_type: one of ``xfx xfy yfx fy fx xf yf``.
             name: the name; another spelling of an event operator builds the same terms as that operator.
 
         Raises:
@@ -235,25 +237,25 @@ class Operators:
         """
         if not 0 <= priority <= 1200:
             raise UsageError(f"{priority} is not an operator priority: expected 0 to 1200")
-        if kind not in TYPES:
-            raise UsageError(f"{kind} is not an operator type: expected one of {' '.join(TYPES)}")
-        table, arity = self._table(kind)
+        if op_type not in TYPES:
+            raise UsageError(f"{op_type} is not an operator type: expected one of {' '.join(TYPES)}")
+        table, arity = self._table(op_type)
         self._patterns = None
         if priority == 0:
             table.pop(name, None)
             return
         # `x` stands for an argument of a lower priority, `y` for one of at most the same priority.
-        place = kind.index("f")
-        left = 0 if place == 0 else priority - (kind[0] == "x")
-        right = 0 if place == len(kind) - 1 else priority - (kind[-1] == "x")
+        place = op_type.index("f")
+        left = 0 if place == 0 else priority - (op_type[0] == "x")
+        right = 0 if place == len(op_type) - 1 else priority - (op_type[-1] == "x")
         table[name] = Operator(
-            priority, left, right, functor(EVENT_SYNTAX.canonical.get(name, name), arity), kind
+            priority, left, right, functor(EVENT_SYNTAX.canonical.get(name, name), arity), op_type
         )
 
-    def _table(self, kind: str) -> Tuple[Dict[str, Operator], int]:
-        if kind in _INFIX:
+    def _table(self, op_type: str) -> Tuple[Dict[str, Operator], int]:
+        if op_type in _INFIX:
             return self.infix, 2
-        return (self.prefix, 1) if kind in _PREFIX else (self.postfix, 1)
+        return (self.prefix, 1) if op_type in _PREFIX else (self.postfix, 1)
 
     def patterns(self) -> Dict[str, Operator]:
         """Return the infix operators within patterns, where ``*`` is ``seq`` and so on.
@@ -292,9 +294,9 @@ class Operators:
 def _read_table(text: str) -> Operators:
     operators = Operators()
     for line in text.strip().split("\n"):
-        priority, kind, *names = line.split()
+        priority, op_type, *names = line.split()
         for name in names:
-            operators.add(int(priority), kind, name)
+            operators.add(int(priority), op_type, name)
     return operators
 
 

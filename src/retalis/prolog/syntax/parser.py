@@ -45,22 +45,22 @@ class Parser(NamedFieldParser):
 
     def _operand(self) -> None:
         position = self.position
-        kind, value, start, _ = self.tokens[position]
-        if kind in (NAME, QUOTED):
-            self._name(kind, value, start)
+        token_kind, value, start, _ = self.tokens[position]
+        if token_kind in (NAME, QUOTED):
+            self._name(token_kind, value, start)
             return
-        if kind == VARIABLE:
+        if token_kind == VARIABLE:
             self.position = position + 1
             truth = _SPECIAL_BOOLS.get(value) if self.flags.event_text else None
             self._set_left(self._variable(value) if truth is None else truth, start)
-        elif kind in (NUMBER, TEXT):
+        elif token_kind in (NUMBER, TEXT):
             self.position = position + 1
             self._set_left(value, start)
-        elif kind == "(" or kind == OPEN_CT:
+        elif token_kind == "(" or token_kind == OPEN_CT:
             self.position = position + 1
             self._push_group(position, start)
-        elif kind == "[" or kind == "{":
-            self._open_bracket(kind, position, start)
+        elif token_kind == "[" or token_kind == "{":
+            self._open_bracket(token_kind, position, start)
         else:
             raise parser_stack.missing_operand_error(self, self.stack[-1])
 
@@ -75,14 +75,14 @@ class Parser(NamedFieldParser):
             self.counts[name] += 1
         return variable
 
-    def _open_bracket(self, kind: str, position: int, start: int) -> None:
-        closer = parser_stack.CLOSER[kind]
-        if kind == "{" and self._open_inner(position, start):
+    def _open_bracket(self, token_kind: str, position: int, start: int) -> None:
+        closer = parser_stack.CLOSER[token_kind]
+        if token_kind == "{" and self._open_inner(position, start):
             return
         if self.tokens[position + 1][0] == closer:
             self.position = position + 2
-            self._atom(kind + closer, start)
-        elif kind == "{":
+            self._atom(token_kind + closer, start)
+        elif token_kind == "{":
             self.position = position + 1
             self._push_group(position, start)
         else:
@@ -116,7 +116,7 @@ class Parser(NamedFieldParser):
         self._push_bracket([self.argument_limit, ARGUMENTS, position, self.table, [], [], name, start, modes])
         self._begin_segment(self.position, self.patterns if modes[:1] == (True,) else self.operators.infix)
 
-    def _name(self, kind: str, name: str, start: int) -> None:
+    def _name(self, token_kind: str, name: str, start: int) -> None:
         self.position += 1
         following = self.tokens[self.position]
         if following[0] == OPEN_CT:
@@ -125,7 +125,7 @@ class Parser(NamedFieldParser):
         if following[0] == "{" and self._open_slots(name, start):
             return
         # A minus directly before a number is its sign; `- 1` is the compound term -(1), except in ISO mode.
-        if name == "-" and (self.flags.iso or (kind == NAME and following[2] == start + 1)):
+        if name == "-" and (self.flags.iso or (token_kind == NAME and following[2] == start + 1)):
             number = self._signed_number(following)
             if number is not None:
                 self.position += 1
@@ -135,7 +135,7 @@ class Parser(NamedFieldParser):
         if prefix is not None and self._is_prefix(following):
             self._push_prefix(prefix, start)
             return
-        if self.flags.event_text and name in _SPECIAL_FLOATS and kind == NAME:
+        if self.flags.event_text and name in _SPECIAL_FLOATS and token_kind == NAME:
             self._set_left(_SPECIAL_FLOATS[name], start)
             return
         self._set_left(atom(name), start)
@@ -160,34 +160,40 @@ class Parser(NamedFieldParser):
 
     def _is_prefix(self, following: AnyToken) -> bool:
         """Return whether a prefix operator is used as one, and not as an atom, judging by the tokens that follow."""
-        kind, value = following[:2]
-        if kind in _ENDS:
+        token_kind, value = following[:2]
+        if token_kind in _ENDS:
             return False
-        if kind != NAME and kind != QUOTED:
+        if token_kind != NAME and token_kind != QUOTED:
             return True
         operators = self.operators
         if value in operators.prefix or not (value in self.table or value in operators.postfix):
             return True
         # An infix operator follows, so one of the two names is an atom. If an operand follows that operator, it is an
         # infix operator, and the prefix operator is its left operand.
-        after = self.tokens[self.position + 1]
-        if after[0] in _ENDS or after[0] == OPEN_CT:
+        next_token = self.tokens[self.position + 1]
+        if next_token[0] in _ENDS or next_token[0] == OPEN_CT:
             return True
-        if after[0] != NAME or after[1] not in self.table or after[1] in operators.prefix:
+        if next_token[0] != NAME or next_token[1] not in self.table or next_token[1] in operators.prefix:
             return False
         # Two infix operators follow: `- = =` is =(-, =), but in `dynamic seq / 2` the prefix operator is applied.
         return self.tokens[self.position + 2][0] not in _ENDS
 
     def _operator(self) -> None:
-        kind, value, start, _ = self.tokens[self.position]
-        if kind in (NAME, QUOTED):
+        token_kind, value, start, _ = self.tokens[self.position]
+        if token_kind in (NAME, QUOTED):
             self._name_operator(value, start)
-        elif kind == ",":
+        elif token_kind == ",":
             self._comma(start)
-        elif kind == "|":
+        elif token_kind == "|":
             self._bar(start)
-        elif kind == ")" or kind == "]" or kind == "}" or kind == END or kind == "eof":
-            self._close(kind)
+        elif (
+            token_kind == ")"
+            or token_kind == "]"
+            or token_kind == "}"
+            or token_kind == END
+            or token_kind == "eof"
+        ):
+            self._close(token_kind)
         else:
             raise self._missing_operator_error()
 
@@ -217,10 +223,10 @@ class Parser(NamedFieldParser):
         return position == 0 or (position == 1 and self.tokens[0][:2] in _BEFORE_GOALS)
 
     def _starts_operand(self, token: AnyToken) -> bool:
-        kind, value = token[:2]
-        if kind in _ENDS:
+        token_kind, value = token[:2]
+        if token_kind in _ENDS:
             return False
-        if kind == NAME and (value in self.table or value in self.operators.postfix):
+        if token_kind == NAME and (value in self.table or value in self.operators.postfix):
             return value in self.operators.prefix
         return True
 

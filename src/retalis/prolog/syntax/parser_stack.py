@@ -106,10 +106,10 @@ def missing_operand_error(parser: ParserState, innermost: List[Any]) -> SyntaxFa
     """Return the error for a token at which a term should begin."""
     token = parser.tokens[parser.position]
     shown_token = shown(token, parser.source.text)
-    kind = innermost[1]
-    if kind == parser.INFIX:
+    bracket_kind = innermost[1]
+    if bracket_kind == parser.INFIX:
         message = f'expected the right argument of "{parser.text_at(innermost[5])}" before {shown_token}'
-    elif kind == parser.PREFIX:
+    elif bracket_kind == parser.PREFIX:
         message = f'expected the argument of "{parser.text_at(innermost[3])}" before {shown_token}'
     elif token[0] == END and innermost[2] is None:
         message = "expected a clause before the full stop"
@@ -119,8 +119,8 @@ def missing_operand_error(parser: ParserState, innermost: List[Any]) -> SyntaxFa
 
 
 def _operand_hint(parser: ParserState, token: AnyToken) -> str:
-    before = _previous_token(parser)
-    if before is not None and before[0] == ",":
+    previous_token = _previous_token(parser)
+    if previous_token is not None and previous_token[0] == ",":
         if token[0] == END:
             return "a clause ends with a full stop, without a comma before it"
         return "is the comma before it superfluous?"
@@ -133,58 +133,58 @@ def missing_operator_error(parser: ParserState, bracket: List[Any]) -> SyntaxFau
     """Return the error for a token that follows a complete term."""
     token = parser.tokens[parser.position]
     text = parser.source.text
-    opened = bracket[2]  # the token of the bracket; None for the clause itself
-    if opened is None:
+    bracket_position = bracket[2]  # the token of the bracket; None for the clause itself
+    if bracket_position is None:
         expected = "an operator or a full stop"
     else:
-        opener = parser.tokens[opened][0]
+        opener = parser.tokens[bracket_position][0]
         choice = {"[": '",", "|" or "]"', OPEN_CT: '"," or ")"'}.get(
             opener, f'an operator or "{CLOSER[opener]}"'
         )
         expected = choice if bracket[1] != parser.GROUP else f'an operator or "{CLOSER[opener]}"'
     message = f"expected {expected} before {shown(token, text)}"
-    return _fault(parser, message, _operator_hint(parser, token, opened))
+    return _fault(parser, message, _operator_hint(parser, token, bracket_position))
 
 
-def _operator_hint(parser: ParserState, token: AnyToken, opened: Optional[int]) -> str:
-    kind, value, start, _ = token
+def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optional[int]) -> str:
+    token_kind, value, start, _ = token
     text = parser.source.text
-    before = _previous_token(parser)
-    assert before is not None
-    if kind == VARIABLE and value in EVENT_SYNTAX.canonical:
+    previous_token = _previous_token(parser)
+    assert previous_token is not None
+    if token_kind == VARIABLE and value in EVENT_SYNTAX.canonical:
         return (
             f"{value} is a variable here; as an operator write {EVENT_SYNTAX.canonical[value]} or '{value}'"
         )
     # Clauses usually begin at the start of a line: a missing full stop or bracket is then more likely than an
     # unknown operator.
     if starts_line(text, start):
-        if opened is not None:
-            return f"the {_opener(parser, opened)} is still open"
-        return f"is a full stop missing after {shown(before, text)}?"
-    if before[0] == NAME and before[1] in _FOREIGN_OPERATORS and before[1] != ".":
-        return _FOREIGN_OPERATORS[before[1]]
-    if kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
+        if bracket_position is not None:
+            return f"the {_opener(parser, bracket_position)} is still open"
+        return f"is a full stop missing after {shown(previous_token, text)}?"
+    if previous_token[0] == NAME and previous_token[1] in _FOREIGN_OPERATORS and previous_token[1] != ".":
+        return _FOREIGN_OPERATORS[previous_token[1]]
+    if token_kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
         return _FOREIGN_OPERATORS["!="]
-    return _hint_for_adjacent_tokens(before, token) or (
-        _unknown_operator(parser, value) if kind in (NAME, QUOTED) else ""
+    return _hint_for_adjacent_tokens(previous_token, token) or (
+        _unknown_operator(parser, value) if token_kind in (NAME, QUOTED) else ""
     )
 
 
-def _hint_for_adjacent_tokens(before: AnyToken, token: AnyToken) -> str:
+def _hint_for_adjacent_tokens(previous_token: AnyToken, token: AnyToken) -> str:
     """Return a hint at the likely mistake of two adjacent tokens, or an empty text."""
-    kind, _, start, _ = token
-    if before[0] == QUOTED and before[3] == start:
+    token_kind, _, start, _ = token
+    if previous_token[0] == QUOTED and previous_token[3] == start:
         return "a quote inside quotes is doubled, as in 'it''s'"
-    if kind == NUMBER and before[0] == NAME and before[1] == ".":
+    if token_kind == NUMBER and previous_token[0] == NAME and previous_token[1] == ".":
         return "a number needs digits on both sides of its point"
-    if kind == "(" and before[0] in (NAME, QUOTED):
-        return f"no space is allowed between {before[1]} and its bracket"
-    if kind == OPEN_CT and before[0] == VARIABLE:
+    if token_kind == "(" and previous_token[0] in (NAME, QUOTED):
+        return f"no space is allowed between {previous_token[1]} and its bracket"
+    if token_kind == OPEN_CT and previous_token[0] == VARIABLE:
         return (
-            f"{before[1]} is a variable; "
+            f"{previous_token[1]} is a variable; "
             "the name of an event or predicate starts with a lower-case letter or is quoted"
         )
-    if kind == NUMBER and before[0] == NUMBER:
+    if token_kind == NUMBER and previous_token[0] == NUMBER:
         return "is a comma missing? (groups of digits are written 1_000_000)"
     return ""
 
@@ -204,22 +204,24 @@ def _unknown_operator(parser: ParserState, name: str) -> str:
     return f'"{name}" is not an operator; two patterns are joined with {", ".join(quoted)} or {last}'
 
 
-def unbalanced_bracket_error(parser: ParserState, opened: Optional[int]) -> SyntaxFault:
+def unbalanced_bracket_error(parser: ParserState, bracket_position: Optional[int]) -> SyntaxFault:
     """Return the error for a closing bracket, or an end, that does not match the open bracket."""
     token = parser.tokens[parser.position]
     shown_token = shown(token, parser.source.text)
-    if opened is None:
+    if bracket_position is None:
         return _fault(
             parser,
             f"{shown_token} does not close anything: expected an operator or a full stop before it",
             "",
         )
-    closer = CLOSER[parser.tokens[opened][0]]
-    return _fault(parser, f'expected "{closer}" for the {_opener(parser, opened)} before {shown_token}', "")
+    closer = CLOSER[parser.tokens[bracket_position][0]]
+    return _fault(
+        parser, f'expected "{closer}" for the {_opener(parser, bracket_position)} before {shown_token}', ""
+    )
 
 
 def priority_clash_error(
-    parser: ParserState, operator: Operator, start: int, outer: Optional[Operator]
+    parser: ParserState, operator: Operator, start: int, outer_operator: Optional[Operator]
 ) -> SyntaxFault:
     """Return the error for an operator whose priority does not fit.
 
@@ -227,20 +229,20 @@ def priority_clash_error(
         parser: the parser.
         operator: the operator.
         start: the offset of the operator.
-        outer: the operator whose argument it should be; None if its own left argument has too high a priority.
+        outer_operator: the operator whose argument it should be; None if its own left argument has too high priority.
     """
     name = parser.text_at(start)
     left = parser.left[0].name if parser.left.__class__ is tuple else ""
     necks = _PROLOG_NECKS | EVENT_SYNTAX.arrows
-    if operator.functor.name in necks and (outer or left in necks):
-        first = outer.functor.name if outer else left
+    if operator.functor.name in necks and (outer_operator or left in necks):
+        first = outer_operator.functor.name if outer_operator else left
         message = f'expected one arrow in a clause, not "{first}" and "{name}"'
         hint = "an event rule has <-, a Prolog clause :-; is a full stop missing between two clauses?"
-    elif outer is not None:
+    elif outer_operator is not None:
         message = (
             f'expected brackets: "{name}" ({operator.priority} {operator.type}) cannot be an argument of "'
-            f'{outer.functor.name}"'
-            f" ({outer.priority} {outer.type})"
+            f'{outer_operator.functor.name}"'
+            f" ({outer_operator.priority} {outer_operator.type})"
         )
         hint = ""
     elif left:
@@ -254,8 +256,8 @@ def priority_clash_error(
     return _fault(parser, message, hint, start)
 
 
-def _opener(parser: ParserState, opened: int) -> str:
-    offset = parser.tokens[opened][2]
+def _opener(parser: ParserState, bracket_position: int) -> str:
+    offset = parser.tokens[bracket_position][2]
     place = parser.source.place(offset)
     return f'"{parser.source.text[offset]}" in line {place.line}, column {place.column}'
 
@@ -299,21 +301,25 @@ class ParserStack(ParserState):
             raise priority_clash_error(self, operator, start, top[2] if top[1] <= PREFIX else None)
         self.stack.append((operator.right, PREFIX, operator, start, self.table))
 
-    def _push_group(self, at: Optional[int], start: int) -> None:
-        """Open a round or curly bracket, or the clause itself (``at`` is None)."""
-        self._push_bracket([1200, GROUP, at, self.table, start])
+    def _push_group(self, bracket_position: Optional[int], start: int) -> None:
+        """Open a round or curly bracket, or the clause itself (``bracket_position`` is None)."""
+        self._push_bracket([1200, GROUP, bracket_position, self.table, start])
         # Round brackets keep the table: in `(a seq b) or c` the pattern continues. A curly bracket holds Prolog
         # terms.
-        inner = self.table if at is None or self.tokens[at][0] != "{" else self.operators.infix
-        self._begin_segment(self.position, inner)
+        inner_table = (
+            self.table
+            if bracket_position is None or self.tokens[bracket_position][0] != "{"
+            else self.operators.infix
+        )
+        self._begin_segment(self.position, inner_table)
 
     def _push_bracket(self, entry: List[Any]) -> None:
         self.stack.append(entry)
         self.brackets.append(entry)
 
-    def _begin_segment(self, at: int, table: Optional[OperatorTable]) -> None:
-        """Set the operator table for the segment that begins at the token ``at``; see `rule_detection`."""
-        has_head = self.rules.rules.get(at) if self.patterns is not None else None
+    def _begin_segment(self, start_position: int, table: Optional[OperatorTable]) -> None:
+        """Set the operator table for the segment that begins at a token; see `rule_detection`."""
+        has_head = self.rules.rules.get(start_position) if self.patterns is not None else None
         if has_head is not None:
             table = self.operators.infix if has_head else self.patterns
         self.table = table if table is not None else self.operators.infix
@@ -448,19 +454,19 @@ class ParserStack(ParserState):
         self.position += 1
         self._push_infix(infix, "|", start)
 
-    def _close(self, kind: str) -> None:
+    def _close(self, bracket_kind: str) -> None:
         bracket = self._close_operators()
-        opened = bracket[2]
+        bracket_position = bracket[2]
         # A clause ends with a full stop; a single term may also end with the text.
-        expected = END if opened is None else CLOSER[self.tokens[opened][0]]
-        if kind != expected and not (opened is None and kind == "eof"):
-            raise unbalanced_bracket_error(self, opened)
+        expected = END if bracket_position is None else CLOSER[self.tokens[bracket_position][0]]
+        if bracket_kind != expected and not (bracket_position is None and bracket_kind == "eof"):
+            raise unbalanced_bracket_error(self, bracket_position)
         self.position += 1
         self.stack.pop()
         self.brackets.pop()
         self.table = bracket[3]
         if bracket[1] == GROUP:
-            if kind == "}":
+            if bracket_kind == "}":
                 self._build((_CURLY, self.left), bracket[4], (self.left_at,))
             self.left_at = bracket[4]
         else:

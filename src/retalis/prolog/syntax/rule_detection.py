@@ -67,25 +67,25 @@ def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
     """Return the positions of the event rules in a clause."""
     result = Layout({}, {}, {})
     stack = [Segment(0, "")]
-    opened: List[int] = []
+    bracket_starts: List[int] = []
     for position, token in enumerate(tokens):
-        kind = token[0]
-        if kind in (NAME, QUOTED):
+        token_kind = token[0]
+        if token_kind in (NAME, QUOTED):
             _record_name(stack[-1], tokens, position, operators)
-        elif kind in _OPENING:
-            opened.append(position)
+        elif token_kind in _OPENING:
+            bracket_starts.append(position)
             result.commas[position] = 0
-            stack.append(Segment(position + 1, kind))
-        elif kind in _CLOSING:
-            if opened:
-                opened.pop()
+            stack.append(Segment(position + 1, token_kind))
+        elif token_kind in _CLOSING:
+            if bracket_starts:
+                bracket_starts.pop()
                 _finish_segment(stack.pop(), result)
-        elif kind == "," and opened:
-            result.commas[opened[-1]] += 1
+        elif token_kind == "," and bracket_starts:
+            result.commas[bracket_starts[-1]] += 1
             if stack[-1].brace in (OPEN_CT, "["):
                 _finish_segment(stack.pop(), result)
-                stack.append(Segment(position + 1, tokens[opened[-1]][0]))
-        elif kind == "|" and stack[-1].brace == "[":
+                stack.append(Segment(position + 1, tokens[bracket_starts[-1]][0]))
+        elif token_kind == "|" and stack[-1].brace == "[":
             _finish_segment(stack.pop(), result)
             stack.append(Segment(position + 1, "["))
     # Brackets may be unbalanced: the parser reports that later, with a better message than is possible here.
@@ -108,41 +108,41 @@ def _finish_segment(segment: Segment, result: Layout) -> None:
         result.labels[position] = has_head
 
 
-def _record_name(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: Operators) -> None:
-    """Record the name at token ``at`` in its segment, if it decides about the kind of the segment."""
-    name = tokens[at][1]
+def _record_name(segment: Segment, tokens: Sequence[AnyToken], position: int, operators: Operators) -> None:
+    """Record the name at token ``position`` in its segment, if it decides about the kind of the segment."""
+    name = tokens[position][1]
     if name in _NECKS:
         # In quotes, or before a bracket or comma, it is an atom: `X = (:-)`.
-        if tokens[at][0] == NAME and tokens[at + 1][0] not in _CANNOT_START:
+        if tokens[position][0] == NAME and tokens[position + 1][0] not in _CANNOT_START:
             segment.neck = True
         return
     canonical = ":" if name == ":" else EVENT_SYNTAX.canonical.get(name)
-    if canonical not in ("<-", "do", "rule:", ":") or not _is_infix(segment, tokens, at, operators):
+    if canonical not in ("<-", "do", "rule:", ":") or not _is_infix(segment, tokens, position, operators):
         return
     if canonical == "<-":
         if segment.arrow is None:
-            segment.arrow = at
+            segment.arrow = position
     elif canonical == "do":
         if segment.action is None:
-            segment.action = at
+            segment.action = position
     elif canonical == ":":
-        segment.colons.append(at)
+        segment.colons.append(position)
     else:
-        segment.labels.append(at)
+        segment.labels.append(position)
 
 
-def _is_infix(segment: Segment, tokens: Sequence[AnyToken], at: int, operators: Operators) -> bool:
+def _is_infix(segment: Segment, tokens: Sequence[AnyToken], position: int, operators: Operators) -> bool:
     # An infix operator needs an operand on both sides. The tests mirror those of the parser, on the tokens alone.
-    if at == segment.start:
+    if position == segment.start:
         return False
-    kind, value = tokens[at + 1][:2]
-    if kind in _CANNOT_START:
+    token_kind, value = tokens[position + 1][:2]
+    if token_kind in _CANNOT_START:
         return False
-    if kind == NAME and value in operators.infix and value not in operators.prefix:
-        return tokens[at + 2][0] in _CANNOT_START or tokens[at + 2][0] == OPEN_CT
-    kind, value = tokens[at - 1][:2]
-    if kind in (",", "|"):
+    if token_kind == NAME and value in operators.infix and value not in operators.prefix:
+        return tokens[position + 2][0] in _CANNOT_START or tokens[position + 2][0] == OPEN_CT
+    token_kind, value = tokens[position - 1][:2]
+    if token_kind in (",", "|"):
         return False
-    if kind != NAME or at - 1 == segment.start or value in operators.postfix:
+    if token_kind != NAME or position - 1 == segment.start or value in operators.postfix:
         return True
     return value not in operators.infix

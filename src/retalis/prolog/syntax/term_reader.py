@@ -148,8 +148,8 @@ class Program:
         Return None if there is none. In a clause with an error, such a quote was probably meant to end on its line.
         """
         text = self._source.text
-        for kind, _, start, end in clause if self.flags.multiline else ():
-            if kind in (QUOTED, TEXT) and "\n" in text[start:end] and closing(text, start) is None:
+        for token_kind, _, start, end in clause if self.flags.multiline else ():
+            if token_kind in (QUOTED, TEXT) and "\n" in text[start:end] and closing(text, start) is None:
                 # The tokens after the quote were wrong as well, so the text is tokenised anew from there.
                 self._resume_at = None
                 self._tokens = self._tokens_from(unclosed_end(text, start))
@@ -202,8 +202,8 @@ class Program:
 
     def _begins_clause(self, token: AnyToken) -> bool:
         """Return whether an erroneous token probably begins a clause, after a missing full stop."""
-        kind, _, start, _ = token
-        return kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start)
+        token_kind, _, start, _ = token
+        return token_kind in (NAME, QUOTED, VARIABLE) and starts_line(self._source.text, start)
 
 
 def _after_interpreter(text: str) -> int:
@@ -242,14 +242,14 @@ def read_term(
     Raises:
         SyntaxFault: if the text is not exactly one term.
     """
-    where = Source(source, text, first_line)
-    clause = list(tokens(where, lambda: flags))
+    source_text = Source(source, text, first_line)
+    clause = list(tokens(source_text, lambda: flags))
     for position, token in enumerate(clause):
         if token[0] == END and position + 1 < len(clause):
-            raise where.fault("expected nothing after the full stop", clause[position + 1][2])
+            raise source_text.fault("expected nothing after the full stop", clause[position + 1][2])
     if not clause or clause[0][0] == END:
-        raise where.fault("expected a term", clause[0][2] if clause else 0)
-    parser = _parser(clause, where, operators, flags, positions)
+        raise source_text.fault("expected a term", clause[0][2] if clause else 0)
+    parser = _parser(clause, source_text, operators, flags, positions)
     return ReadTerm(parser, parser.read(), clause[0][2])
 
 
@@ -264,10 +264,10 @@ def _parser(
     # Only clauses that contain an arrow or `do` can be event rules; the analysis of rules is skipped for all others.
     marked = False
     markers = EVENT_SYNTAX.markers
-    for kind, value, start, _ in clause:
-        if kind == "bad":
+    for token_kind, value, start, _ in clause:
+        if token_kind == "bad":
             raise source.fault(value, start)
-        if (kind in (NAME, QUOTED)) and value in markers:
+        if (token_kind in (NAME, QUOTED)) and value in markers:
             marked = True
     end = ("eof", None, clause[-1][3], clause[-1][3])
     clause = [*clause, end, end, end]  # the parser looks ahead without testing for the end

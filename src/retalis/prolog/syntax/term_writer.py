@@ -128,13 +128,13 @@ class _TermWriter:
             if not steps & mask and self._is_full(term, steps):
                 break
             entry: Any = stack.pop()
-            kind = entry.__class__
-            if kind is str:
+            entry_class = entry.__class__
+            if entry_class is str:
                 self._put(entry)
-            elif kind is _PrefixOperator:
+            elif entry_class is _PrefixOperator:
                 entry.has_space_before = self._put(entry.text)
                 self.after = entry
-            elif kind is _Cells or kind is _Arguments:
+            elif entry_class is _Cells or entry_class is _Arguments:
                 entry.put_next(stack)
             else:
                 self._term(deref(entry[0]), entry[1], len(entry) == 3)
@@ -563,8 +563,8 @@ class _NamedShower:
             for number in others
         )
 
-    def slot(self, slot: MessageSlot, value: Term, whole: bool) -> str:
-        value = as_integers(deref(value), slot.array) if whole else deref(value)
+    def slot(self, slot: MessageSlot, value: Term, is_complete: bool) -> str:
+        value = as_integers(deref(value), slot.array) if is_complete else deref(value)
         text = self.text(value) if slot.message and not slot.array else None
         if text is None:
             text = write_term(value, self.operators, portray=self.text, priority=999, **self.options)

@@ -165,26 +165,26 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
         if not count & _CHECK_MASK:
             look()
         token_match = match(text, start)
-        kind = token_match.lastgroup
+        token_kind = token_match.lastgroup
         end = token_match.end()
-        if kind in _LAYOUT:
+        if token_kind in _LAYOUT:
             start = end
             continue
-        if kind == "PUNCTUATION":
+        if token_kind == "PUNCTUATION":
             char = text[start]
             # `f(` is a compound term, `f (` is not: the position decides, not the kind of the token before.
             yield (OPEN_CT if char == "(" and start == last else char), None, start, end
-        elif kind == "WORD":
+        elif token_kind == "WORD":
             name = text[start:end]
             first = name[0]
             # Title-case letters (category Lt) count as capitals, as in SWI-Prolog.
             is_variable = first == "_" or first.isupper() or first.istitle()
             yield VARIABLE if is_variable else NAME, name, start, end
-        elif kind == "SYMBOL" or kind == "SOLO":
+        elif token_kind == "SYMBOL" or token_kind == "SOLO":
             yield NAME, text[start:end], start, end
-        elif kind == "END":
+        elif token_kind == "END":
             yield END, None, start, end
-        elif kind == "QUOTE":
+        elif token_kind == "QUOTE":
             end = closing(text, start, flags().multiline)
             if end is None:
                 end = unclosed_end(text, start)
@@ -192,18 +192,18 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
             else:
                 yield _quoted_token(text[start:end], start, end, flags())
         else:
-            yield _token_with_value(kind, text[start:end], start, end, text, flags())
+            yield _token_with_value(token_kind, text[start:end], start, end, text, flags())
         last = start = end
 
 
 def _token_with_value(
-    kind: str, token_text: str, start: int, end: int, text: str, flags: ReadFlags
+    token_kind: str, token_text: str, start: int, end: int, text: str, flags: ReadFlags
 ) -> AnyToken:
-    if kind == "NUMBER":
+    if token_kind == "NUMBER":
         return _number_token(token_text, start, end, text, flags)
-    if kind == "QUOTED":
+    if token_kind == "QUOTED":
         return _quoted_token(token_text, start, end, flags)
-    if kind == "BAD_COMMENT":
+    if token_kind == "BAD_COMMENT":
         return "bad", 'this comment is never closed: expected "*/"', start, end
     if unicodedata.category(token_text)[0] == "S":
         return NAME, token_text, start, end

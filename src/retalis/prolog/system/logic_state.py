@@ -106,20 +106,20 @@ def _kept(predicate: Predicate) -> KeptClauses:
     )
 
 
-def restore_logic(logic: PrologSystem, kept: KeptLogic) -> None:
+def restore_logic(logic: PrologSystem, kept_logic: KeptLogic) -> None:
     """Load a program into a new Prolog system.
 
     Raises:
         PrologError: if the program is invalid, for instance if it defines a fixed predicate.
     """
-    _restore_operators(logic.operators, kept.operators)
+    _restore_operators(logic.operators, kept_logic.operators)
     tables = tables_of(logic.machine)
     # Declarations first: they create the hidden predicates that hold the clauses of tabled ones.
-    for declaration in kept.tabled:
+    for declaration in kept_logic.tabled:
         declare_as(logic.machine, declaration)
-    for functor in kept.incremental:
+    for functor in kept_logic.incremental:
         tables.observe(logic.database.writable(functor, "modify"))
-    for functor, marks, clauses in kept.predicates:
+    for functor, marks, clauses in kept_logic.predicates:
         predicate = logic.database.writable(functor, "modify")
         predicate.dynamic, predicate.discontiguous, predicate.multifile, is_user = marks
         predicate.kind = "user" if is_user else predicate.kind
@@ -127,31 +127,31 @@ def restore_logic(logic: PrologSystem, kept: KeptLogic) -> None:
             predicate.add(Clause(predicate, head, body, place))
 
 
-def restore_values(logic: PrologSystem, kept: KeptValues) -> None:
+def restore_values(logic: PrologSystem, kept_values: KeptValues) -> None:
     """Load the data of goals into a Prolog system whose program has been restored."""
-    logic.flags.update(flags_from(kept.flags))
-    logic.globals.update(kept.values)
-    logic.column = kept.column
+    logic.flags.update(flags_from(kept_values.flags))
+    logic.globals.update(kept_values.values)
+    logic.column = kept_values.column
     for name in _COUNTED:
-        if name in kept.counted:
-            logic.state.setdefault(name, {}).update(kept.counted[name])
+        if name in kept_values.counted:
+            logic.state.setdefault(name, {}).update(kept_values.counted[name])
     modules = logic.database.modules
-    modules.restore(kept.counted.get(_MODULES, {}))
-    modules.metas.update(kept.counted.get(_METAS, {}))
-    tables_of(logic.machine).restore(kept.answers)
+    modules.restore(kept_values.counted.get(_MODULES, {}))
+    modules.metas.update(kept_values.counted.get(_METAS, {}))
+    tables_of(logic.machine).restore(kept_values.answers)
 
 
 def _restore_operators(
-    operators: Operators, kept: Tuple[Sequence[int], Sequence[str], Sequence[str]]
+    operators: Operators, kept_operators: Tuple[Sequence[int], Sequence[str], Sequence[str]]
 ) -> None:
     """Make an operator table contain exactly the given operators."""
-    priorities, types, names = kept
+    priorities, types, names = kept_operators
     # Only differences are applied: each change of the table invalidates what depends on it.
-    wanted = dict(zip(zip(types, names), priorities))
+    kept_priorities = dict(zip(zip(types, names), priorities))
     current = {(op_type, name): priority for priority, op_type, name in operators}
     for op_type, name in current:
-        if (op_type, name) not in wanted:
+        if (op_type, name) not in kept_priorities:
             operators.add(0, op_type, name)
-    for (op_type, name), priority in wanted.items():
+    for (op_type, name), priority in kept_priorities.items():
         if current.get((op_type, name)) != priority:
             operators.add(priority, op_type, name)

@@ -141,7 +141,7 @@ class PredicateTable:
         Bindings of a failed call are undone.
         """
         # Unpacking the frame by position is faster than passing a slice of it.
-        args = "".join(f", a{at}" for at in range(arity))
+        args = "".join(f", a{position}" for position in range(arity))
         source = f"def made(frame):\n    _{args}, after = frame\n"
         source += f"    return after if function(machine{args}) else None\n"
         names = {"machine": self.machine, "function": function}
@@ -197,8 +197,8 @@ class PredicateTable:
         key = functor(name, arity)
 
         def resume(entry: Frame) -> Optional[Frame]:
-            after: Frame
-            _, solutions, after, _ = entry
+            continuation: Frame
+            _, solutions, continuation, _ = entry
             # Taken before the generator binds anything, so that backtracking undoes its bindings.
             mark = len(trail)
             yielded = next(solutions, _NO_SOLUTION)
@@ -206,19 +206,19 @@ class PredicateTable:
                 return None
             # After LAST no choice point is pushed: the call ends deterministically, and its generator is released.
             if yielded is not LAST:
-                choices.append((retry, solutions, after, mark))
-            return after
+                choices.append((retry, solutions, continuation, mark))
+            return continuation
 
         retry = Code(str(key), resume)
         retry.functor = key
         retry.dropped = _close_generator
 
-        def call(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+        def call(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
             solutions: Any = function(machine, *args)
             # A bool needs neither a generator nor a choice point.
             if solutions is True:
-                return after
-            return resume((retry, iter(solutions), after, 0)) if solutions else None
+                return continuation
+            return resume((retry, iter(solutions), continuation, 0)) if solutions else None
 
         def run(frame: Frame) -> Optional[Frame]:
             return call(machine, frame[1:-1], frame[-1])

@@ -134,20 +134,20 @@ class Tracer:
             del control.solve
             self._logic.database.solve = control.solve
 
-    def solve(self, goal: Term, height: int, after: Frame) -> Optional[Frame]:
+    def solve(self, goal: Term, height: int, continuation: Frame) -> Optional[Frame]:
         """Return the frame that runs a goal with reports of its ports; see `Control.solve`."""
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] is COMMA:
-            after = (self._control.code, goal[2], height, after)
+            continuation = (self._control.code, goal[2], height, continuation)
             goal = deref(goal[1])
         if goal.__class__ is tuple and goal[0] is COLON:
-            return self.solve(self._logic.database.modules.goal(goal), height, after)
+            return self.solve(self._logic.database.modules.goal(goal), height, continuation)
         key = _functor_of(goal)
         if key is None or key in _SILENT or key in _CONTROL:
-            return self._untraced_solve(goal, height, after)
-        return self._call(goal, key, after)
+            return self._untraced_solve(goal, height, continuation)
+        return self._call(goal, key, continuation)
 
-    def _call(self, goal: Term, key: Functor, after: Frame) -> Optional[Frame]:
+    def _call(self, goal: Term, key: Functor, continuation: Frame) -> Optional[Frame]:
         self._depth += 1
         call = _TracedCall(goal, self._depth)
         self._report_port("Call", call)
@@ -155,7 +155,7 @@ class Tracer:
         # exception unwinds it.
         base = len(self._choices)
         self._choices.append((self._guard, call, len(self._trail)))
-        exit_frame = (self._exit, call, base, after)
+        exit_frame = (self._exit, call, base, continuation)
         predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
         if predicate.kind == "user" and not predicate.library:
             arguments = goal[1:] if goal.__class__ is tuple else ()
@@ -184,8 +184,8 @@ class Tracer:
         return None
 
     def _on_exit(self, frame: Frame) -> Frame:
-        after: Frame
-        _, call, base, after = frame
+        continuation: Frame
+        _, call, base, continuation = frame
         self._report_port("Exit", call)
         self._depth = call.depth - 1
         if len(self._choices) == base + 1:
@@ -194,7 +194,7 @@ class Tracer:
             # On top of the call's choice points: backtracking into the call passes its redo port first.
             call.exited = True
             self._choices.append((self._redo, call, len(self._trail)))
-        return after
+        return continuation
 
     def _on_redo(self, entry: Frame) -> None:
         call = entry[1]
@@ -227,7 +227,7 @@ def _functor_of(goal: Term) -> Optional[Functor]:
 
 
 @control("trace/1")
-def trace(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
+def trace(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal and write a line to the error output for each port that it passes."""
     logic = machine.logic
     tracer = Tracer(logic, lambda line: logic.error_output(f"{line}\n"))
@@ -236,20 +236,20 @@ def trace(machine: Machine, args: Values, after: Frame) -> Optional[Frame]:
     # codes below do that at the corresponding points of the choice point stack.
     height = len(machine.choices)
     machine.choices.append((_TRACE_GUARD, tracer, len(machine.trail)))
-    return tracer.solve(args[0], height + 1, (_LEAVE, machine, tracer, height, after))
+    return tracer.solve(args[0], height + 1, (_LEAVE, machine, tracer, height, continuation))
 
 
 def _leave(frame: Frame) -> Frame:
     machine: Machine
     tracer: Tracer
-    after: Frame
-    _, machine, tracer, height, after = frame
+    continuation: Frame
+    _, machine, tracer, height, continuation = frame
     tracer.stop()
     if len(machine.choices) == height + 1:
         machine.choices.pop()
     else:
         machine.choices.append((_RESUME_TRACE, tracer, len(machine.trail)))
-    return after
+    return continuation
 
 
 _TRACE_GUARD = Guard("trace", lambda entry: entry[1].stop())
@@ -286,9 +286,9 @@ def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Opti
     suggestions = similar(logic, logic.database.modules.plain_of(key) or key)
     if suggestions:
         notes.append(f"did you mean {' or '.join(suggestions)}?")
-    shown = logic.database.modules.module_indicator(key) or indicator(key)
-    context = (CONTEXT, shown, atom("; ".join(notes))) if notes else shown
-    raise existence_error("procedure", shown, context)
+    shown_indicator = logic.database.modules.module_indicator(key) or indicator(key)
+    context = (CONTEXT, shown_indicator, atom("; ".join(notes))) if notes else shown_indicator
+    raise existence_error("procedure", shown_indicator, context)
 
 
 def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame) -> List[str]:
@@ -300,7 +300,7 @@ def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame)
     """
     key = predicate.functor
     call = (key, *frame[1:-1])
-    after = getattr(frame[-1][0], "functor", None)
+    following_functor = getattr(frame[-1][0], "functor", None)
     clauses = [
         clause
         for candidate in list(logic.database.predicates.values())
@@ -312,13 +312,13 @@ def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame)
     # A closure, to which maplist/3 and others add arguments, has fewer of them in the clause.
     if not matching:
         matching = [clause for clause in clauses if _may_call(clause, call, 1)]
-    returned_to = [clause for clause in matching if clause.predicate.functor is after]
+    returned_to = [clause for clause in matching if clause.predicate.functor is following_functor]
     return [_describe(clause) for clause in (returned_to or matching)[:3]]
 
 
 def _describe(clause: Clause) -> str:
-    where = f" ({clause.place})" if clause.place is not None else ""
-    return f"{clause.predicate.functor}{where}".split("\n")[0]
+    place_text = f" ({clause.place})" if clause.place is not None else ""
+    return f"{clause.predicate.functor}{place_text}".split("\n")[0]
 
 
 def _may_call(clause: Clause, call: CompoundTerm, least: int) -> bool:
@@ -506,11 +506,11 @@ class PrologSystem(PredicateTable):
     @contextmanager
     def for_others(self) -> Iterator[None]:
         """Return a context in which work is done for clients: services and the dashboard."""
-        outer, self.from_outside = self.from_outside, True
+        was_from_outside, self.from_outside = self.from_outside, True
         try:
             yield
         finally:
-            self.from_outside = outer
+            self.from_outside = was_from_outside
 
     def require_flags(self, flag: Term) -> None:
         """Require that the running goal may change a flag.
@@ -676,12 +676,12 @@ class PrologSystem(PredicateTable):
         Args:
             terms: called at the end; returns the terms whose predicates will be called.
         """
-        outer = self.new_goals
+        outer_goals = self.new_goals
         goals = self.new_goals = []
         try:
             yield
         finally:
-            self.new_goals = outer
+            self.new_goals = outer_goals
         self.database.compile_named(terms())
         for goal in goals:
             goal.prepare()
@@ -701,7 +701,7 @@ class PrologSystem(PredicateTable):
         """
         budget = self.machine.budget
         # Each goal is charged as a step: nested short goals would otherwise end before any of them checks the limits.
-        budget.ended(1)
+        budget.count_last_steps(1)
         if budget.closed:
             budget.admit()
         outer_goal = budget.goal
@@ -727,7 +727,7 @@ class PrologSystem(PredicateTable):
         self.column = self.column + len(text) if newline < 0 else len(text) - newline - 1
         self.output(text)
 
-    def _to_error_output(self, kind: str, text: str) -> None:
+    def _to_error_output(self, message_kind: str, text: str) -> None:
         self.error_output(text)
 
     def show(
@@ -748,8 +748,8 @@ class PrologSystem(PredicateTable):
             longest: length in characters after which the text ends with ``...``.
         """
         options = {"quoted": quoted, "numbervars": True, "variable_names": names, "longest": longest}
-        named = [var for var, name in (names or {}).items() if name != "_"]
-        portray = by_name(term, self.operators, named, made, **options) if quoted else None
+        named_variables = [var for var, name in (names or {}).items() if name != "_"]
+        portray = by_name(term, self.operators, named_variables, made, **options) if quoted else None
         return write_term(term, self.operators, portray=portray, **options)
 
     def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:

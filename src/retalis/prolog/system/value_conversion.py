@@ -238,7 +238,7 @@ def to_json(term: Term, names: Dict[Var, str], max_length: int) -> str:
     Raises:
         UsageError: if the text would be longer.
     """
-    written: List[str] = []
+    parts: List[str] = []
     stack: List[Union[Term, _ReadyText]] = [term]
     length = steps = 0
     while stack:
@@ -260,8 +260,8 @@ def to_json(term: Term, names: Dict[Var, str], max_length: int) -> str:
         length += len(text)
         if length > max_length:
             raise _too_long(max_length)
-        written.append(text)
-    return "".join(written)
+        parts.append(text)
+    return "".join(parts)
 
 
 def _too_long(max_length: int) -> UsageError:

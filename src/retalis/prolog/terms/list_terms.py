@@ -50,7 +50,7 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
     """Return the items of a proper or partial list, and its tail."""
     items: List[Term] = []
     term = deref(term)
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
             if term.__class__ is not tuple or term[0] is not CONS:
                 return items, term
@@ -59,7 +59,7 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
             if term.__class__ is not tuple:
                 term = deref(term)
         look()
-        if done == LATE_ROUND:
+        if round_number == LATE_ROUND:
             _refuse_endless(term)
     raise TermTooLarge
 
@@ -88,7 +88,7 @@ def _refuse_endless(term: Term) -> None:
 def conjuncts(term: Term) -> Iterator[Term]:
     """Yield the goals of a conjunction from left to right."""
     stack = [term]
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
             if not stack:
                 return
@@ -98,7 +98,7 @@ def conjuncts(term: Term) -> Iterator[Term]:
             else:
                 yield goal
         look()
-        if done == LATE_ROUND:
+        if round_number == LATE_ROUND:
             refuse_cycles(term)
     raise TermTooLarge
 

@@ -52,7 +52,7 @@ LATE_ROUND = LATE // (MASK + 1) - 1
 def contains_itself(term: Term) -> bool:
     """Return whether a term is cyclic. Only the first `LATE` parts of a large term are checked."""
     path: Set[int] = set()
-    seen: Set[int] = set()
+    visited_ids: Set[int] = set()
     stack: List[Any] = [term]
     while stack:
         part = stack.pop()
@@ -68,11 +68,11 @@ def contains_itself(term: Term) -> bool:
         key = id(part)
         if key in path:
             return True
-        if key in seen:
+        if key in visited_ids:
             continue
-        if len(seen) + len(part) > LATE:
+        if len(visited_ids) + len(part) > LATE:
             return False
-        seen.add(key)
+        visited_ids.add(key)
         path.add(key)
         stack.append(key)
         for argument in part:
@@ -120,15 +120,15 @@ def variables(term: Term) -> List[Var]:
     seen: Dict[Var, None] = {}
     stack: List[Term] = []
     item: Any = term
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
-            kind = item.__class__
-            if kind is Var:
+            item_class = item.__class__
+            if item_class is Var:
                 item = _follow(item)
-                kind = item.__class__
-                if kind is Var:
+                item_class = item.__class__
+                if item_class is Var:
                     seen.setdefault(item)
-            if kind is tuple and len(item) > 1:
+            if item_class is tuple and len(item) > 1:
                 stack.extend(item[:1:-1])
                 item = item[1]
                 continue
@@ -136,7 +136,7 @@ def variables(term: Term) -> List[Var]:
                 return list(seen)
             item = stack.pop()
         look()
-        if done == LATE_ROUND and contains_itself(term):
+        if round_number == LATE_ROUND and contains_itself(term):
             return _variables_of_cyclic_term([*stack, item], seen)
     raise TermTooLarge
 
@@ -175,24 +175,24 @@ def is_larger(term: Term, limit: int) -> bool:
 def is_ground(term: Term) -> bool:
     """Return whether a term has no unbound variable. A lazy term is ground by definition and is not built."""
     stack = [term]
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
             if not stack:
                 return True
             item: Any = stack.pop()
-            kind = item.__class__
-            if kind is Var:
+            item_class = item.__class__
+            if item_class is Var:
                 item = _follow(item)
-                kind = item.__class__
-                if kind is Var:
+                item_class = item.__class__
+                if item_class is Var:
                     return False
-            if kind is tuple:
+            if item_class is tuple:
                 # One step may push a whole argument list: a wide term counts by its arguments, not as one step.
                 if len(item) > MASK:
                     look(len(item))
                 stack.extend(item[1:])
         look()
-        if done == LATE_ROUND and contains_itself(term):
+        if round_number == LATE_ROUND and contains_itself(term):
             return not _variables_of_cyclic_term(stack, {})
     raise TermTooLarge
 
@@ -204,8 +204,10 @@ ATOMIC = frozenset((Atom, int, float, String))
 def are_ground(values: Sequence[Term]) -> bool:
     """Return whether terms have no variables; a bound variable at the top of a term counts as one."""
     for value in values:
-        kind = value.__class__
-        if kind not in ATOMIC and (kind is Var or (kind is tuple and not is_ground(value))):
+        value_class = value.__class__
+        if value_class not in ATOMIC and (
+            value_class is Var or (value_class is tuple and not is_ground(value))
+        ):
             return False
     return True
 
@@ -221,10 +223,10 @@ def is_plain(term: Term) -> bool:
             if count == LATE:
                 refuse_cycles(term)
         for item in compound:
-            kind = item.__class__
-            if kind is tuple:
+            item_class = item.__class__
+            if item_class is tuple:
                 pending.append(item)
-            elif kind is Var:
+            elif item_class is Var:
                 return False
     return True
 
@@ -256,15 +258,15 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
             look(size)
         while position < size:
             item: Any = source[position]
-            kind = item.__class__
-            if kind is Var:
+            item_class = item.__class__
+            if item_class is Var:
                 changed = True
                 item = _follow(item)
-                kind = item.__class__
-                if kind is Var:
+                item_class = item.__class__
+                if item_class is Var:
                     item = leaf(item)
-                    kind = None
-            if kind is tuple:
+                    item_class = None
+            if item_class is tuple:
                 entry[2] = changed
                 stack.append([item, [item[0]], False])
                 steps += 1
@@ -328,21 +330,21 @@ def _small_copy(  # noqa: C901 -- runs for each solution: a call to follow a var
     position = -1
     for item in term:
         position += 1
-        kind = item.__class__
-        if kind is Var:
-            while kind is Var:
+        item_class = item.__class__
+        if item_class is Var:
+            while item_class is Var:
                 ref = item.ref
                 if ref is None:
                     new = fresh.get(item)
                     item = fresh.setdefault(item, Var()) if new is None else new
                     break
                 item = ref
-                kind = item.__class__
-            if kind is tuple:
+                item_class = item.__class__
+            if item_class is tuple:
                 item = _small_copy(item, fresh, depth - 1)
                 if item is None:
                     return None
-        elif kind is tuple:
+        elif item_class is tuple:
             copied = _small_copy(item, fresh, depth - 1)
             if copied is item:
                 continue
@@ -372,17 +374,17 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
         term: the term to copy.
         fresh: maps old variables to new ones; extended by the call.
     """
-    kind = term.__class__
-    while kind is Var:
+    term_class = term.__class__
+    while term_class is Var:
         ref: Any = term.ref  # type: ignore[union-attr]
         if ref is None:
             break
         term = ref
-        kind = ref.__class__
-    if kind is not tuple and kind is not Var:
+        term_class = ref.__class__
+    if term_class is not tuple and term_class is not Var:
         return term
     mapping: Dict[Var, Term] = {} if fresh is None else fresh
-    if kind is tuple:
+    if term_class is tuple:
         small = _small_copy(term, mapping)  # type: ignore[arg-type]
         if small is not None:
             return small
@@ -407,33 +409,33 @@ def freeze(term: Term) -> Hashable:
     Raises:
         ValueError: if the term has an unbound variable.
     """
-    kind = term.__class__
-    if kind is Atom or kind is int or kind is String:
+    term_class = term.__class__
+    if term_class is Atom or term_class is int or term_class is String:
         return term
     flat: List[Hashable] = []
     stack = [term]
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
             if not stack:
                 return flat[0] if len(flat) == 1 else tuple(flat)
             item: Any = stack.pop()
-            kind = item.__class__
+            term_class = item.__class__
             # A lazy term is built here: its key must equal that of the same term built elsewhere.
-            if kind is Var or kind is Lazy:
+            if term_class is Var or term_class is Lazy:
                 item = deref(item)
-                kind = item.__class__
-            if kind is tuple:
+                term_class = item.__class__
+            if term_class is tuple:
                 flat.append(item[0])
                 stack.extend(item[:0:-1])
-            elif kind is float:
+            elif term_class is float:
                 # 1 == 1.0 and 0.0 == -0.0 in Python, and nan differs from itself; as terms they are the reverse.
                 flat.append((float, item.hex()))
-            elif kind is Var:
+            elif term_class is Var:
                 raise ValueError("a key of a term with variables")
             else:
                 flat.append(item)
         look()
-        if done == LATE_ROUND:
+        if round_number == LATE_ROUND:
             refuse_cycles(term)
     raise TermTooLarge
 
@@ -466,22 +468,22 @@ def variant_key(term: Term) -> Hashable:
     flat: List[Hashable] = [Var]
     numbers: Dict[Var, int] = {}
     stack = [term]
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
             if not stack:
                 return tuple(flat)
             item: Any = deref(stack.pop())
-            kind = item.__class__
-            if kind is tuple:
+            item_class = item.__class__
+            if item_class is tuple:
                 flat.append(item[0])
                 stack.extend(item[:0:-1])
-            elif kind is float:
+            elif item_class is float:
                 flat.append((float, item.hex()))
-            elif kind is Var:
+            elif item_class is Var:
                 flat.append((Var, numbers.setdefault(item, len(numbers))))
             else:
                 flat.append(item)
         look()
-        if done == LATE_ROUND:
+        if round_number == LATE_ROUND:
             refuse_cycles(term)
     raise TermTooLarge

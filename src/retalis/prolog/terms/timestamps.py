@@ -83,17 +83,17 @@ def from_seconds(seconds: float) -> int:
     if seconds.__class__ is int:
         return int(seconds) * SECOND
     try:
-        whole = int(seconds)
+        full_seconds = int(seconds)
     except (ValueError, OverflowError):
         raise UsageError(f"{seconds} is not a number of seconds") from None
     # Whole seconds are split off first: `seconds * 1e9` has more than 53 significant bits for a present-day time.
-    return whole * SECOND + round((seconds - whole) * 1e9)
+    return full_seconds * SECOND + round((seconds - full_seconds) * 1e9)
 
 
 def to_seconds(nanoseconds: int) -> float:
     """Return nanoseconds as float seconds, rounded as ``Sec + NSec * 1e-9`` is."""
-    whole, rest = divmod(int(nanoseconds), SECOND)
-    return whole + rest * 1e-9
+    full_seconds, rest = divmod(int(nanoseconds), SECOND)
+    return full_seconds + rest * 1e-9
 
 
 @lru_cache(maxsize=64)
@@ -173,11 +173,11 @@ def datime6(instant: int) -> Term:
 
 def to_term(instant: int) -> Term:
     """Return the term of an instant, in the form in which it was given."""
-    kind = instant.__class__
-    if kind is int:
+    instant_class = instant.__class__
+    if instant_class is int:
         year, month, day, hour, minute, second, nanosecond = fields(instant)
         return (DATIME7, year, month, day, hour, minute, float(second), nanosecond)
-    if kind is WholeSeconds:
+    if instant_class is WholeSeconds:
         return datime(instant)
     return instant.term  # type: ignore[attr-defined, no-any-return]
 
@@ -215,10 +215,10 @@ def from_term(term: Term) -> int:
     if term.__class__ is Lazy and term.make is to_term and term.made is None:
         return term.source  # type: ignore[no-any-return]
     value: Any = deref(term)
-    kind = value.__class__
-    if kind is int or kind is float:
+    value_class = value.__class__
+    if value_class is int or value_class is float:
         return Stamp.of(_checked(from_seconds(value)), value)
-    if kind is tuple:
+    if value_class is tuple:
         if value[0] is DATIME7:
             instant, exact = _from_fields(value)
             if exact is not None:
@@ -254,8 +254,8 @@ def _from_fields(term: CompoundTerm) -> Tuple[int, Optional[type]]:
         day = _day_number(*values[:3])
     except ValueError:
         return 0, None
-    whole = ((day * 24 + values[3]) * 60 + values[4]) * 60
-    instant = whole * SECOND + from_seconds(second) + nanosecond
+    full_seconds = ((day * 24 + values[3]) * 60 + values[4]) * 60
+    instant = full_seconds * SECOND + from_seconds(second) + nanosecond
     if second.__class__ is float and second != int(second):
         return Stamp.of(instant, (term[0], *values)), Stamp
     return instant, second.__class__

@@ -177,15 +177,15 @@ class Lazy:
 
     def term(self) -> "Term":
         """Return the term, and build it on the first call; its arguments may be lazy as well."""
-        made = self.made
-        if made is None:
+        decoded = self.made
+        if decoded is None:
             # Read `source` before `made`: another thread may build the term between the two reads, and it stores
             # `made` before it clears `source`. In the other order this thread could call `make(None)`.
-            source, made = self.source, self.made
-            if made is None:
-                made = self.made = self.make(source)
+            source, decoded = self.source, self.made
+            if decoded is None:
+                decoded = self.made = self.make(source)
                 self.source = None
-        return made
+        return decoded
 
     def __repr__(self) -> str:
         return f"Lazy({self.functor})"
@@ -363,13 +363,13 @@ def deref(term: Term) -> Term:
     (False, True)
     """
     while True:
-        kind = term.__class__
-        if kind is Var:
+        term_class = term.__class__
+        if term_class is Var:
             ref: Any = term.ref  # type: ignore[union-attr]
             if ref is None:
                 return term
             term = ref
-        elif kind is Lazy:
+        elif term_class is Lazy:
             term = term.term()  # type: ignore[union-attr]
         else:
             return term

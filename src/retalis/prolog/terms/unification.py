@@ -244,7 +244,7 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
         return _compare_simple(left, right, variables)
     stack: List[Any] = [right, left]
     met: Optional[VisitedPairs] = None  # set once one of the terms has proved to be cyclic
-    for done in ROUNDS:
+    for round_number in ROUNDS:
         for _ in BULK:
             if not stack:
                 return 0
@@ -273,7 +273,7 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
                 stack.append(second[position])
                 stack.append(first[position])
         look()
-        if done == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
+        if round_number == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
             met = VisitedPairs()
     raise TermTooLarge
 
