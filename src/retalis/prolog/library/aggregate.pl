@@ -4,29 +4,29 @@
 
 aggregate(Spec, Goal, Result) :-
     aggregate_template_(Spec, Template),
-    bagof(Template, Goal, Found),
-    aggregate_value_(Spec, Found, Result).
+    bagof(Template, Goal, Values),
+    aggregate_value_(Spec, Values, Result).
 
 aggregate(Spec, Discriminator, Goal, Result) :-
     aggregate_template_(Spec, Template),
     setof(Discriminator-Template, Goal, Pairs),
-    pairs_values(Pairs, Found),
-    aggregate_value_(Spec, Found, Result).
+    pairs_values(Pairs, Values),
+    aggregate_value_(Spec, Values, Result).
 
-% What is collected for each solution.
+% The template that is collected for each solution.
 
 aggregate_template_(Spec, _) :-
     var(Spec), !,
     throw(error(instantiation_error, _)).
 aggregate_template_(count, count) :- !.
-aggregate_template_(count(Of), Of) :- !.
-aggregate_template_(sum(Of), Of) :- !.
-aggregate_template_(max(Of), Of) :- !.
-aggregate_template_(min(Of), Of) :- !.
-aggregate_template_(max(Of, Witness), Of-Witness) :- !.
-aggregate_template_(min(Of, Witness), Of-Witness) :- !.
-aggregate_template_(bag(Of), Of) :- !.
-aggregate_template_(set(Of), Of) :- !.
+aggregate_template_(count(Expression), Expression) :- !.
+aggregate_template_(sum(Expression), Expression) :- !.
+aggregate_template_(max(Expression), Expression) :- !.
+aggregate_template_(min(Expression), Expression) :- !.
+aggregate_template_(max(Expression, Witness), Expression-Witness) :- !.
+aggregate_template_(min(Expression, Witness), Expression-Witness) :- !.
+aggregate_template_(bag(Expression), Expression) :- !.
+aggregate_template_(set(Expression), Expression) :- !.
 aggregate_template_(Spec, Template) :-
     compound(Spec), !,
     Spec =.. [_|Specs],
@@ -35,86 +35,86 @@ aggregate_template_(Spec, Template) :-
 aggregate_template_(Spec, _) :-
     throw(error(domain_error(aggregate_template, Spec), _)).
 
-aggregate_value_(count, Found, Count) :- !,
-    length(Found, Count).
-aggregate_value_(count(_), Found, Count) :- !,
-    length(Found, Count).
-aggregate_value_(sum(_), Found, Sum) :- !,
-    foldl(aggregate_sum_, Found, 0, Sum).
-aggregate_value_(max(_), Found, Max) :- !,
-    maplist(aggregate_number_, Found, Numbers),
+aggregate_value_(count, Values, Count) :- !,
+    length(Values, Count).
+aggregate_value_(count(_), Values, Count) :- !,
+    length(Values, Count).
+aggregate_value_(sum(_), Values, Sum) :- !,
+    foldl(aggregate_sum_, Values, 0, Sum).
+aggregate_value_(max(_), Values, Max) :- !,
+    maplist(aggregate_number_, Values, Numbers),
     max_list(Numbers, Max).
-aggregate_value_(min(_), Found, Min) :- !,
-    maplist(aggregate_number_, Found, Numbers),
+aggregate_value_(min(_), Values, Min) :- !,
+    maplist(aggregate_number_, Values, Numbers),
     min_list(Numbers, Min).
-aggregate_value_(max(_, _), [First|Found], max(Max, Witness)) :- !,
+aggregate_value_(max(_, _), [First|Values], max(Max, Witness)) :- !,
     aggregate_pair_(First, Start),
-    foldl(aggregate_greater_, Found, Start, Max-Witness).
-aggregate_value_(min(_, _), [First|Found], min(Min, Witness)) :- !,
+    foldl(aggregate_greater_, Values, Start, Max-Witness).
+aggregate_value_(min(_, _), [First|Values], min(Min, Witness)) :- !,
     aggregate_pair_(First, Start),
-    foldl(aggregate_lesser_, Found, Start, Min-Witness).
-aggregate_value_(bag(_), Found, Found) :- !.
-aggregate_value_(set(_), Found, Set) :- !,
-    sort(Found, Set).
-aggregate_value_(Spec, Found, Result) :-
+    foldl(aggregate_lesser_, Values, Start, Min-Witness).
+aggregate_value_(bag(_), Values, Values) :- !.
+aggregate_value_(set(_), Values, Set) :- !,
+    sort(Values, Set).
+aggregate_value_(Spec, Values, Result) :-
     Spec =.. [Name|Specs],
-    aggregate_columns_(Specs, 1, Found, Results),
+    aggregate_columns_(Specs, 1, Values, Results),
     Result =.. [Name|Results].
 
 aggregate_columns_([], _, _, []).
-aggregate_columns_([Spec|Specs], At, Found, [Result|Results]) :-
-    maplist(arg(At), Found, Column),
+aggregate_columns_([Spec|Specs], Index, Values, [Result|Results]) :-
+    maplist(arg(Index), Values, Column),
     aggregate_value_(Spec, Column, Result),
-    Next is At + 1,
-    aggregate_columns_(Specs, Next, Found, Results).
+    Next is Index + 1,
+    aggregate_columns_(Specs, Next, Values, Results).
 
-aggregate_sum_(Of, Sum0, Sum) :-
-    Sum is Sum0 + Of.
+aggregate_sum_(Expression, Sum0, Sum) :-
+    Sum is Sum0 + Expression.
 
-aggregate_number_(Of, Number) :-
-    Number is Of.
+aggregate_number_(Expression, Number) :-
+    Number is Expression.
 
-aggregate_pair_(Of-Witness, Number-Witness) :-
-    Number is Of.
+aggregate_pair_(Expression-Witness, Number-Witness) :-
+    Number is Expression.
 
-aggregate_greater_(Of-Witness, Best0, Best) :-
-    Number is Of,
-    Best0 = Most-_,
-    (   Number > Most
+aggregate_greater_(Expression-Witness, Best0, Best) :-
+    Number is Expression,
+    Best0 = Max-_,
+    (   Number > Max
     ->  Best = Number-Witness
     ;   Best = Best0
     ).
 
-aggregate_lesser_(Of-Witness, Best0, Best) :-
-    Number is Of,
-    Best0 = Least-_,
-    (   Number < Least
+aggregate_lesser_(Expression-Witness, Best0, Best) :-
+    Number is Expression,
+    Best0 = Min-_,
+    (   Number < Min
     ->  Best = Number-Witness
     ;   Best = Best0
     ).
 
-% The variables that generator and goal share are new ones for each solution; all others of the goal stay.
+% Variables that generator and goal share are renamed for each solution; the other variables of the goal are not.
 
 foreach(Generator, Goal) :-
     term_variables(Generator, Generated),
     term_variables(Goal, Variables),
-    foreach_sort_(Variables, Generated, Shared, Kept),
+    foreach_sort_(Variables, Generated, Shared, Global),
     findall(Shared, Generator, Solutions),
-    foreach_prove_(Solutions, Shared, Kept, Goal).
+    foreach_prove_(Solutions, Shared, Global, Goal).
 
 foreach_sort_([], _, [], []).
-foreach_sort_([V|Vs], Generated, Shared, Kept) :-
+foreach_sort_([V|Vs], Generated, Shared, Global) :-
     (   member(G, Generated), G == V
-    ->  Shared = [V|Shared1], Kept = Kept1
-    ;   Shared = Shared1, Kept = [V|Kept1]
+    ->  Shared = [V|Shared1], Global = Global1
+    ;   Shared = Shared1, Global = [V|Global1]
     ),
-    foreach_sort_(Vs, Generated, Shared1, Kept1).
+    foreach_sort_(Vs, Generated, Shared1, Global1).
 
 foreach_prove_([], _, _, _).
-foreach_prove_([Solution|Solutions], Shared, Kept, Goal) :-
-    copy_term(Shared-Kept-Goal, Solution-Kept-Instance),
+foreach_prove_([Solution|Solutions], Shared, Global, Goal) :-
+    copy_term(Shared-Global-Goal, Solution-Global-Instance),
     call(Instance),
-    foreach_prove_(Solutions, Shared, Kept, Goal).
+    foreach_prove_(Solutions, Shared, Global, Goal).
 
 group_by(By, Template, Goal, Bag) :-
     findall(By-Template, Goal, Pairs),

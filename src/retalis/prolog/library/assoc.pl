@@ -29,14 +29,14 @@ assoc_balance_(DL, DR, <) :-
 assoc_balance_(DL, DR, >) :-
     DR =:= DL + 1.
 
-% get_assoc/3, put_assoc/4, del_assoc/4, assoc_to_list/2 and the like, and '$pairs_to_assoc'/2 are done in Python.
+% get_assoc/3, put_assoc/4, del_assoc/4, assoc_to_list/2 and similar ones, and '$pairs_to_assoc'/2 are implemented in Python.
 
 list_to_assoc(List, Assoc) :-
     must_be(list, List),
     must_be(list(pair), List),
     keysort(List, Sorted),
-    (   '$pairs_to_assoc'(Sorted, Found)
-    ->  Assoc = Found
+    (   '$pairs_to_assoc'(Sorted, Built)
+    ->  Assoc = Built
     ;   throw(error(domain_error(unique_key_pairs, List), _))
     ).
 
@@ -45,8 +45,8 @@ ord_list_to_assoc(List, Assoc) :-
     ->  must_be(list, List)
     ;   true
     ),
-    (   is_of_type(list(pair), List), '$pairs_to_assoc'(List, Found)
-    ->  Assoc = Found
+    (   is_of_type(list(pair), List), '$pairs_to_assoc'(List, Built)
+    ->  Assoc = Built
     ;   throw(error(domain_error(key_ordered_pairs, List), _))
     ).
 

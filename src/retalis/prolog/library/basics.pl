@@ -45,7 +45,7 @@ nonblanks([C|Cs]) -->
 nonblanks([]) -->
     [].
 
-% The shortest string first.
+% Strings in order of length.
 
 string([]) -->
     [].
@@ -54,8 +54,8 @@ string([C|Cs]) -->
     string(Cs).
 
 string_without(End, Codes) -->
-    { basics_codes_(End, Ends) },
-    basics_without_(Ends, Codes).
+    { basics_codes_(End, EndCodes) },
+    basics_without_(EndCodes, Codes).
 
 basics_codes_(End, Codes) :-
     (   string(End)
@@ -63,10 +63,10 @@ basics_codes_(End, Codes) :-
     ;   Codes = End
     ).
 
-basics_without_(Ends, [C|Cs]) -->
+basics_without_(EndCodes, [C|Cs]) -->
     [C],
-    { \+ memberchk(C, Ends) }, !,
-    basics_without_(Ends, Cs).
+    { \+ memberchk(C, EndCodes) }, !,
+    basics_without_(EndCodes, Cs).
 basics_without_(_, []) -->
     [].
 
@@ -79,7 +79,7 @@ alpha_to_lower(Lower) -->
     ;   Lower = C
     }.
 
-% Numbers: read from the codes, or written to them where the number is known.
+% Numbers: parsed from the codes, or written to them if the number is bound.
 
 digit(C) -->
     [C],
@@ -229,7 +229,7 @@ atom(Atom, Head, Tail) :-
     format(codes(Codes), "~w", [Atom]),
     append(Codes, Tail, Head).
 
-% Sequences of what a grammar body describes
+% Sequences of grammar bodies
 
 sequence(Item, List) -->
     basics_each_(List, Item).

@@ -1,4 +1,4 @@
-% Checks that a program states about itself.
+% Assertions of a program.
 %
 % defines: assertion/1
 
@@ -7,7 +7,7 @@ assertion(G) :-
 assertion(G) :-
     assertion_failed_(fail, G).
 
-% A limit that was reached says nothing about the goal.
+% A resource error does not tell whether the goal holds, so it is thrown again.
 assertion_failed_(E, _) :-
     nonvar(E),
     E = error(resource_error(_), _), !,

@@ -1,4 +1,4 @@
-% Errors by name; messages that are turned on by topic.
+% Predicates that throw ISO errors; debug messages by topic.
 %
 % defines: type_error/2 domain_error/2 existence_error/2 existence_error/3 permission_error/3 instantiation_error/1
 % defines: uninstantiation_error/1 representation_error/1 syntax_error/1 resource_error/1
@@ -34,32 +34,32 @@ syntax_error(Message) :-
 resource_error(Resource) :-
     throw(error(resource_error(Resource), _)).
 
-% Topics: those that are on, in a global variable. They unify with what a message is about.
+% A global variable has the enabled topics. The topic of a message is unified with them.
 
 debug(Topic) :-
     debug_topics_(Topics),
-    (   member(On, Topics), On =@= Topic
+    (   member(Enabled, Topics), Enabled =@= Topic
     ->  true
     ;   nb_setval('$debug_topics', [Topic|Topics])
     ).
 
 nodebug(Topic) :-
     debug_topics_(Topics),
-    exclude(debug_covers_(Topic), Topics, Left),
-    nb_setval('$debug_topics', Left).
+    exclude(debug_covers_(Topic), Topics, Topics1),
+    nb_setval('$debug_topics', Topics1).
 
-debug_covers_(Topic, On) :-
-    subsumes_term(Topic, On).
+debug_covers_(Topic, Enabled) :-
+    subsumes_term(Topic, Enabled).
 
 debugging(Topic) :-
     debug_topics_(Topics),
-    member(On, Topics),
-    Topic = On.
+    member(Enabled, Topics),
+    Topic = Enabled.
 
-debugging(Topic, On) :-
+debugging(Topic, Enabled) :-
     (   debugging(Topic)
-    ->  On = true
-    ;   On = false
+    ->  Enabled = true
+    ;   Enabled = false
     ).
 
 debug_topics_(Topics) :-

@@ -1,4 +1,4 @@
-% Lists: what is natural in Prolog, or calls goals of the program.
+% List predicates that are short in Prolog or call goals of the program.
 %
 % defines: append/3 append/2 member/2 select/3 select/4 selectchk/3 permutation/2 delete/3
 % defines: exclude/3 include/3 partition/4 partition/5 maplist/2 maplist/3 maplist/4 maplist/5 maplist/6 maplist/7
@@ -309,7 +309,7 @@ predsort_2(<, X1, X2, [X1,X2]).
 predsort_2(=, X1, _, [X1]).
 predsort_2(>, X1, X2, [X2,X1]).
 
-% Ordered sets; ord_union is done in Python.
+% Ordered sets; ord_union is implemented in Python.
 
 ord_subtract(A, B, C) :-
     (   nonvar(A), A = [H|T]
@@ -393,7 +393,7 @@ ord_del_(=, _, _, T, T).
 ord_del_(>, E, H, T, [H|S]) :-
     ord_del_element(T, E, S).
 
-% Partial lists; proper ones are done in Python.
+% Partial lists; proper lists are handled in Python.
 
 '$last'([X|Xs], Last) :-
     last_(Xs, X, Last).

@@ -3,47 +3,47 @@
 % defines: option/2 option/3 select_option/3 select_option/4 merge_options/3 meta_options/3
 
 option(Option, Options) :-
-    option_named_(Options, Option, Found), !,
-    Found = Option.
+    option_named_(Options, Option, Selected), !,
+    Selected = Option.
 
 option(Option, Options, Default) :-
-    (   option_named_(Options, Option, Found)
-    ->  Found = Option
+    (   option_named_(Options, Option, Selected)
+    ->  Selected = Option
     ;   arg(1, Option, Default)
     ).
 
 % The first Name(Value) of the name that is asked for, else the first Name = Value.
 
-option_named_(Options, Option, Found) :-
-    option_selected_(Options, Option, Found, _).
+option_named_(Options, Option, Selected) :-
+    option_selected_(Options, Option, Selected, _).
 
 select_option(Option, Options, Rest) :-
-    option_selected_(Options, Option, Found, Others),
-    Found = Option,
-    Rest = Others.
+    option_selected_(Options, Option, Selected, Rest1),
+    Selected = Option,
+    Rest = Rest1.
 
 select_option(Option, Options, Rest, Default) :-
-    (   option_selected_(Options, Option, Found, Others)
-    ->  Found = Option,
-        Rest = Others
+    (   option_selected_(Options, Option, Selected, Rest1)
+    ->  Selected = Option,
+        Rest = Rest1
     ;   arg(1, Option, Default),
         Rest = Options
     ).
 
-option_selected_(Options, Option, Found, Others) :-
+option_selected_(Options, Option, Selected, Rest1) :-
     must_be(list, Options),
     must_be(nonvar, Option),
     functor(Option, Name, Arity),
-    (   functor(Found, Name, Arity),
-        option_taken_(Options, Found, Others)
+    (   functor(Selected, Name, Arity),
+        option_taken_(Options, Selected, Rest1)
     ->  true
     ;   Arity =:= 1,
-        option_taken_(Options, Name=Value, Others)
-    ->  Found =.. [Name, Value]
+        option_taken_(Options, Name=Value, Rest1)
+    ->  Selected =.. [Name, Value]
     ).
 
-option_taken_(Options, Option, Others) :-
-    select(Item, Options, Others),
+option_taken_(Options, Option, Rest1) :-
+    select(Item, Options, Rest1),
     nonvar(Item),
     Item = Option, !.
 
@@ -82,6 +82,6 @@ option_merge_(=, N, New, _, Old, [N|Merged]) :-
 option_merge_(>, N, New, O, Old, [O|Merged]) :-
     option_merge_([N|New], Old, Merged).
 
-% There are no modules that goals in options could belong to.
+% Goals in options are not qualified with modules.
 
 meta_options(_, Options, Options).

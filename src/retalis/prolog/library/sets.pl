@@ -12,37 +12,37 @@ is_ordset(Set) :-
     sort(Set, Sorted),
     Sorted == Set.
 
-ord_seteq(One, Other) :-
-    One == Other.
+ord_seteq(Set1, Set2) :-
+    Set1 == Set2.
 
-ord_symdiff(One, Other, Difference) :-
-    ord_subtract(One, Other, Left),
-    ord_subtract(Other, One, Right),
-    ord_union(Left, Right, Difference).
+ord_symdiff(Set1, Set2, Difference) :-
+    ord_subtract(Set1, Set2, Only1),
+    ord_subtract(Set2, Set1, Only2),
+    ord_union(Only1, Only2, Difference).
 
-ord_disjoint(One, Other) :-
-    ord_intersection(One, Other, []).
+ord_disjoint(Set1, Set2) :-
+    ord_intersection(Set1, Set2, []).
 
-ord_intersect(One, Other) :-
-    \+ ord_disjoint(One, Other).
+ord_intersect(Set1, Set2) :-
+    \+ ord_disjoint(Set1, Set2).
 
 ord_intersection([First|Sets], Common) :-
     foldl(ord_intersection, Sets, First, Common).
 
-ord_intersection(One, Other, Common, Rest) :-
-    ord_intersection(One, Other, Common),
-    ord_subtract(Other, One, Rest).
+ord_intersection(Set1, Set2, Common, Rest) :-
+    ord_intersection(Set1, Set2, Common),
+    ord_subtract(Set2, Set1, Rest).
 
-ord_union(One, Other, Union, New) :-
-    ord_subtract(Other, One, New),
-    ord_union(One, New, Union).
+ord_union(Set1, Set2, Union, New) :-
+    ord_subtract(Set2, Set1, New),
+    ord_union(Set1, New, Union).
 
 ord_selectchk(Element, Set, Rest) :-
     ord_memberchk(Element, Set),
     ord_del_element(Set, Element, Rest).
 
-ord_product(One, Other, Product) :-
-    findall(A-B, (member(A, One), member(B, Other)), Product).
+ord_product(Set1, Set2, Product) :-
+    findall(A-B, (member(A, Set1), member(B, Set2)), Product).
 
 group_pairs_by_key([], []).
 group_pairs_by_key([K-V|Pairs], [K-[V|Vs]|Groups]) :-
@@ -54,7 +54,7 @@ group_values_([K1-V|Pairs], K, [V|Vs], Rest) :-
     group_values_(Pairs, K, Vs, Rest).
 group_values_(Rest, _, [], Rest).
 
-% Of items that are equal by the goal, which is to be as @=</2, the first one is found.
+% The goal has to be an order like @=</2. Of items that are equal by it, the first one is returned.
 
 max_member(Goal, Max, List) :-
     best_member_(List, max_member, greater_member_(Goal), Goal, Max).
@@ -132,34 +132,34 @@ get_assoc(Key, Assoc0, Old, Assoc, New) :-
     put_assoc(Key, Assoc0, New, Assoc).
 
 del_min_assoc(Assoc0, Key, Value, Assoc) :-
-    min_assoc(Assoc0, Least, _),
-    del_assoc(Least, Assoc0, Value, Assoc),
-    Key = Least.
+    min_assoc(Assoc0, MinKey, _),
+    del_assoc(MinKey, Assoc0, Value, Assoc),
+    Key = MinKey.
 
 del_max_assoc(Assoc0, Key, Value, Assoc) :-
-    max_assoc(Assoc0, Greatest, _),
-    del_assoc(Greatest, Assoc0, Value, Assoc),
-    Key = Greatest.
+    max_assoc(Assoc0, MaxKey, _),
+    del_assoc(MaxKey, Assoc0, Value, Assoc),
+    Key = MaxKey.
 
-% Solutions in an order: asc(Term) and desc(Term), the first one counting most.
+% Solutions in the order of asc(Term) and desc(Term) specifications; the first specification is the primary key.
 
 order_by(Specs, Goal) :-
     must_be(list, Specs),
     term_variables(Goal, Variables),
-    findall(Specs-Variables, Goal, Found),
+    findall(Specs-Variables, Goal, Solutions),
     length(Specs, Count),
-    order_keys_(Count, Specs, Found, Sorted),
+    order_keys_(Count, Specs, Solutions, Sorted),
     member(Specs-Variables, Sorted).
 
 order_keys_(0, _, Sorted, Sorted) :- !.
-order_keys_(N, Specs, Found, Sorted) :-
+order_keys_(N, Specs, Solutions, Sorted) :-
     nth1(N, Specs, Spec),
     must_be(nonvar, Spec),
-    maplist(order_key_(N), Found, Keyed),
+    maplist(order_key_(N), Solutions, Keyed),
     order_sort_(Spec, Keyed, Ordered),
-    pairs_values(Ordered, Found1),
+    pairs_values(Ordered, Solutions1),
     M is N - 1,
-    order_keys_(M, Specs, Found1, Sorted).
+    order_keys_(M, Specs, Solutions1, Sorted).
 
 order_key_(N, Specs-Variables, Key-(Specs-Variables)) :-
     nth1(N, Specs, Spec),

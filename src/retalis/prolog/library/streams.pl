@@ -15,7 +15,7 @@ phrase_from_stream(Grammar, Stream) :-
     read_stream_to_codes(Stream, Codes),
     phrase(Grammar, Codes).
 
-% So many characters, or all where their number is not known.
+% Read a number of characters, or all of them if the number is unbound.
 
 read_string(Stream, Length, String) :-
     (   var(Length)
@@ -28,32 +28,32 @@ read_string(Stream, Length, String) :-
     String = Text.
 
 string_codes_(0, _, []) :- !.
-string_codes_(Left, Stream, Codes) :-
+string_codes_(Remaining, Stream, Codes) :-
     get_code(Stream, Code),
     (   Code =:= -1
     ->  Codes = []
     ;   Codes = [Code|Codes1],
-        Left1 is Left - 1,
-        string_codes_(Left1, Stream, Codes1)
+        Remaining1 is Remaining - 1,
+        string_codes_(Remaining1, Stream, Codes1)
     ).
 
-% Up to one of the separators, which is given by its code; what is to be padding is cut off at both ends.
+% Read up to a separator and return its code; padding is stripped at both ends.
 
 read_string(Stream, Separators, Padding, Separator, String) :-
-    string_codes(Separators, Ends),
+    string_codes(Separators, SeparatorCodes),
     get_code(Stream, Code),
-    string_up_to_(Code, Stream, Ends, Codes, End),
+    string_up_to_(Code, Stream, SeparatorCodes, Codes, End),
     string_codes(Text, Codes),
     split_string(Text, "", Padding, [Stripped]),
     Separator = End,
     String = Stripped.
 
 string_up_to_(-1, _, _, [], -1) :- !.
-string_up_to_(Code, _, Ends, [], Code) :-
-    memberchk(Code, Ends), !.
-string_up_to_(Code, Stream, Ends, [Code|Codes], End) :-
+string_up_to_(Code, _, SeparatorCodes, [], Code) :-
+    memberchk(Code, SeparatorCodes), !.
+string_up_to_(Code, Stream, SeparatorCodes, [Code|Codes], End) :-
     get_code(Stream, Next),
-    string_up_to_(Next, Stream, Ends, Codes, End).
+    string_up_to_(Next, Stream, SeparatorCodes, Codes, End).
 
 copy_stream_data(In, Out) :-
     read_stream_to_codes(In, Codes),
@@ -79,7 +79,7 @@ divmod(Dividend, Divisor, Quotient, Remainder) :-
     Quotient is Dividend div Divisor,
     Remainder is Dividend mod Divisor.
 
-% There are no dicts here, so nothing is one.
+% There are no dicts in this system.
 
 is_dict(_) :-
     fail.

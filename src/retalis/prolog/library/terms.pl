@@ -3,15 +3,15 @@
 % defines: unifiable/3 nonground/2 same_term/2 sub_term/2 occurrences_of_term/3 occurrences_of_var/3
 % defines: term_singletons/2 numbervars/4 copy_term/3 term_attvars/2
 
-unifiable(One, Other, Unifier) :-
-    term_variables(One-Other, Variables),
-    copy_term(Variables-One-Other, Copies-One1-Other1),
-    One1 = Other1,
-    unifiable_(Variables, Copies, Pairs, Seen),
-    Seen = Copies,
+unifiable(Term1, Term2, Unifier) :-
+    term_variables(Term1-Term2, Variables),
+    copy_term(Variables-Term1-Term2, Copies-Copy1-Copy2),
+    Copy1 = Copy2,
+    unifiable_(Variables, Copies, Pairs, Copied),
+    Copied = Copies,
     reverse(Pairs, Unifier).
 
-% A variable whose copy is bound is in the unifier; one whose copy has become that of another variable, too.
+% The unifier has each variable whose copy is bound or has become the copy of another variable.
 
 unifiable_(Variables, Copies, Pairs, Copies) :-
     unifiable_free_(Copies, Variables, [], Free),
@@ -39,13 +39,13 @@ unifiable_back_(Free, C, Value) :-
     copy_term(Keys-C, Originals-Value).
 
 nonground(Term, Variable) :-
-    term_variables(Term, [Found|_]),
-    Variable = Found.
+    term_variables(Term, [First|_]),
+    Variable = First.
 
-same_term(One, Other) :-
-    One == Other.
+same_term(Term1, Term2) :-
+    Term1 == Term2.
 
-% Parts
+% Subterms
 
 sub_term(Part, Term) :-
     (   Part = Term
@@ -56,12 +56,12 @@ sub_term(Part, Term) :-
     ).
 
 occurrences_of_term(Part, Term, Count) :-
-    findall(x, (sub_term(Sub, Term), subsumes_term(Part, Sub)), Found),
-    length(Found, Count).
+    findall(x, (sub_term(Sub, Term), subsumes_term(Part, Sub)), Occurrences),
+    length(Occurrences, Count).
 
 occurrences_of_var(Variable, Term, Count) :-
-    findall(x, (sub_term(Sub, Term), Sub == Variable), Found),
-    length(Found, Count).
+    findall(x, (sub_term(Sub, Term), Sub == Variable), Occurrences),
+    length(Occurrences, Count).
 
 % Variables
 

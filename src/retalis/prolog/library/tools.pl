@@ -34,7 +34,7 @@ time_report_(at(Inferences0, Cpu0, Wall0)) :-
     format(user_error, "% ~D inferences, ~3f CPU in ~3f seconds (~d% CPU, ~d Lips)~n",
            [Inferences, Cpu, Wall, Percent, Speed]).
 
-% Colours are left out.
+% Colours are ignored.
 
 ansi_format(_, Format, Arguments) :-
     format(Format, Arguments).
@@ -47,8 +47,8 @@ maybe(Probability) :-
     random(Fraction),
     Fraction < Probability.
 
-maybe(Count, Of) :-
-    random_between(1, Of, Number),
+maybe(Count, Total) :-
+    random_between(1, Total, Number),
     Number =< Count.
 
 random_select(Item, List, Rest) :-
@@ -63,14 +63,14 @@ random_select(Item, List, Rest) :-
     nth1(Number, List, Item, Rest).
 
 random_subseq([], [], []).
-random_subseq([Item|Items], Taken, Left) :-
+random_subseq([Item|Items], Chosen, Excluded) :-
     (   maybe
-    ->  Taken = [Item|Taken1],
-        Left = Left1
-    ;   Taken = Taken1,
-        Left = [Item|Left1]
+    ->  Chosen = [Item|Chosen1],
+        Excluded = Excluded1
+    ;   Chosen = Chosen1,
+        Excluded = [Item|Excluded1]
     ),
-    random_subseq(Items, Taken1, Left1).
+    random_subseq(Items, Chosen1, Excluded1).
 
 random_perm2(A, B, X, Y) :-
     (   maybe
@@ -84,29 +84,29 @@ random_numlist(Probability, Low, High, List) :-
     must_be(between(0.0, 1.0), Probability),
     findall(N, (between(Low, High, N), maybe(Probability)), List).
 
-% Some of the integers from 1 to Most, each once.
+% Distinct random integers from 1 to High.
 
-randset(Count, Most, Set) :-
-    randseq(Count, Most, Sequence),
+randset(Count, High, Set) :-
+    randseq(Count, High, Sequence),
     sort(Sequence, Set).
 
-randseq(Count, Most, Sequence) :-
+randseq(Count, High, Sequence) :-
     must_be(nonneg, Count),
-    (   Count > Most
-    ->  throw(error(domain_error(not_greater_than(Most), Count), _))
-    ;   random_distinct_(Count, Most, [], Sequence)
+    (   Count > High
+    ->  throw(error(domain_error(not_greater_than(High), Count), _))
+    ;   random_distinct_(Count, High, [], Sequence)
     ).
 
 random_distinct_(0, _, Sequence, Sequence) :- !.
-random_distinct_(Count, Most, Sequence0, Sequence) :-
-    random_between(1, Most, Number),
+random_distinct_(Count, High, Sequence0, Sequence) :-
+    random_between(1, High, Number),
     (   memberchk(Number, Sequence0)
-    ->  random_distinct_(Count, Most, Sequence0, Sequence)
-    ;   Left is Count - 1,
-        random_distinct_(Left, Most, [Number|Sequence0], Sequence)
+    ->  random_distinct_(Count, High, Sequence0, Sequence)
+    ;   Remaining is Count - 1,
+        random_distinct_(Remaining, High, [Number|Sequence0], Sequence)
     ).
 
-% Lines without their ends; end_of_file at the end of a stream.
+% Read a line without its end; end_of_file at the end of a stream.
 
 read_line_to_codes(Stream, Codes) :-
     get_code(Stream, Code),
@@ -159,7 +159,7 @@ stream_codes_(Code, Stream, [Code|Codes], Tail) :-
     get_code(Stream, Next),
     stream_codes_(Next, Stream, Codes, Tail).
 
-% Whole files; options of how to open them are not looked at.
+% Read whole files; the options of open/4 are ignored.
 
 read_file_to_codes(File, Codes, _) :-
     setup_call_cleanup(open(File, read, Stream), read_stream_to_codes(Stream, Codes), close(Stream)).
