@@ -253,7 +253,7 @@ def _aggregate(term: Term) -> Tuple[Finish, Term]:
         return finish, spec[1]
     if key in _WITH_WITNESS:
         return _extremum_with_witness(key, _WITH_WITNESS[key]), (_WITNESS_PAIR, spec[1], spec[2])
-    return _compound_aggregate(key, [_aggregate(part) for part in spec[1:]])
+    return _compound_aggregate(key, [_aggregate(part_spec) for part_spec in spec[1:]])
 
 
 def _compound_aggregate(key: Functor, parts: List[Tuple[Finish, Term]]) -> Tuple[Finish, Term]:

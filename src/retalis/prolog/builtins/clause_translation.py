@@ -69,12 +69,12 @@ def translate_body(body: Term, first: Term, last: Term) -> Term:
     pending: List[_Hole] = [_Hole(translated_body, body, first, last)]
     while pending:
         hole, body, first, last = pending.pop()
-        parts = _sequence(body)
+        elements = _sequence(body)
         goals = []
         state = first
-        for index, part in enumerate(parts):
-            following = last if index == len(parts) - 1 else Var()
-            goals.append(_translate_element(part, state, following, pending))
+        for index, element in enumerate(elements):
+            following = last if index == len(elements) - 1 else Var()
+            goals.append(_translate_element(element, state, following, pending))
             state = following
         hole.ref = conjunction(goals)
     return resolve(translated_body)
@@ -97,57 +97,57 @@ def _nested_body(pending: List[_Hole], body: Term, first: Term, last: Term) -> V
 
 
 def _sequence(body: Term) -> List[Term]:
-    parts = []
+    elements = []
     stack = [body]
     while stack:
         item = deref(stack.pop())
         if item.__class__ is tuple and item[0] is COMMA:
             stack += (item[2], item[1])
         else:
-            parts.append(item)
-    return parts
+            elements.append(item)
+    return elements
 
 
-def _translate_element(part: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
-    if part.__class__ is tuple:
-        return _translate_compound(part, first, last, pending)
+def _translate_element(element: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
+    if element.__class__ is tuple:
+        return _translate_compound(element, first, last, pending)
     # The body is known only at run time, and is translated then.
-    if part.__class__ is Var:
-        return (_PHRASE, part, first, last)
-    if part is NIL or part.__class__ is String:
-        return _consume(_terminals(part), first, last)
-    if part.__class__ is not Atom:
-        raise type_error("callable", part)
+    if element.__class__ is Var:
+        return (_PHRASE, element, first, last)
+    if element is NIL or element.__class__ is String:
+        return _consume(_terminals(element), first, last)
+    if element.__class__ is not Atom:
+        raise type_error("callable", element)
     # A cut has to stay a goal of the clause itself; within `phrase/3` it would be local.
-    if part.name == "!":
-        return (COMMA, part, (EQUAL, first, last))
-    if part is EMPTY_BLOCK:
+    if element.name == "!":
+        return (COMMA, element, (EQUAL, first, last))
+    if element is EMPTY_BLOCK:
         return (EQUAL, first, last)
-    return (functor(part.name, 2), first, last)
+    return (functor(element.name, 2), first, last)
 
 
-def _translate_compound(part: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
-    key = part[0]
+def _translate_compound(element: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
+    key = element[0]
     if key is CONS:
-        return _consume(_terminals(part), first, last)
+        return _consume(_terminals(element), first, last)
     if key in (SEMICOLON, BAR):
-        left = _nested_body(pending, part[1], first, last)
-        return (SEMICOLON, left, _nested_body(pending, part[2], first, last))
+        left = _nested_body(pending, element[1], first, last)
+        return (SEMICOLON, left, _nested_body(pending, element[2], first, last))
     if key in (ARROW, SOFT_ARROW):
         middle = Var()
         return (
             key,
-            _nested_body(pending, part[1], first, middle),
-            _nested_body(pending, part[2], middle, last),
+            _nested_body(pending, element[1], first, middle),
+            _nested_body(pending, element[2], middle, last),
         )
     # A negated body consumes nothing, whatever it parses.
     if key is NOT:
-        return (COMMA, (NOT, _nested_body(pending, part[1], first, Var())), (EQUAL, first, last))
+        return (COMMA, (NOT, _nested_body(pending, element[1], first, Var())), (EQUAL, first, last))
     if key is _CURLY:
-        return (COMMA, part[1], (EQUAL, first, last))
+        return (COMMA, element[1], (EQUAL, first, last))
     if key.name == _CALL:
-        return (functor(_CALL, len(part) + 1), *part[1:], first, last)
-    return add_arguments(part, (first, last))
+        return (functor(_CALL, len(element) + 1), *element[1:], first, last)
+    return add_arguments(element, (first, last))
 
 
 def _terminals(term: Term) -> List[Term]:

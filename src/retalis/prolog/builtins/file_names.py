@@ -168,15 +168,15 @@ def _absolute_path(machine: Machine, name: Term, folder: Optional[Term]) -> Opti
 def _joined_path(path: Term) -> str:
     """Return the path of a term such as ``folder/file``."""
     # Collects the parts from right to left without recursion, so that the depth of the term is not limited.
-    parts: List[str] = []
+    segments: List[str] = []
     pending = [path]
     while pending:
         part = deref(pending.pop())
         if part.__class__ is tuple and part[0] is SLASH:
             pending += [part[1], part[2]]
         else:
-            parts.insert(0, part.name if isinstance(part, Atom) else text_of(part))
-    return "/".join(parts)
+            segments.insert(0, part.name if isinstance(part, Atom) else text_of(part))
+    return "/".join(segments)
 
 
 @deterministic("exists_directory/1")

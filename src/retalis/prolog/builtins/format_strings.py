@@ -357,10 +357,10 @@ def radix_text(value: int, radix: int) -> str:
     powers = [radix]
     while powers[-1] <= abs(value):
         powers.append(powers[-1] * powers[-1])
-    parts = [abs(value)]
+    digit_groups = [abs(value)]
     for power in reversed(powers):
-        parts = [half for part in parts for half in divmod(part, power)]
-    digits = "".join([_DIGITS[part] for part in parts]).lstrip("0")
+        digit_groups = [half for digit_group in digit_groups for half in divmod(digit_group, power)]
+    digits = "".join([_DIGITS[digit_group] for digit_group in digit_groups]).lstrip("0")
     return ("-" if value < 0 else "") + (digits or "0")
 
 

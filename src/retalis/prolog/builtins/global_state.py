@@ -433,10 +433,12 @@ def meta_predicate(machine: Machine, heads: Term) -> bool:
 def strip_module(machine: Machine, term: Term, name: Term, plain: Term) -> bool:
     """Split a term into its module qualification and the plain term."""
     qualifier: Term = _USER
-    rest = deref(term)
-    while rest.__class__ is tuple and rest[0] is COLON and deref(rest[1]).__class__ is not Var:
-        qualifier, rest = deref(rest[1]), deref(rest[2])
-    return unify(name, qualifier, machine.trail) and unify(plain, rest, machine.trail)
+    plain_term = deref(term)
+    while (
+        plain_term.__class__ is tuple and plain_term[0] is COLON and deref(plain_term[1]).__class__ is not Var
+    ):
+        qualifier, plain_term = deref(plain_term[1]), deref(plain_term[2])
+    return unify(name, qualifier, machine.trail) and unify(plain, plain_term, machine.trail)
 
 
 @nondeterministic("current_module/1")

@@ -171,8 +171,8 @@ def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[i
         # If the pivot does not divide the positions, as for many equal keys, the merge is done in one step, which is
         # fast.
         if any(cuts) and cuts != [len(run) for run in runs]:
-            before = _merged([run[:cut] for run, cut in zip(runs, cuts)], keys, reverse)
-            return before + _merged([run[cut:] for run, cut in zip(runs, cuts)], keys, reverse)
+            merged_heads = _merged([run[:cut] for run, cut in zip(runs, cuts)], keys, reverse)
+            return merged_heads + _merged([run[cut:] for run, cut in zip(runs, cuts)], keys, reverse)
     positions = [position for run in runs for position in run]
     positions.sort(key=keys.__getitem__, reverse=reverse)
     return positions
@@ -732,18 +732,18 @@ def _filter(
     """Return a predicate that keeps the items of a list that are, or are not, in another list."""
 
     def run(machine: Machine, list_term: Term, second_list: Term, result: Term) -> bool:
-        rest = deref(list_term)
+        remaining = deref(list_term)
         for _ in bounded():
-            if not is_cons(rest):
+            if not is_cons(remaining):
                 break
-            if memberchk(machine, rest[1], second_list) is keeps:
+            if memberchk(machine, remaining[1], second_list) is keeps:
                 tail = Var()
-                if not unify(result, (CONS, rest[1], tail), machine.trail):
+                if not unify(result, (CONS, remaining[1], tail), machine.trail):
                     return False
                 result = tail
-            rest = deref(rest[2])
-        if rest is not NIL:
-            raise no_matching_rule("lists", (key, rest, second_list, result))
+            remaining = deref(remaining[2])
+        if remaining is not NIL:
+            raise no_matching_rule("lists", (key, remaining, second_list, result))
         return unify(result, end(second_list), machine.trail)
 
     return run
@@ -757,15 +757,15 @@ deterministic("union/3", locked=False)(_filter(_UNION, False, lambda second_list
 @deterministic("subset/2", locked=False)
 def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
     """Test that each item of a list unifies with an item of another list."""
-    rest = deref(list_term)
+    remaining = deref(list_term)
     for _ in bounded():
-        if not is_cons(rest):
+        if not is_cons(remaining):
             break
-        if not memberchk(machine, rest[1], superset):
+        if not memberchk(machine, remaining[1], superset):
             return False
-        rest = deref(rest[2])
-    if rest is not NIL:
-        raise no_matching_rule("lists", (_SUBSET, rest, superset))
+        remaining = deref(remaining[2])
+    if remaining is not NIL:
+        raise no_matching_rule("lists", (_SUBSET, remaining, superset))
     return True
 
 
@@ -774,20 +774,20 @@ def _extreme_member(name: str, sign: int) -> Callable[[Machine, Term, Term], boo
     outer, inner = functor(name, 2), functor(f"{name}_", 3)
 
     def run(machine: Machine, result: Term, list_term: Term) -> bool:
-        rest = deref(list_term)
-        if rest is NIL:
+        remaining = deref(list_term)
+        if remaining is NIL:
             return False
-        if not is_cons(rest):
-            raise no_matching_rule("lists", (outer, result, rest))
-        best, rest = rest[1], deref(rest[2])
+        if not is_cons(remaining):
+            raise no_matching_rule("lists", (outer, result, remaining))
+        best, remaining = remaining[1], deref(remaining[2])
         for _ in bounded():
-            if not is_cons(rest):
+            if not is_cons(remaining):
                 break
-            if compare(best, rest[1]) * sign < 0:
-                best = rest[1]
-            rest = deref(rest[2])
-        if rest is not NIL:
-            raise no_matching_rule("lists", (inner, rest, best, result))
+            if compare(best, remaining[1]) * sign < 0:
+                best = remaining[1]
+            remaining = deref(remaining[2])
+        if remaining is not NIL:
+            raise no_matching_rule("lists", (inner, remaining, best, result))
         return unify(result, best, machine.trail)
 
     return run

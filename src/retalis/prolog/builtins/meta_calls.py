@@ -79,8 +79,8 @@ def existential(machine: Machine, args: Values, continuation: Frame) -> Optional
 @control("phrase/2", "phrase/3")
 def phrase(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Parse a list with a grammar body."""
-    rest = args[2] if len(args) == 3 else NIL
-    for term in (args[1], rest):
+    remainder = args[2] if len(args) == 3 else NIL
+    for term in (args[1], remainder):
         value = deref(term)
         if (
             value.__class__ is not Var
@@ -94,7 +94,7 @@ def phrase(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
         module, body = machine.logic.database.modules.named(body[1]), deref(body[2])
     if body.__class__ is not String:
         callable_of(body)
-    goal = translate_body(body, args[1], rest)
+    goal = translate_body(body, args[1], remainder)
     if module is not None:
         goal = machine.logic.database.modules.body(module, goal)
     # Reports a non-callable part of the body now, not when the goal reaches it.

@@ -48,16 +48,16 @@ def cut_off(term: Term, max_depth: int, depth: int = 1) -> Term:
     if term[0] is not CONS:
         return (term[0], *[cut_off(argument, max_depth, depth + 1) for argument in term[1:]])
     items: List[Term] = []
-    rest: Any = term
-    while rest.__class__ is tuple and rest[0] is CONS:
-        items.append(cut_off(rest[1], max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
+    remaining: Any = term
+    while remaining.__class__ is tuple and remaining[0] is CONS:
+        items.append(cut_off(remaining[1], max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
         depth += 1
-        rest = deref(rest[2])
-        if rest is NIL:
+        remaining = deref(remaining[2])
+        if remaining is NIL:
             return make_list(items)
         if depth >= max_depth:
             return make_list(items, _ELLIPSIS)
-    return make_list(items, cut_off(rest, max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
+    return make_list(items, cut_off(remaining, max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
 
 
 _MAX_BLANKS = 10_000_000

@@ -94,10 +94,10 @@ def pose(term: Term) -> Pose:
     else:
         if one is two is CONS and end is NIL:
             return pose_of(position, rotation)
-    parts = list_items(term)
-    if parts is None or len(parts) != 2:
+    fields = list_items(term)
+    if fields is None or len(fields) != 2:
         raise instantiation_error() if deref(term).__class__ is Var else type_error("pose", term)
-    return pose_of(parts[0], parts[1])
+    return pose_of(fields[0], fields[1])
 
 
 def matrix(term: Term) -> Matrix:
@@ -233,15 +233,15 @@ def matrix_term(value: Matrix) -> Term:
 
 def transform_matrix(term: Term) -> Matrix:
     """Return the matrix of a transform ``['M',Matrix]`` or ``['Q',Pose]``, a pose, or a matrix."""
-    parts = list_items(term)
-    if parts is None:
+    fields = list_items(term)
+    if fields is None:
         raise instantiation_error() if deref(term).__class__ is Var else type_error("transform", term)
-    if len(parts) == 2:
-        tag = deref(parts[0])
+    if len(fields) == 2:
+        tag = deref(fields[0])
         if tag is _M:
-            return matrix(parts[1])
+            return matrix(fields[1])
         if tag is _Q:
-            return to_matrix(pose(parts[1]))
+            return to_matrix(pose(fields[1]))
         if tag.__class__ is Atom:
             raise domain_error("transform", term)
         return to_matrix(pose(term))

@@ -90,12 +90,12 @@ def _mode(mode: Term) -> Mode:
     arity = 3 if mode[0] is _LATTICE else 2
     key = functor(_predicate_name(mode[1], arity), arity)
     if arity == 3:
-        return Mode(goal=lambda old, new, kept: (key, old, new, kept))
+        return Mode(goal=lambda old, new, combined: (key, old, new, combined))
     return Mode(
-        goal=lambda old, new, kept: (
+        goal=lambda old, new, combined: (
             SEMICOLON,
-            (ARROW, (key, old, new), (_EQUAL, kept, old)),
-            (_EQUAL, kept, new),
+            (ARROW, (key, old, new), (_EQUAL, combined, old)),
+            (_EQUAL, combined, new),
         )
     )
 
@@ -123,7 +123,7 @@ def _predicate_name(predicate: Term, arity: int) -> str:
 class VersionedSource(Protocol):
     """Data with versions that an incremental table may read: a predicate, the memories or the states."""
 
-    def version(self, part: Hashable, /) -> object:
+    def version(self, key: Hashable, /) -> object:
         """Return a value that differs after each change of a part of the data."""
 
 
@@ -228,7 +228,7 @@ class Table:
     def is_outdated(self) -> bool:
         """True if data that an incremental table has read has changed since."""
         reads = self.reads or {}
-        return any(source.version(part) != version for (source, part), version in reads.items())
+        return any(source.version(key) != version for (source, key), version in reads.items())
 
     def depend(self, reads: Reads) -> None:
         """Add the reads of another table to those of an incremental table."""
@@ -284,11 +284,11 @@ class Tables:
             self.by_call.clear()
             self._drop_at = _MIN_TABLES_BEFORE_DROP
 
-    def note(self, source: VersionedSource, part: Hashable) -> None:
+    def note(self, source: VersionedSource, key: Hashable) -> None:
         """Record that part of a source is about to be read. Must be called only while a table is active."""
         reads = self.active[-1].reads
-        if reads is not None and (source, part) not in reads:
-            reads[source, part] = source.version(part)
+        if reads is not None and (source, key) not in reads:
+            reads[source, key] = source.version(key)
 
     def observe(self, predicate: Predicate) -> None:
         """Record reads of a predicate's clauses in incremental tables from now on."""

@@ -128,14 +128,14 @@ def univ(machine: Machine, term: Term, parts: Term) -> bool:
     return unify(term, _term_of_list(parts), machine.trail)
 
 
-def _term_of_list(parts: Term) -> Term:
+def _term_of_list(list_term: Term) -> Term:
     """Return the term for a list of its name and arguments."""
-    values = partial_items(parts)
+    values = partial_items(list_term)
     if not values:
-        if deref(parts) is NIL:
+        if deref(list_term) is NIL:
             raise domain_error("non_empty_list", NIL)
         raise instantiation_error()
-    head, args = deref(values[0]), items(parts)[1:]
+    head, args = deref(values[0]), items(list_term)[1:]
     if head.__class__ is Var:
         raise instantiation_error()
     # A list of one item denotes the item itself, if it is atomic.

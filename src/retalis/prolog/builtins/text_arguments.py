@@ -220,10 +220,10 @@ def check_text_list(term: Term) -> None:
     term = deref(term)
     if term.__class__ in (Var, String):
         return
-    parts, tail = list_parts(term)
+    elements, tail = list_parts(term)
     if tail is not NIL and tail.__class__ is not Var:
         raise type_error("list", term)
-    error = first_item_error(parts)
+    error = first_item_error(elements)
     if error is not None:
         raise error
 

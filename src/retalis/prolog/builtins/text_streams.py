@@ -179,12 +179,12 @@ class InputStream:
 
     def _may_continue(self, result: Union[ReadTerm, SyntaxFault, None]) -> bool:
         """Return whether the term may be incomplete, so that another line has to be read."""
-        rest = self.text[self.at :].rstrip()
-        if result is None or not rest:
+        unread_text = self.text[self.at :].rstrip()
+        if result is None or not unread_text:
             return True
-        if not isinstance(result, SyntaxFault) or rest.endswith("."):
+        if not isinstance(result, SyntaxFault) or unread_text.endswith("."):
             return False
-        return result.place is None or result.place.line >= self.line + rest.count("\n")
+        return result.place is None or result.place.line >= self.line + unread_text.count("\n")
 
 
 class OutputStream:

@@ -59,9 +59,9 @@ def convert_to_datime(time: Term) -> Term:
     """Return the timestamp of a ROS time ``[Sec,NSec]``."""
     time = deref(time)
     if time.__class__ is tuple and time[0] is CONS:
-        rest = deref(time[2])
-        if rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
-            instant = timestamps.from_parts(integer(time[1]), integer(rest[1]))
+        tail = deref(time[2])
+        if tail.__class__ is tuple and tail[0] is CONS and deref(tail[2]) is NIL:
+            instant = timestamps.from_parts(integer(time[1]), integer(tail[1]))
             return timestamps.shown(instant)
     if time.__class__ is Var:
         raise instantiation_error()
@@ -144,8 +144,8 @@ def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: T
     # Numbers are subtracted as they are, so the difference of integers is an integer.
     if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
         return unify(seconds, later - earlier, machine.trail)
-    whole, rest = divmod(distance, SECOND)
-    is_integer = _arity(later) == _arity(earlier) == 6 and not rest
+    whole, nanoseconds = divmod(distance, SECOND)
+    is_integer = _arity(later) == _arity(earlier) == 6 and not nanoseconds
     return unify(seconds, whole if is_integer else distance / SECOND, machine.trail)
 
 
@@ -173,8 +173,8 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
 
 
 def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
-    *date_fields, second, rest = fields
-    exact: Number = second + rest / SECOND if rest else second
+    *date_fields, second, nanoseconds = fields
+    exact: Number = second + nanoseconds / SECOND if nanoseconds else second
     return (DATIME6, *date_fields, float(exact) if is_float else exact)
 
 
@@ -217,9 +217,9 @@ def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
 @function("absoluteTime/2")
 def absolute_time(stamp: Term) -> Term:
     """Return the seconds since midnight (UTC) of a timestamp."""
-    *_, hour, minute, second, rest = timestamps.fields(instant_of(stamp))
+    *_, hour, minute, second, nanoseconds = timestamps.fields(instant_of(stamp))
     value = (hour * 60 + minute) * 60 + second
-    return value + rest / SECOND if rest else value
+    return value + nanoseconds / SECOND if nanoseconds else value
 
 
 _DATE9, _DATE3 = functor("date", 9), functor("date", 3)
@@ -239,9 +239,9 @@ def _fields_of_stamp(stamp: float) -> Tuple[datetime, float]:
 
 def _fields_of_date(term: CompoundTerm) -> Tuple[datetime, float]:
     """Return the date and time (UTC) of a date term, and its second with the fraction."""
-    parts = [deref(part) for part in term[1:]]
-    values: List[Number] = [0 if part.__class__ is Var else number(part) for part in parts[:6]]
-    zone = parts[6] if len(parts) == 9 else 0
+    fields = [deref(field) for field in term[1:]]
+    values: List[Number] = [0 if field.__class__ is Var else number(field) for field in fields[:6]]
+    zone = fields[6] if len(fields) == 9 else 0
     offset = zone if zone.__class__ is int else 0
     given_year, given_month, day, hour, minute, second = (values + [0, 0, 0])[:6]
     year, month = integer(given_year), integer(given_month)
@@ -331,18 +331,18 @@ def date_time_value(machine: Machine, name: Term, date: Term, value: Term) -> So
 
 
 @deterministic("day_of_the_week/2")
-def day_of_the_week(machine: Machine, given: Term, number: Term) -> bool:
+def day_of_the_week(machine: Machine, date_term: Term, number: Term) -> bool:
     """Unify with the day of the week of ``date(Y,M,D)``; Monday is 1."""
-    given = deref(given)
-    if given.__class__ is Var:
+    date_term = deref(date_term)
+    if date_term.__class__ is Var:
         raise instantiation_error()
-    if given.__class__ is not tuple or given[0] is not _DATE3:
+    if date_term.__class__ is not tuple or date_term[0] is not _DATE3:
         return False
-    year, month, day = (integer(part) for part in given[1:])
+    year, month, day = (integer(part) for part in date_term[1:])
     try:
         return unify(number, date(year, month, day).isoweekday(), machine.trail)
     except ValueError:
-        raise domain_error("date", given) from None
+        raise domain_error("date", date_term) from None
 
 
 _ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?(Z|[+-]\d\d:?\d\d)?)?$")

@@ -93,18 +93,18 @@ class BodyGenerator:
             if isinstance(nodes[position], Fail):
                 return
             position += 1
-        rest = nodes[position:]
-        if not rest:
+        remaining_nodes = nodes[position:]
+        if not remaining_nodes:
             self._flush(scope)
             scope.line(f"return {scope.after}")
-        elif isinstance(rest[0], (CallNode, Interpret)):
-            self._write_calls(scope, rest)
-        elif isinstance(rest[0], Disjunction):
-            self._write_disjunction(scope, rest[0], rest[1:])
-        elif isinstance(rest[0], IfThenElse):
-            self._write_condition(scope, rest[0], rest[1:])
+        elif isinstance(remaining_nodes[0], (CallNode, Interpret)):
+            self._write_calls(scope, remaining_nodes)
+        elif isinstance(remaining_nodes[0], Disjunction):
+            self._write_disjunction(scope, remaining_nodes[0], remaining_nodes[1:])
+        elif isinstance(remaining_nodes[0], IfThenElse):
+            self._write_condition(scope, remaining_nodes[0], remaining_nodes[1:])
         else:
-            raise AssertionError(rest[0])
+            raise AssertionError(remaining_nodes[0])
 
     def _is_deterministic_arg(self, scope: Scope, nodes: Sequence[GoalNode], position: int) -> bool:
         """Return whether a goal is ``arg/3`` with an argument number that is most likely bound.
@@ -145,9 +145,11 @@ class BodyGenerator:
         if height is None:
             height = scope.temp("h")
             scope.push(f"{height} = len(choices)")
-        rest = scope.build(conjunction(node.source for node in nodes if node.source is not None))
+        remaining_body = scope.build(conjunction(node.source for node in nodes if node.source is not None))
         self._flush(scope)
-        scope.line(f"return ({scope.unit.constant(self.interpret)}, {rest}, {height}, {scope.after})")
+        scope.line(
+            f"return ({scope.unit.constant(self.interpret)}, {remaining_body}, {height}, {scope.after})"
+        )
         scope.depth -= 1
         scope.restore(saved_scope)
         return inline_goal
@@ -170,9 +172,9 @@ class BodyGenerator:
             if nodes[count].inline:
                 break
             count += 1
-        calls, rest = nodes[:count], nodes[count:]
-        self._flush(scope, needed_by(rest) | needed_by(calls))
-        if count == 1 and not rest and self._write_turn(scope, calls[0]):
+        calls, remaining_nodes = nodes[:count], nodes[count:]
+        self._flush(scope, needed_by(remaining_nodes) | needed_by(calls))
+        if count == 1 and not remaining_nodes and self._write_turn(scope, calls[0]):
             return
         # Variables are created in statements before the frame expression: two calls that share a variable must get
         # the same object.
@@ -180,9 +182,11 @@ class BodyGenerator:
             for var in sorted(call.vars, key=self.clause.number):
                 if isinstance(var, Var) and var not in scope.names and not self.clause.is_void(var):
                     scope.create(var)
-        frame = self._continuation_frame(scope, rest, scope.after) if rest else scope.after
+        frame = (
+            self._continuation_frame(scope, remaining_nodes, scope.after) if remaining_nodes else scope.after
+        )
         if self._is_called_inline(calls[0]):
-            self._write_inline_call(scope, calls, frame, not rest)
+            self._write_inline_call(scope, calls, frame, not remaining_nodes)
             return
         # Frames nest from the last call outwards, because each one holds its successor.
         for call in reversed(calls):
@@ -282,8 +286,8 @@ class BodyGenerator:
             code = self.unit.constant(self.outputs)
         else:
             code = self.unit.predicate(call.key)
-        parts = [code, *[scope.build(arg) for arg in call.args], continuation]
-        return f"({', '.join(parts)})"
+        frame_items = [code, *[scope.build(arg) for arg in call.args], continuation]
+        return f"({', '.join(frame_items)})"
 
     def _write_turn(self, scope: Scope, call: GoalNode) -> bool:
         """Write a last call of the predicate itself as another turn of the loop around it.
@@ -330,12 +334,12 @@ class BodyGenerator:
         live = self._live_variables(scope, needed_by(nodes))
         code, function = self._new_code()
         self._add_job(function, live, nodes, retried)
-        parts = [code, *[scope.names[var] for var in live], continuation]
+        frame_items = [code, *[scope.names[var] for var in live], continuation]
         if retried:
-            parts.append("len(trail)")
+            frame_items.append("len(trail)")
         # The frame holds these variables now, so code that runs later may bind them.
         scope.fresh.difference_update(live)
-        return f"({', '.join(parts)})"
+        return f"({', '.join(frame_items)})"
 
     def _new_code(self) -> Tuple[str, str]:
         function = self.unit.unique("then_")
@@ -373,10 +377,10 @@ class BodyGenerator:
                 scope.create(var)
                 scope.fresh.discard(var)
 
-    def _write_joined_frame(self, scope: Scope, rest: Sequence[GoalNode]) -> None:
+    def _write_joined_frame(self, scope: Scope, remaining_nodes: Sequence[GoalNode]) -> None:
         """Write the frame of the goals after a control construct, which all of its branches continue with."""
-        if rest:
-            frame = self._continuation_frame(scope, rest, scope.after)
+        if remaining_nodes:
+            frame = self._continuation_frame(scope, remaining_nodes, scope.after)
             scope.after = scope.temp("after")
             scope.line(f"{scope.after} = {frame}")
 
@@ -393,10 +397,12 @@ class BodyGenerator:
 
     # Control
 
-    def _write_disjunction(self, scope: Scope, node: Disjunction, rest: Sequence[GoalNode]) -> None:
-        self._create_shared(scope, [*node.branches, rest])
-        self._flush(scope, needed_by([node, *rest]))
-        self._write_joined_frame(scope, rest)
+    def _write_disjunction(
+        self, scope: Scope, node: Disjunction, remaining_nodes: Sequence[GoalNode]
+    ) -> None:
+        self._create_shared(scope, [*node.branches, remaining_nodes])
+        self._flush(scope, needed_by([node, *remaining_nodes]))
+        self._write_joined_frame(scope, remaining_nodes)
         first, *others = node.branches
         # The stack is last in, first out: the second branch must be on top.
         for branch in reversed(others):
@@ -404,13 +410,13 @@ class BodyGenerator:
         scope.fail = "return None"
         self.write(scope, first)
 
-    def _write_condition(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
-        self._create_shared(scope, [[*node.test, *node.then], node.otherwise, rest])
+    def _write_condition(self, scope: Scope, node: IfThenElse, remaining_nodes: Sequence[GoalNode]) -> None:
+        self._create_shared(scope, [[*node.test, *node.then], node.otherwise, remaining_nodes])
         if all(goal.inline for goal in node.test) and node.inner is None and not node.soft:
-            self._write_if(scope, node, rest)
+            self._write_if(scope, node, remaining_nodes)
             return
-        self._flush(scope, needed_by([node, *rest]))
-        self._write_joined_frame(scope, rest)
+        self._flush(scope, needed_by([node, *remaining_nodes]))
+        self._write_joined_frame(scope, remaining_nodes)
         # The height is taken below the choice point of the else branch, so that the cut after the test removes both
         # that one and the choice points of the test.
         height = Height(scope.temp("h"))
@@ -424,13 +430,13 @@ class BodyGenerator:
         scope.fail = "return None"
         self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
 
-    def _write_if(self, scope: Scope, node: IfThenElse, rest: Sequence[GoalNode]) -> None:
+    def _write_if(self, scope: Scope, node: IfThenElse, remaining_nodes: Sequence[GoalNode]) -> None:
         """Write a condition with an inline test and calls in its branches as a Python ``if``."""
-        scope.later = needed_by([*node.then, *rest])
-        if rest:
+        scope.later = needed_by([*node.then, *remaining_nodes])
+        if remaining_nodes:
             # Both branches use the joined frame, so what it needs is written before the test.
-            self._require_height(scope, rest)
-            self._write_joined_frame(scope, rest)
+            self._require_height(scope, remaining_nodes)
+            self._write_joined_frame(scope, remaining_nodes)
         unset = write_test(scope, node.test)
         saved_scope = scope.branch()
         scope.depth += 1

@@ -404,14 +404,14 @@ class BodyParser:
         # Right-nested disjunctions become one node with many branches, which keeps long ones from being nested too
         # deep.
         branches = [self.parse(branch, cut, depth)]
-        rest = deref(goal[2])
-        while rest.__class__ is tuple and rest[0] is SEMICOLON:
-            branch = deref(rest[1])
+        alternatives = deref(goal[2])
+        while alternatives.__class__ is tuple and alternatives[0] is SEMICOLON:
+            branch = deref(alternatives[1])
             if branch.__class__ is tuple and (branch[0] is ARROW or branch[0] is SOFT_ARROW):
                 break
             branches.append(self.parse(branch, cut, depth))
-            rest = deref(rest[2])
-        branches.append(self.parse(rest, cut, depth))
+            alternatives = deref(alternatives[2])
+        branches.append(self.parse(alternatives, cut, depth))
         return Disjunction(branches)
 
     def _condition_node(

@@ -244,7 +244,7 @@ class Functions(PredicateGenerator):
     def _clause_block(self, unit: Unit, index: int, once: bool, positions: List[int]) -> List[str]:
         """Return the code of a clause, a block that ``break`` leaves to try the next clause."""
         clause = self.clauses[index]
-        rest = self.clauses[index + 1 :]
+        following_clauses = self.clauses[index + 1 :]
         entry = Height("height")
         scope = Scope(unit, ClauseVariables((*clause.args, clause.body)), "break")
         scope.depth = 2
@@ -253,11 +253,14 @@ class Functions(PredicateGenerator):
         committed = any(isinstance(node, Cut) for node in nodes)
         choose_functions(nodes, once)
         self._write_head(
-            scope, clause, None, self._copied_locals(scope, clause, None) if rest else self.locals
+            scope,
+            clause,
+            None,
+            self._copied_locals(scope, clause, None) if following_clauses else self.locals,
         )
         write_sequence(scope, nodes, frozenset())
         # After a cut no other clause can have a solution, so the solution is the only one.
-        later_clauses = () if once or committed else rest
+        later_clauses = () if once or committed else following_clauses
         conditions = [self._may_match(unit, later_clause, positions) for later_clause in later_clauses]
         if conditions:
             scope.line(f"return None if {' or '.join(conditions)} else True")
@@ -265,7 +268,7 @@ class Functions(PredicateGenerator):
             scope.line("return True")
         lines = ["    while True:", *scope.lines]
         # Bindings of a failed head must be undone before the next clause is tried.
-        if rest and scope.binds:
+        if following_clauses and scope.binds:
             lines += ["    while len(trail) > mark:", "        pop().ref = None"]
         return lines
 

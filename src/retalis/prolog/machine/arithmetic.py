@@ -116,8 +116,8 @@ class SplitInstant(_InstantNumber, float):
 
 def of_instant(instant: int) -> Union[int, float]:
     """Return an instant in ns as a number of seconds since the epoch that carries the instant."""
-    seconds, rest = divmod(int(instant), SECOND)
-    if not rest:
+    seconds, nanoseconds = divmod(int(instant), SECOND)
+    if not nanoseconds:
         return WholeInstant(seconds)
     number = SplitInstant(timestamps.to_seconds(instant))
     number.instant = int(instant)

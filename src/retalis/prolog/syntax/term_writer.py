@@ -480,20 +480,24 @@ MAX_NAMED_DEPTH = 50
 
 
 def by_name(
-    term: Term, operators: Operators, named: Collection[Var] = (), made: bool = False, **options: Any
+    term: Term,
+    operators: Operators,
+    named_variables: Collection[Var] = (),
+    made: bool = False,
+    **options: Any,
 ) -> Optional[Portray]:
     """Return a `Portray` for the messages in a term that were written with named fields; None if there are none.
 
     Args:
         term: the term to show.
         operators: its operator table.
-        named: variables that have names, so that the fields with these variables were named.
+        named_variables: variables that have names, so that the fields with these variables were named.
         made: whether the whole term is constructed, such as the head of a rule.
         **options: options for the values; see `WriteOptions`.
     """
     if operators.slots is None or not operators.slots.forms:
         return None
-    shower = _NamedShower(term, operators, named, made, options)
+    shower = _NamedShower(term, operators, named_variables, made, options)
     return shower.text if shower.forms else None
 
 
@@ -501,7 +505,12 @@ class _NamedShower:
     """Shows messages with named fields, in the notations that the program has used for their types."""
 
     def __init__(
-        self, term: Term, operators: Operators, named: Collection[Var], made: bool, options: Dict[str, Any]
+        self,
+        term: Term,
+        operators: Operators,
+        named_variables: Collection[Var],
+        made: bool,
+        options: Dict[str, Any],
     ):
         self.depth = 0
         self.operators = operators
@@ -516,7 +525,7 @@ class _NamedShower:
             if part[0] in forms_by_functor:
                 self.forms[part[0]] = forms_by_functor[part[0]]
         if self.forms:
-            self.open = _singleton_variables(term, named)
+            self.open = _singleton_variables(term, named_variables)
             roots = [term] if made else constructed_parts(term)
             self.made: Set[int] = {
                 id(part) for constructed in roots for part in compound_subterms(constructed)
@@ -573,10 +582,10 @@ class _NamedShower:
         return f"{slot.name}: {text}"
 
 
-def _singleton_variables(term: Term, named: Collection[Var]) -> Set[Var]:
+def _singleton_variables(term: Term, named_variables: Collection[Var]) -> Set[Var]:
     """Return the variables that occur once in a term and have no name."""
     occurring: Set[Var] = set()
-    excluded: Set[Var] = set(named)
+    excluded: Set[Var] = set(named_variables)
     stack: List[Any] = [term]
     while stack:
         part = deref(stack.pop())
