@@ -25,7 +25,7 @@ SEEN_TO_AT = (
     ("events.network.event_rule", "SPARE"),
     ("events.matches.expiration", "_STALE_TOLERANCE"),
     ("events.matches.negation", "_STALE_TOLERANCE"),
-    ("engine.runtime.problem_reports", "_KINDS"),
+    ("engine.runtime.problem_reports", "_MAX_PROBLEMS"),
 )
 """Numbers from which on it is looked what is of no use any more."""
 

@@ -29,7 +29,7 @@ from ..serialization.memory_state import (
 from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
 from ..serialization.state_sections import SECTIONS, read_section
 from .deployed_items import restore_deployments, save_deployments
-from .event_input import AskedTopic
+from .event_input import TopicRequest
 from .runtime.clock import StreamClock
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class EngineSnapshot:
         engine.deployments.update(
             restore_deployments(program["standings"], logic, knowledge, rules.timers, named_rules)
         )
-        engine.input_topics.restore(AskedTopic(*item) for item in program["topics"])
+        engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(run["clock"])
         engine.event_input.taken = run["taken"]

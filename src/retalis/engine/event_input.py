@@ -161,7 +161,7 @@ MAX_INPUT_TOPICS = 1000
 """Maximum number of topics that goals subscribe to."""
 
 
-class AskedTopic(NamedTuple):
+class TopicRequest(NamedTuple):
     """A topic whose messages become events.
 
     Attributes:
@@ -178,7 +178,7 @@ class AskedTopic(NamedTuple):
         return f"{self.kind}, with events called {self.event}" if self.event else self.kind
 
 
-Subscribe = Callable[[AskedTopic], object]
+Subscribe = Callable[[TopicRequest], object]
 """A function that subscribes to a topic and makes its messages events; it must not wait for the engine."""
 
 
@@ -205,8 +205,8 @@ class InputTopics:
         self._reports = reports
         self._subscribe: Subscribe = self._warn_unsubscribed
         self._plain: Callable[[str], str] = by_name
-        self._subscribed: Dict[str, AskedTopic] = {}
-        self._requests: List[AskedTopic] = []
+        self._subscribed: Dict[str, TopicRequest] = {}
+        self._requests: List[TopicRequest] = []
         for arity in (2, 3):
             logic.define("subscribe_to", arity, self._subscribe_to)
 
@@ -233,7 +233,7 @@ class InputTopics:
         for topic, message_type in (*direct, *topics.subscribed):
             try:
                 self._subscribed.setdefault(
-                    plain(topic), AskedTopic(topic, message_type, topics.event_of(topic, plain))
+                    plain(topic), TopicRequest(topic, message_type, topics.event_of(topic, plain))
                 )
             except UsageError:
                 # The function that subscribes to the topic reports the invalid name.
@@ -241,11 +241,11 @@ class InputTopics:
         for request in self._requests:
             subscribe(request)
 
-    def kept(self) -> List[AskedTopic]:
+    def kept(self) -> List[TopicRequest]:
         """Return the topics that goals have asked for; see `restore`."""
         return list(self._requests)
 
-    def restore(self, asked: Iterable[AskedTopic]) -> None:
+    def restore(self, asked: Iterable[TopicRequest]) -> None:
         """Restore topics that goals have asked for; they are subscribed by `begin`."""
         for request in asked:
             self._subscribed[self._plain(request.topic)] = request
@@ -276,7 +276,7 @@ class InputTopics:
         return {request.event: request.kind for request in reversed(self._requests) if request.event}
 
     def _subscribe_to(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
-        request = AskedTopic(_get_text(topic), plain_type(_get_text(kind)), *map(_get_text, event))
+        request = TopicRequest(_get_text(topic), plain_type(_get_text(kind)), *map(_get_text, event))
         self._check("topic", topic, topic_fault(request.topic))
         self._check("message_type", kind, type_fault(request.kind))
         if event:
@@ -299,7 +299,7 @@ class InputTopics:
         if fault is not None:
             raise domain_error(domain, deref(term), str(fault))
 
-    def _add(self, key: str, request: AskedTopic) -> None:
+    def _add(self, key: str, request: TopicRequest) -> None:
         if len(self._requests) >= MAX_INPUT_TOPICS:
             raise resource_error("topics", reason=f"goals subscribe {MAX_INPUT_TOPICS} topics at most")
         # Subscribed first: if that raises, the goal fails and nothing is recorded.
@@ -309,7 +309,7 @@ class InputTopics:
         if request.event:
             self._slots.events.setdefault(request.event, request.kind)
 
-    def _warn_unsubscribed(self, request: AskedTopic) -> None:
+    def _warn_unsubscribed(self, request: TopicRequest) -> None:
         name = request.event or f"messages of {request.kind}"
         self._reports.warning(
             f"subscribe_to: topic {request.topic} is not subscribed: there are no topics here, as there are in a "

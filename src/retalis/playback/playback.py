@@ -31,7 +31,7 @@ from typing import (
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.event_input import AskedTopic, by_name
+from ..engine.event_input import TopicRequest, by_name
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.clock_skew import ClockSkewMonitor, Refused
 from ..engine.runtime.problem_reports import Reports
@@ -280,7 +280,7 @@ class Playback:
         )
         return bag.records(joining_topics, start=self.clock.now() + 1)
 
-    def _subscribe(self, request: AskedTopic) -> None:
+    def _subscribe(self, request: TopicRequest) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
         name = by_name(request.topic)
         self._requested_topics.append(TopicType(request.topic, request.kind))

@@ -12,7 +12,7 @@ from typing import Any, Callable, List, Optional, Set
 import rospy
 from std_msgs.msg import String
 
-from ..engine.event_input import MAX_INPUT_TOPICS, AskedTopic
+from ..engine.event_input import MAX_INPUT_TOPICS, TopicRequest
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.event_declarations import event_fault
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning
@@ -31,8 +31,8 @@ class DynamicSubscriptions:
     """
 
     def __init__(self) -> None:
-        self._requests: SimpleQueue[AskedTopic] = SimpleQueue()
-        self.ask: Callable[[AskedTopic], None] = self._requests.put
+        self._requests: SimpleQueue[TopicRequest] = SimpleQueue()
+        self.ask: Callable[[TopicRequest], None] = self._requests.put
 
     def begin(self, interface: Optional[RosInterface]) -> None:
         """Execute the queued requests, and start the thread for later ones.
@@ -63,10 +63,10 @@ class _SubscriptionPublisher:
     """Publisher of the list of subscriptions, for the interface node."""
 
     def __init__(self) -> None:
-        self._subscriptions: List[AskedTopic] = []
+        self._subscriptions: List[TopicRequest] = []
         self._publisher = rospy.Publisher(SUBSCRIPTIONS_TOPIC, String, queue_size=10, latch=True)
 
-    def publish_added(self, request: AskedTopic) -> None:
+    def publish_added(self, request: TopicRequest) -> None:
         """Add a topic to the list, and publish it."""
         self._subscriptions.append(request)
         try:
@@ -87,7 +87,7 @@ class SubscriptionReceiver:
     def __init__(self, interface: RosInterface, reports: Reports):
         self._interface = interface
         self._reports = reports
-        self._done: Set[AskedTopic] = set()
+        self._done: Set[TopicRequest] = set()
         self._subscriber = rospy.Subscriber(SUBSCRIPTIONS_TOPIC, String, self._receive, queue_size=10)
 
     def _receive(self, message: Any) -> None:
@@ -102,7 +102,7 @@ class SubscriptionReceiver:
                 _subscribe(self._interface, request)
 
 
-def read_subscriptions(text: str) -> List[AskedTopic]:
+def read_subscriptions(text: str) -> List[TopicRequest]:
     """Return the subscriptions of a list.
 
     Raises:
@@ -117,10 +117,10 @@ def read_subscriptions(text: str) -> List[AskedTopic]:
             raise malformed
         if item[2] and event_fault(item[2]):
             raise malformed
-    return [AskedTopic(*item) for item in items]
+    return [TopicRequest(*item) for item in items]
 
 
-def _subscribe(interface: RosInterface, request: AskedTopic) -> None:
+def _subscribe(interface: RosInterface, request: TopicRequest) -> None:
     try:
         interface.subscribe(*request)
     except RetalisError as error:

@@ -232,7 +232,7 @@ def test_a_clock_that_does_not_go_back(node):
     node.pass_time(0.2)
     assert node.since(5) == [1000, 1001]
     node.send(995)  # and nothing waits for a while
-    node.pass_time(clock_epochs.PAUSE)
+    node.pass_time(clock_epochs.PAUSE_AFTER_TIMEOUT_SECONDS)
     node.send(985)  # nor by this frame, which follows no clock
     assert node.since(7) == [995, 985]
 
@@ -247,7 +247,7 @@ def test_without_a_simulated_clock_nothing_waits():
 
 
 def test_what_waits_is_bounded(node, monkeypatch):
-    monkeypatch.setattr(clock_epochs, "MAX_HELD_MESSAGES", 10)
+    monkeypatch.setattr(clock_epochs, "MAX_BUFFERED_MESSAGES", 10)
     node.play(*BAG)
     for at in range(50):
         node.send(1000 + at / 100)
@@ -329,7 +329,7 @@ def test_a_sender_that_comes_again_counts_anew(node):
 
 
 def test_the_senders_that_are_remembered_are_bounded(node):
-    for number in range(10 * clock_epochs.SENDERS):
+    for number in range(10 * clock_epochs.MAX_SENDERS):
         node.runs.tell(number, 0)
     node.clock(1000)
     node.clock(900)

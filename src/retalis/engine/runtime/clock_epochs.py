@@ -45,30 +45,30 @@ from .problem_reports import Reports
 CLOCK_WAIT_SECONDS = 1.0
 """Time limit for a reset of the clock after an early message, and for reports of other senders."""
 
-PAUSE = 10.0
+PAUSE_AFTER_TIMEOUT_SECONDS = 10.0
 """Duration in seconds after a timeout in which no message counts as early."""
 
-MAX_HELD_MESSAGES = 20_000
-MAX_HELD_BYTES = 64_000_000
+MAX_BUFFERED_MESSAGES = 20_000
+MAX_BUFFERED_BYTES = 64_000_000
 """Limits of the buffer; above them the oldest messages are dropped."""
 
-SENDERS = 100
+MAX_SENDERS = 100
 """Maximum number of senders of event texts whose epochs are stored."""
 
-Began = Callable[[int], object]
+EpochCallback = Callable[[int], object]
 """Callback at the start of an epoch; its argument is the end of the previous epoch, in ns."""
 
 
-class _HeldBatch(NamedTuple):
+class _BufferedBatch(NamedTuple):
     """Messages that wait for the next epoch.
 
     Attributes:
-        take: processes them.
+        process: processes them.
         messages: messages that arrived together.
         size: their size in bytes.
     """
 
-    take: Callable[[List[Any]], object]
+    process: Callable[[List[Any]], object]
     messages: List[Any]
     size: int
 
@@ -81,13 +81,13 @@ class ClockEpochs:
 
     Args:
         reports: takes warnings.
-        source: returns the time, in ns, before the first message of the clock.
+        read_clock: returns the time, in ns, before the first message of the clock.
         wake: called when `step` has work.
-        wall: monotonic clock, in seconds.
+        monotonic: monotonic clock, in seconds.
 
     Attributes:
         run: number of the current epoch.
-        since: its start, by ``wall``.
+        since: its start, by ``monotonic``.
         holding: whether messages may have to wait; see `holds` and `holds_texts`.
         dropped: number of messages that did not fit into the buffer.
     """
@@ -95,55 +95,55 @@ class ClockEpochs:
     def __init__(
         self,
         reports: Reports,
-        source: Callable[[], int],
+        read_clock: Callable[[], int],
         wake: Callable[[], object],
-        wall: Callable[[], float] = time.monotonic,
+        monotonic: Callable[[], float] = time.monotonic,
     ):
         self._reports = reports
-        self._source = source
+        self._read_clock = read_clock
         self._wake = wake
-        self._wall = wall
-        self._newest = source()
-        self._time: Tuple[int, int, int] = (0, self._newest, 0)
+        self._monotonic = monotonic
+        self._newest_time = read_clock()
+        self._time: Tuple[int, int, int] = (0, self._newest_time, 0)
         """Number of resets, current time, time before the last reset; one tuple, so that reads are atomic."""
         self._lock = threading.Lock()
         self._senders: Dict[object, Tuple[int, int]] = {}
         """For each sender of texts: its epoch, and the offset between its count of epochs and ours."""
-        self._early: Set[str] = set()
-        self._held: Deque[_HeldBatch] = deque()
+        self._early_publishers: Set[str] = set()
+        self._buffer: Deque[_BufferedBatch] = deque()
         self._message_count = self._byte_count = 0
-        self._until = self._not_before = 0.0
+        self._deadline = self._early_allowed_from = 0.0
         self._locks: Sequence[ContextManager[object]] = ()
-        self._began: Sequence[Began] = ()
+        self._callbacks: Sequence[EpochCallback] = ()
         self.run = 0
-        self.since = wall()
+        self.since = monotonic()
         self.holding = False
         self.dropped = 0
 
-    def begin(self, turns: Sequence[ContextManager[object]], *began: Began) -> None:
+    def begin(self, locks: Sequence[ContextManager[object]], *callbacks: EpochCallback) -> None:
         """Set the locks of message processing, and the callbacks at the start of an epoch, which run under them."""
-        self._locks = turns
-        self._began = began
+        self._locks = locks
+        self._callbacks = callbacks
 
     def now(self, run: Optional[int] = None) -> int:
         """Return the time of an epoch (the current one by default), in ns; its last time if it is over."""
         resets, instant, end = self._time
         if resets != (self.run if run is None else run):
             return end
-        return instant or self._source()
+        return instant or self._read_clock()
 
     def clock_at(self, instant: int) -> None:
         """Store the time of the clock, in ns; detect a reset."""
         resets, _, end = self._time
-        if instant >= self._newest - JUMP:
-            self._newest = max(instant, self._newest)
+        if instant >= self._newest_time - JUMP:
+            self._newest_time = max(instant, self._newest_time)
             self._time = resets, instant, end
             return
         if resets == self.run:
-            end = self._newest
-        self._newest = instant
+            end = self._newest_time
+        self._newest_time = instant
         with self._lock:
-            self._until = self._wall() + CLOCK_WAIT_SECONDS
+            self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
             self.holding = True
             self._time = resets + 1, instant, end
         self._wake()
@@ -154,20 +154,20 @@ class ClockEpochs:
         with self._lock:
             # The first report of a sender defines the offset between the two counts.
             _, offset = self._senders.get(sender, (0, resets - number))
-            if sender not in self._senders and len(self._senders) >= SENDERS:
+            if sender not in self._senders and len(self._senders) >= MAX_SENDERS:
                 del self._senders[next(iter(self._senders))]
             self._senders[sender] = number + offset, offset
             if number + offset > self.run:
-                self._start_waiting()
+                self._start_buffering()
         self._wake()
 
     def may_wait(self) -> bool:
         """Tell whether early messages are buffered at present."""
-        return self._wall() >= self._not_before
+        return self._monotonic() >= self._early_allowed_from
 
     def holds(self, publisher: str) -> bool:
         """Tell whether messages of a publisher must be buffered."""
-        return self._time[0] != self.run or publisher in self._early
+        return self._time[0] != self.run or publisher in self._early_publishers
 
     def holds_texts(self, sender: object) -> bool:
         """Tell whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
@@ -177,25 +177,25 @@ class ClockEpochs:
         return sender_state[0] > self.run
 
     def keep_early(
-        self, publisher: str, take: Callable[[List[bytes]], object], messages: List[bytes]
+        self, publisher: str, process: Callable[[List[bytes]], object], messages: List[bytes]
     ) -> None:
         """Buffer messages that begin with an early one, and all further messages of their publisher."""
-        self._early.add(publisher)
-        self.keep(take, messages)
+        self._early_publishers.add(publisher)
+        self.keep(process, messages)
 
-    def keep(self, take: Callable[[List[Any]], object], messages: List[Any]) -> None:
-        """Buffer messages or texts until the next epoch begins or the wait times out, then pass them to ``take``."""
+    def keep(self, process: Callable[[List[Any]], object], messages: List[Any]) -> None:
+        """Buffer messages or texts until the next epoch begins or the wait times out, then `process` them."""
         with self._lock:
-            is_first = not self.holding
-            self._start_waiting()
+            starts_buffering = not self.holding
+            self._start_buffering()
             size = sum(map(len, messages))
-            self._held.append(_HeldBatch(take, messages, size))
+            self._buffer.append(_BufferedBatch(process, messages, size))
             self._message_count += len(messages)
             self._byte_count += size
-            while self._held and (
-                self._message_count > MAX_HELD_MESSAGES or self._byte_count > MAX_HELD_BYTES
+            while self._buffer and (
+                self._message_count > MAX_BUFFERED_MESSAGES or self._byte_count > MAX_BUFFERED_BYTES
             ):
-                oldest = self._held.popleft()
+                oldest = self._buffer.popleft()
                 self._message_count -= len(oldest.messages)
                 self._byte_count -= oldest.size
                 self.dropped += len(oldest.messages)
@@ -203,7 +203,7 @@ class ClockEpochs:
                     f"{counted(self.dropped, 'message')} dropped: too many arrived before the clock went back",
                     "early",
                 )
-        if is_first:
+        if starts_buffering:
             self._wake()
 
     def step(self) -> Optional[float]:
@@ -216,27 +216,27 @@ class ClockEpochs:
             # All locks of message processing are held: no message is split between two epochs.
             for lock in self._locks:
                 stack.enter_context(lock)
-            now = self._wall()
+            now = self._monotonic()
             resets, _, end = self._time
             if resets == self.run:
-                if self.holding and now >= self._until:
+                if self.holding and now >= self._deadline:
                     # The clock did not go back within the time limit, so the buffered messages were not early.
-                    if self._held:
-                        self._not_before = now + PAUSE
-                    self._release()
+                    if self._buffer:
+                        self._early_allowed_from = now + PAUSE_AFTER_TIMEOUT_SECONDS
+                    self._release_buffer()
             # The clock went back. Senders that have not reported within the time limit are removed.
-            elif now >= self._until or not self._find_late_senders(resets):
-                self._forget(self._find_late_senders(resets))
+            elif now >= self._deadline or not self._find_late_senders(resets):
+                self._remove_senders(self._find_late_senders(resets))
                 self.run = resets
-                self.since = self._wall()
-                self._not_before = 0.0
+                self.since = self._monotonic()
+                self._early_allowed_from = 0.0
                 self._call_callbacks(end)
-                self._release()
-            return max(0.0, self._until - now) if self.holding else None
+                self._release_buffer()
+            return max(0.0, self._deadline - now) if self.holding else None
 
     def _call_callbacks(self, end: int) -> None:
         """Call the callbacks of a new epoch; an error in one of them affects neither the others nor messages."""
-        for callback in self._began:
+        for callback in self._callbacks:
             try:
                 callback(end)
             except Exception as error:
@@ -248,25 +248,25 @@ class ClockEpochs:
         with self._lock:
             return [sender for sender, (epoch, _) in self._senders.items() if epoch < resets]
 
-    def _forget(self, senders: List[object]) -> None:
+    def _remove_senders(self, senders: List[object]) -> None:
         with self._lock:
             for sender in senders:
                 del self._senders[sender]
 
-    def _start_waiting(self) -> None:
+    def _start_buffering(self) -> None:
         if not self.holding:
-            self._until = self._wall() + CLOCK_WAIT_SECONDS
+            self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
             self.holding = True
 
-    def _release(self) -> None:
+    def _release_buffer(self) -> None:
         with self._lock:
-            held, self._held = self._held, deque()
+            batches, self._buffer = self._buffer, deque()
             self._message_count = self._byte_count = 0
-            self._early.clear()
+            self._early_publishers.clear()
             # True if the clock went back again in the meantime.
             self.holding = self._time[0] != self.run
             if self.holding:
-                self._until = self._wall() + CLOCK_WAIT_SECONDS
+                self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
         # Outside of the lock: the consumers may buffer messages again.
-        for batch in held:
-            batch.take(batch.messages)
+        for batch in batches:
+            batch.process(batch.messages)

@@ -11,7 +11,7 @@ log = logging.getLogger("retalis")
 COUNTED = "counted"
 """Attribute of log records whose problems `Reports` has counted."""
 
-_KINDS = 1000
+_MAX_PROBLEMS = 1000
 
 
 class Reports:
@@ -34,9 +34,9 @@ class Reports:
         self.errors = 0
         self.warnings = 0
         self.once = False
-        self._kinds: Dict[int, _RecurringProblem] = {}
+        self._problems: Dict[int, _RecurringProblem] = {}
         """By hash of the kind, as kinds may be large objects."""
-        self._others = 0
+        self._evicted_count = 0
         """Number of problems that were not logged, of kinds that were evicted."""
 
     def error(self, error: Exception, kind: object = None) -> None:
@@ -79,23 +79,25 @@ class Reports:
         ...     reports.warning("the battery is low")
         >>> reports.sum_up()
         """
-        for kind in list(self._kinds.values()):
+        for kind in list(self._problems.values()):
             if kind.times > kind.told:
                 kind.told = kind.times
                 log.log(kind.level, "%d times in all: %s", kind.times, kind.first, extra={COUNTED: True})
-        if self._others:
-            log.warning("%d more problems were not shown", self._others, extra={COUNTED: True})
-            self._others = 0
+        if self._evicted_count:
+            log.warning("%d more problems were not shown", self._evicted_count, extra={COUNTED: True})
+            self._evicted_count = 0
 
     def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
         key = hash(key)
         text = printable(beginning(text, MAX_MESSAGE_CHARACTERS))
-        kind = self._kinds.get(key)
+        kind = self._problems.get(key)
         if kind is None:
-            if len(self._kinds) >= _KINDS:
-                self._others += sum(known.times - known.told for known in list(self._kinds.values()))
-                self._kinds.clear()
-            kind = self._kinds[key] = _RecurringProblem(level, text[:SHOWN].split("\n", 1)[0])
+            if len(self._problems) >= _MAX_PROBLEMS:
+                self._evicted_count += sum(
+                    known.times - known.told for known in list(self._problems.values())
+                )
+                self._problems.clear()
+            kind = self._problems[key] = _RecurringProblem(level, text[:SHOWN].split("\n", 1)[0])
         kind.times = times = kind.times + 1
         is_new = len(kind.texts) < texts and hash(text) not in kind.texts
         if is_new:
