@@ -55,7 +55,7 @@ def test_a_result_has_what_the_format_says(program, tmp_path, capsys):
 def test_a_part_goes_on_from_the_state_of_the_one_before(program, tmp_path):
     """The pattern that begins in one part ends in the next one."""
     first = task(program, make_bag(tmp_path / "a_0.bag", "x"), tmp_path / "0", "jsonl")
-    played = play_bag(first._replace(goes_on=True), str(tmp_path))
+    played = play_bag(first._replace(has_next_part=True), str(tmp_path))
     second = task(program, make_bag(tmp_path / "a_1.bag", "x", start=9), tmp_path / "1", "jsonl")
     assert play_bag(second._replace(state=played.state), str(tmp_path)) == (0, "", None, None)
     lines = [json.loads(line) for line in (tmp_path / "1").read_text().splitlines()]
@@ -98,7 +98,8 @@ def test_of_what_is_said_the_beginning_is_kept(program, tmp_path, monkeypatch):
         "retalis.cli.many_bags.play", lambda *given: sys.stderr.write("e" * (_MAX_MESSAGE_CHARACTERS + 7))
     )
     assert (
-        play_bag(asked, str(tmp_path)).said == "e" * _MAX_MESSAGE_CHARACTERS + "\n... and 7 more characters\n"
+        play_bag(asked, str(tmp_path)).stderr_text
+        == "e" * _MAX_MESSAGE_CHARACTERS + "\n... and 7 more characters\n"
     )
 
 

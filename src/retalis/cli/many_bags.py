@@ -51,7 +51,7 @@ class BagTask(NamedTuple):
         target: path or URL for the result.
         format: format of the result, one of `FORMATS`; None for the printed output.
         options: the options of the command that apply to a single bag.
-        goes_on: whether it is a part of a recording with a further part.
+        has_next_part: whether it is a part of a recording with a further part.
         state: snapshot of the program after the previous part; None without one.
     """
 
@@ -59,7 +59,7 @@ class BagTask(NamedTuple):
     target: str
     format: Optional[str]
     options: Dict[str, Any]
-    goes_on: bool = False
+    has_next_part: bool = False
     state: Optional[bytes] = None
 
 
@@ -68,13 +68,13 @@ class Played(NamedTuple):
 
     Attributes:
         errors: number of errors during the run, which do not prevent a result.
-        said: text of errors and warnings.
+        stderr_text: text of errors and warnings.
         failure: reason why there is no result; None if there is one.
         state: snapshot of the program for the next part; None without one.
     """
 
     errors: int
-    said: str
+    stderr_text: str
     failure: Optional[str] = None
     state: Optional[bytes] = None
 
@@ -126,7 +126,7 @@ def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional
         file = stack.enter_context(open(printed, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
         playback = play(options, report, write_record, task.state)
-        return playback.engine.snapshot() if task.goes_on else None
+        return playback.engine.snapshot() if task.has_next_part else None
 
 
 class _LimitedOutput(io.StringIO):
@@ -348,7 +348,11 @@ def _create_tasks(
             targets[target] = bag.place
             tasks.append(
                 BagTask(
-                    shared_path(bag.place), target, result_format, bag_options, goes_on=bag is not bags[-1]
+                    shared_path(bag.place),
+                    target,
+                    result_format,
+                    bag_options,
+                    has_next_part=bag is not bags[-1],
                 )
             )
     return tasks, ready
@@ -386,7 +390,7 @@ class _Results:
         self.done += 1
         self._outcomes[number] = outcome
         # All later parts of a recording fail with one of its parts, because they would lack its state.
-        while self._tasks[number].goes_on and _get_failure(self._outcomes[number]) is not None:
+        while self._tasks[number].has_next_part and _get_failure(self._outcomes[number]) is not None:
             number, place = number + 1, self._tasks[number].place
             self.done += 1
             self._outcomes[number] = Unfinished(f"not played: it goes on from {place}, which failed")
@@ -398,7 +402,7 @@ class _Results:
         failure = _get_failure(outcome)
         if isinstance(outcome, Played):
             self._errors += outcome.errors
-            self._report_messages(task, outcome.said)
+            self._report_messages(task, outcome.stderr_text)
         # A worker of a cluster may have written to a folder of its own machine with the same path.
         if failure is None and not (self._to_print or is_url(task.target) or os.path.exists(task.target)):
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"

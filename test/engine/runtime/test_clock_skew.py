@@ -123,7 +123,7 @@ def test_refused(caplog):
         bench.pass_time(0.1)
     assert taken == [at != 10 for at in range(20)]
     assert "0.7 s ahead" in said(caplog)[0] and said(caplog)[0].endswith("such messages are dropped")
-    assert [(one.far, one.refused) for one in bench.skew] == [(1, 1)]
+    assert [(one.distant_count, one.refused) for one in bench.skew] == [(1, 1)]
 
 
 def test_between_the_warning_and_the_limit(caplog):
@@ -131,7 +131,7 @@ def test_between_the_warning_and_the_limit(caplog):
     bench.send(ROBOT)
     assert bench.send(ROBOT + 50)
     assert not bench.send(ROBOT + 200)
-    assert [(one.far, one.refused) for one in bench.skew] == [(2, 1)]
+    assert [(one.distant_count, one.refused) for one in bench.skew] == [(2, 1)]
 
 
 def test_a_clock_that_is_set_is_taken_up(strict, caplog):

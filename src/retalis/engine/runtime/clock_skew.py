@@ -71,15 +71,15 @@ class FrameClock:
         progress: progress of the timestamps of all topics at its receipt.
         pace: highest rate of timestamps relative to real time; None if unknown.
         since: timestamp and real time from which the pace is measured.
-        other: first of consecutive distant timestamps that agree with each other.
+        candidate: first of consecutive distant timestamps that agree with each other.
         agreeing: number of these.
-        told: whether a warning was logged.
-        least: minimum of timestamp minus node's time at receipt, negative if behind.
-        most: maximum of this difference.
-        begun: node's time at the receipt that later ones are compared with; 0 before the node has a time.
+        is_reported: whether a warning was logged.
+        min_ahead: minimum of timestamp minus node's time at receipt, negative if behind.
+        max_ahead: maximum of this difference.
+        compared_since: node's time at the receipt that later ones are compared with; 0 before the node has a time.
         ahead: timestamp minus node's time at that receipt.
-        followed: whether the timestamps have advanced like the node's time.
-        looks: number of timestamps that fitted.
+        follows_clock: whether the timestamps have advanced like the node's time.
+        accepted_count: number of timestamps that fitted.
     """
 
     __slots__ = (
@@ -90,15 +90,15 @@ class FrameClock:
         "progress",
         "pace",
         "since",
-        "other",
+        "candidate",
         "agreeing",
-        "told",
-        "least",
-        "most",
-        "begun",
+        "is_reported",
+        "min_ahead",
+        "max_ahead",
+        "compared_since",
         "ahead",
-        "followed",
-        "looks",
+        "follows_clock",
+        "accepted_count",
     )
 
     def __init__(self, stamp: int, now: int, wall: int, progress: int):
@@ -109,11 +109,11 @@ class FrameClock:
         self.progress = progress
         self.pace: Optional[float] = None
         self.since = stamp, wall
-        self.other: Optional[FrameClock] = None
-        self.agreeing = self.looks = 0
-        self.told = self.followed = False
-        self.begun = now
-        self.least = self.most = self.ahead = stamp - now
+        self.candidate: Optional[FrameClock] = None
+        self.agreeing = self.accepted_count = 0
+        self.is_reported = self.follows_clock = False
+        self.compared_since = now
+        self.min_ahead = self.max_ahead = self.ahead = stamp - now
 
     def distance(self, stamp: int, now: int, wall: int, progress: int) -> int:
         """Return the signed distance of a timestamp from the nearest prediction, in ns; positive if later.
@@ -140,14 +140,14 @@ class FrameClock:
         self._compare(stamp, now)
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
-        self.looks += 1
+        self.accepted_count += 1
         # The decoder skips messages of the same second as the last one, once enough is known about the frame.
         self.second = (
             _UNKNOWN_SECOND
-            if exact or not (self.followed or self.looks > FULLY_CHECKED_MESSAGES)
+            if exact or not (self.follows_clock or self.accepted_count > FULLY_CHECKED_MESSAGES)
             else stamp // SECOND
         )
-        self.other, self.agreeing = None, 0
+        self.candidate, self.agreeing = None, 0
 
     def _compare(self, stamp: int, now: int) -> None:
         """Update the differences to the node's time, and decide whether timestamps advance like it.
@@ -158,36 +158,38 @@ class FrameClock:
         """
         ahead = stamp - now
         # The node had no time at the first receipt.
-        if not self.begun:
-            self.begun = now
-            self.least = self.most = self.ahead = ahead
-        elapsed = now - self.begun
-        self.least, self.most = min(self.least, ahead), max(self.most, ahead)
+        if not self.compared_since:
+            self.compared_since = now
+            self.min_ahead = self.max_ahead = self.ahead = ahead
+        elapsed = now - self.compared_since
+        self.min_ahead, self.max_ahead = min(self.min_ahead, ahead), max(self.max_ahead, ahead)
         # The message was accepted although it goes back, so the publisher's clock was set, and time did not go back.
         if stamp < self.stamp - JUMP:
-            self.begun, self.ahead, self.followed = now, ahead, False
-        elif not self.followed and ahead > self.ahead + elapsed / 4:
-            self.begun, self.ahead = now, ahead
-        elif not self.followed and elapsed >= MIN_FOLLOW_NS:
-            self.followed = ahead >= self.ahead - elapsed / 4
+            self.compared_since, self.ahead, self.follows_clock = now, ahead, False
+        elif not self.follows_clock and ahead > self.ahead + elapsed / 4:
+            self.compared_since, self.ahead = now, ahead
+        elif not self.follows_clock and elapsed >= MIN_FOLLOW_NS:
+            self.follows_clock = ahead >= self.ahead - elapsed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
         """Return whether a timestamp goes back so far that it fits an earlier time only."""
-        return stamp < self.stamp - JUMP and stamp - now < self.least - JUMP and self.followed
+        return stamp < self.stamp - JUMP and stamp - now < self.min_ahead - JUMP and self.follows_clock
 
     def is_left_over(self, stamp: int, end: int, now: int) -> bool:
         """Return whether a timestamp continues the epoch that ended at ``end``, and is ahead of the present."""
-        is_continuation = self.stamp <= stamp <= end + self.most + JUMP + (self.most - self.least)
-        return is_continuation and stamp - now > self.most + JUMP and self.followed
+        is_continuation = (
+            self.stamp <= stamp <= end + self.max_ahead + JUMP + (self.max_ahead - self.min_ahead)
+        )
+        return is_continuation and stamp - now > self.max_ahead + JUMP and self.follows_clock
 
     def agree(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
         """Record a distant timestamp; return whether enough consecutive ones agree."""
-        reference = self.other
+        reference = self.candidate
         if reference is not None and abs(reference.distance(stamp, now, wall, progress)) <= max_distance:
             self.agreeing += 1
             reference.move_to(stamp, now, wall, True)
         else:
-            self.other, self.agreeing = FrameClock(stamp, now, wall, progress), 1
+            self.candidate, self.agreeing = FrameClock(stamp, now, wall, progress), 1
         self.second = _UNKNOWN_SECOND
         return self.agreeing >= AGREEING_STAMPS
 
@@ -197,23 +199,23 @@ class TopicTimes(Cache[bytes, FrameClock]):
 
     Attributes:
         name: name of the topic.
-        before: frames of the previous epoch that have not occurred in the present one.
-        far: number of messages with a distant timestamp.
+        previous_frames: frames of the previous epoch that have not occurred in the present one.
+        distant_count: number of messages with a distant timestamp.
         refused: number of these that were refused.
         step: distance of the first frame that was warned of.
-        together: whether a warning about other frames at the same distance was logged.
+        are_all_reported: whether a warning about other frames at the same distance was logged.
         clock: step of the last setting of the clock that was reported.
     """
 
-    __slots__ = ("name", "before", "far", "refused", "step", "together", "clock")
+    __slots__ = ("name", "previous_frames", "distant_count", "refused", "step", "are_all_reported", "clock")
 
     def __init__(self, name: str):
         super().__init__(MAX_FRAMES, 4 << 20, 1 << 12)
         self.name = name
-        self.before: Dict[bytes, FrameClock] = {}
-        self.far = self.refused = 0
+        self.previous_frames: Dict[bytes, FrameClock] = {}
+        self.distant_count = self.refused = 0
         self.step: Optional[int] = None
-        self.together = False
+        self.are_all_reported = False
         self.clock: Optional[int] = None
 
     def clear(self) -> None:
@@ -289,7 +291,7 @@ class ClockSkewMonitor:
     def forget(self) -> None:
         """Remove all frames, because another stream begins."""
         for times in self:
-            times.before = {}
+            times.previous_frames = {}
         self._clear()
 
     def begin_run(self, ended: int) -> None:
@@ -300,7 +302,7 @@ class ClockSkewMonitor:
         """
         self._previous_end = ended
         for times in self:
-            times.before = dict(times)
+            times.previous_frames = dict(times)
         self._clear()
 
     def _clear(self) -> None:
@@ -311,10 +313,11 @@ class ClockSkewMonitor:
     def sum_up(self) -> None:
         """Log the number of messages with distant timestamps per topic, if more than one."""
         for times in self:
-            if times.far > 1:
+            if times.distant_count > 1:
                 refused = f", {times.refused} of them dropped" if times.refused else ""
                 self._reports.warning(
-                    f"topic {times.name}: {times.far} messages in all had a stamp far from those before{refused}"
+                    f"topic {times.name}: {times.distant_count} messages in all "
+                    f"had a stamp far from those before{refused}"
                 )
 
     def _check_message(self, times: TopicTimes, publisher: str, stamps: List[FrameStamp]) -> None:
@@ -348,7 +351,7 @@ class ClockSkewMonitor:
             if frame.progress > self._progress:
                 self._progress = frame.progress
         if farthest:
-            times.far += 1
+            times.distant_count += 1
             if self._max_distance is not None and farthest > self._max_distance:
                 times.refused += 1
                 raise Refused
@@ -360,7 +363,7 @@ class ClockSkewMonitor:
             Refused: if it belongs to the previous epoch.
             Early: if it may belong to the next epoch.
         """
-        previous_frames = times.before
+        previous_frames = times.previous_frames
         for key, stamp in stamps:
             frame = times.get(key)
             if frame is not None and frame.is_early(stamp, now) and self._may_wait():
@@ -388,9 +391,9 @@ class ClockSkewMonitor:
             self._held_bytes = times.held
 
     def _warn(self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str) -> None:
-        if frame.told:
+        if frame.is_reported:
             return
-        frame.told = True
+        frame.is_reported = True
         topic = times.name
         if times.step is None:
             times.step = distance
@@ -412,9 +415,9 @@ class ClockSkewMonitor:
         )
 
     def _warn_of_all_frames(self, times: TopicTimes, distance: int) -> None:
-        if times.together:
+        if times.are_all_reported:
             return
-        times.together = True
+        times.are_all_reported = True
         cause = "a bag that is played again without /clock, or a clock" if distance < 0 else "a clock"
         self._reports.warning(
             f"topic {times.name}: the stamps of other frames are {_format_distance(distance)} those before them too, "
@@ -422,7 +425,11 @@ class ClockSkewMonitor:
         )
 
     def _warn_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
-        if times.together and times.clock is not None and abs(times.clock - step) <= MAX_UNREPORTED_SKEW_NS:
+        if (
+            times.are_all_reported
+            and times.clock is not None
+            and abs(times.clock - step) <= MAX_UNREPORTED_SKEW_NS
+        ):
             return
         times.clock = step
         topic = times.name
