@@ -297,7 +297,7 @@ class EngineView(NamedTuple):
     knowledge: KnowledgeBase
     clock: Clock
     reports: Reports
-    runner: SerialExecutor
+    executor: SerialExecutor
     watchdog: Watchdog
     taken: Callable[[], int]
     queue: int
@@ -309,40 +309,40 @@ class StatusReader:
     Texts of rules and patterns are cached between calls, as long as their items are listed.
     """
 
-    def __init__(self, seen: EngineView):
-        self._view = seen
+    def __init__(self, view: EngineView):
+        self._view = view
         self._texts: _ShownTexts = {}
 
-    def read(self, most: int) -> Status:
+    def read(self, limit: int) -> Status:
         """Return the status.
 
         Args:
-            most: limit for the listed items of each kind.
+            limit: limit for the listed items of each kind.
         """
-        seen = self._view
+        view = self._view
         texts: _ShownTexts = {}
-        text = self._writer(texts)
-        show = seen.logic.brief
-        rules, more_rules = _list_rules(seen.rules, text, show, most)
-        memories, more_memories = _list_memories(seen.knowledge, text, show, most)
-        subscriptions, more_subscriptions = _list_subscriptions(seen.knowledge, text, show, most)
-        waiting, more_waiting = _list_queries(seen.knowledge, show, most)
+        text = self._make_writer(texts)
+        show = view.logic.brief
+        rules, more_rules = _list_rules(view.rules, text, show, limit)
+        memories, more_memories = _list_memories(view.knowledge, text, show, limit)
+        subscriptions, more_subscriptions = _list_subscriptions(view.knowledge, text, show, limit)
+        waiting, more_waiting = _list_queries(view.knowledge, show, limit)
         # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
         return Status(
-            now=int(seen.clock.present()),
-            taken=seen.taken(),
-            fired=seen.rules.fired,
-            queued=len(seen.runner),
-            queue=seen.queue,
-            callers=seen.runner.callers,
-            dropped=seen.runner.dropped,
-            errors=seen.reports.errors,
-            warnings=seen.reports.warnings,
-            matches=seen.rules.waiting,
-            alarms=len(seen.clock.alarms),
-            next_alarm=_find_next_alarm(seen.clock),
-            work=self._work(),
+            now=int(view.clock.present()),
+            taken=view.taken(),
+            fired=view.rules.fired,
+            queued=len(view.executor),
+            queue=view.queue,
+            callers=view.executor.callers,
+            dropped=view.executor.dropped,
+            errors=view.reports.errors,
+            warnings=view.reports.warnings,
+            matches=view.rules.waiting,
+            alarms=len(view.clock.alarms),
+            next_alarm=_find_next_alarm(view.clock),
+            work=self._read_work(),
             rules=rules,
             memories=memories,
             subscriptions=subscriptions,
@@ -350,14 +350,14 @@ class StatusReader:
             left_out=LeftOut(more_rules, more_memories, more_subscriptions, more_waiting),
         )
 
-    def held_records(self) -> int:
+    def count_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
         # Called during garbage collections, so it adds up counters and does not visit records.
         memories = [instance.memory for instance in list(self._view.knowledge.memories)]
         return self._view.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
 
     # `ends` is longer than `size` until the next removal of old records, which happens in blocks.
-    def _work(self) -> Optional[Work]:
+    def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.
         running = self._view.watchdog.held(time.monotonic())
         if running is None:
@@ -367,7 +367,7 @@ class StatusReader:
         place = "" if work.place is None else str(work.place)
         return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 
-    def _writer(self, texts: _ShownTexts) -> _Text:
+    def _make_writer(self, texts: _ShownTexts) -> _Text:
         """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
         known, show = self._texts, self._view.logic.brief
 
@@ -405,13 +405,13 @@ def _name_variables(term: Term) -> Dict[Var, str]:
 
 
 def _list_rules(
-    rules: RuleBase, text: _Text, show: Callable[[Term], str], most: int
+    rules: RuleBase, text: _Text, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
     """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
     listed = rules.rules
-    if len(listed) > most:
+    if len(listed) > limit:
         # The sort is stable, so rules without errors keep their order, and the result is in order of the rules again.
-        chosen = set(sorted(listed, key=lambda rule: -rule.firings.errors)[: max(0, most)])
+        chosen = set(sorted(listed, key=lambda rule: -rule.firings.errors)[: max(0, limit)])
         listed = [rule for rule in listed if rule in chosen]
 
     def convert(rule: Any) -> RuleStatus:
@@ -433,7 +433,7 @@ def _list_rules(
 
 
 def _list_memories(
-    knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], most: int
+    knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
     """Return the status of memories, and the number of memories that are not listed."""
 
@@ -454,11 +454,11 @@ def _list_memories(
             ends[number - 1] if number else None,
         )
 
-    return _convert_first(list(knowledge.memories), convert, most)
+    return _convert_first(list(knowledge.memories), convert, limit)
 
 
 def _list_subscriptions(
-    knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], most: int
+    knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
     """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
@@ -475,11 +475,11 @@ def _list_subscriptions(
             dropped,
         )
 
-    return _convert_first(knowledge.subscriptions.items(), convert, most)
+    return _convert_first(knowledge.subscriptions.items(), convert, limit)
 
 
 def _list_queries(
-    knowledge: KnowledgeBase, show: Callable[[Term], str], most: int
+    knowledge: KnowledgeBase, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[WaitingStatus, ...], int]:
     """Return the status of pending queries, and the number of queries that are not listed."""
 
@@ -493,7 +493,7 @@ def _list_queries(
         listed = tuple(awaited[:MAX_AWAITED_LISTED])
         return WaitingStatus(show(definition.event(values)), int(end), listed, len(awaited) - len(listed))
 
-    return _convert_first(knowledge.waiting.all(), convert, most)
+    return _convert_first(knowledge.waiting.all(), convert, limit)
 
 
 def _compute_lag(instance: Any, instant: int) -> Optional[int]:
@@ -502,8 +502,8 @@ def _compute_lag(instance: Any, instant: int) -> Optional[int]:
 
 
 def _convert_first(
-    items: Sequence[_Item], convert: Callable[[_Item], _ItemStatus], most: int
+    items: Sequence[_Item], convert: Callable[[_Item], _ItemStatus], limit: int
 ) -> Tuple[Tuple[_ItemStatus, ...], int]:
     """Return the status of the first items, and the number of items that are not listed."""
-    chosen = items[: max(0, most)]
+    chosen = items[: max(0, limit)]
     return tuple([convert(item) for item in chosen]), len(items) - len(chosen)

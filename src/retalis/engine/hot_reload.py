@@ -280,7 +280,7 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
             with engine.rules.files.loading_again(engine.rules.files.omitted):
                 return transaction.run(lambda: _load(engine, folder))
         finally:
-            engine.deployments[key] = transaction.made
+            engine.deployments[key] = transaction.deployment
 
     return engine.executor.call(lambda: engine.dispatcher.undisturbed(replace), (REQUEST,))
 
@@ -327,17 +327,17 @@ class ReloadTransaction:
 
     Args:
         engine: the running engine; it must be idle during `run`.
-        made: the old deployment.
+        old_deployment: the old deployment.
         trial: the deployment that the trial engine has produced.
     """
 
-    def __init__(self, engine: "Engine", made: Deployment, trial: Deployment):
+    def __init__(self, engine: "Engine", old_deployment: Deployment, trial: Deployment):
         self._engine = engine
         self._before = deployment_of(engine)
-        self._old = self._select_remaining(made)
-        self._loaded_before = made
+        self._old_deployment = self._select_remaining(old_deployment)
+        self._loaded_before = old_deployment
         self._trial = trial
-        self.made = made
+        self.deployment = old_deployment
         """Deployment of the folder at present."""
 
     def run(self, load: Callable[[], None]) -> List[str]:
@@ -354,11 +354,11 @@ class ReloadTransaction:
             budget.apart((_LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
             self._engine.logic.once(_ABOLISH_TABLES_GOAL)
-            self.made = deployment_of(self._engine).since(rest)
+            self.deployment = deployment_of(self._engine).since(rest)
             description = changes(
                 self._engine.logic,
-                self._old,
-                self.made,
+                self._old_deployment,
+                self.deployment,
                 self._pair_unchanged_rules(),
                 self._loaded_before.clauses,
             )
@@ -393,7 +393,7 @@ class ReloadTransaction:
 
     def _set_aside(self) -> None:
         # Items are set aside, not deleted: the load reactivates those with an equal definition, with their state.
-        rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old
+        rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old_deployment
         for rule in old.rules:
             rules.set_aside(rule)
         for predicate, clauses in old.clauses.items():
@@ -421,11 +421,11 @@ class ReloadTransaction:
             return
         # The predicate starts again as if it had never been loaded: uncompiled, and not dynamic unless declared so.
         predicate.compile_after = self._engine.logic.database.compile_after
-        if predicate in self._old.dynamic:
+        if predicate in self._old_deployment.dynamic:
             predicate.dynamic = False
         key = predicate.functor
         library = self._engine.logic.database.library.kept.get(key)
-        if key in self._old.replaced and library is not None:
+        if key in self._old_deployment.replaced and library is not None:
             # The library predicate that the folder had redefined becomes visible again.
             self._engine.logic.database.restore_library(library)
         elif not predicate.dynamic:
@@ -439,26 +439,28 @@ class ReloadTransaction:
         If the folder redefines other library predicates than before, no rule continues, because compiled goals of the
         old rules call the previous predicates.
         """
-        if self.made.replaced != self._old.replaced:
+        if self.deployment.replaced != self._old_deployment.replaced:
             return {}
-        return paired(self._old.rules, self.made.rules, _make_rule_key)
+        return paired(self._old_deployment.rules, self.deployment.rules, _make_rule_key)
 
     def _restore_unchanged(self, rest: Deployment) -> None:
         rules = self._engine.rules
         old_rules = self._pair_unchanged_rules()
         own_rules = []
-        for rule in self.made.rules:
+        for rule in self.deployment.rules:
             old_rule = old_rules.get(rule)
             if old_rule is not None:
                 # Partial matches refer to the old rule object, so this object is kept and gets the new position.
                 old_rule.place = rule.place
             own_rules.append(old_rule or rule)
-        new_rules = set(self.made.rules)
+        new_rules = set(self.deployment.rules)
         other_rules = [rule for rule in rules.rules if rule not in new_rules]
         staying = set(own_rules)
-        rules.arrange([*own_rules, *other_rules], [rule for rule in self._old.rules if rule not in staying])
-        self.made = self.made._replace(rules=own_rules)
-        for predicate, clauses in self.made.clauses.items():
+        rules.arrange(
+            [*own_rules, *other_rules], [rule for rule in self._old_deployment.rules if rule not in staying]
+        )
+        self.deployment = self.deployment._replace(rules=own_rules)
+        for predicate, clauses in self.deployment.clauses.items():
             self._remove_retracted(predicate, clauses, rest.clauses.get(predicate, []))
 
     def _remove_retracted(
@@ -471,7 +473,7 @@ class ReloadTransaction:
         live = set(predicate.live())
         if not predicate.dynamic or not live.issuperset(base_clauses):
             return
-        remaining = set(self._old.clauses.get(predicate, ()))
+        remaining = set(self._old_deployment.clauses.get(predicate, ()))
         loaded = self._loaded_before.clauses.get(predicate, ())
         # Clauses are compared by content and counted, because the load has created new clause objects.
         retracted = Counter(
@@ -554,8 +556,8 @@ class ReloadTransaction:
             for key, clause_list in self._loaded_before.clauses.items()
         }
         present_subscriptions = dict(self._engine.knowledge.subscriptions.items())
-        subscriptions = {key: present_subscriptions[key] for key in self._old.subscriptions}
-        self.made = self._loaded_before._replace(clauses=restored_clauses, subscriptions=subscriptions)
+        subscriptions = {key: present_subscriptions[key] for key in self._old_deployment.subscriptions}
+        self.deployment = self._loaded_before._replace(clauses=restored_clauses, subscriptions=subscriptions)
 
 
 def _make_rule_key(rule: EventRule) -> Hashable:

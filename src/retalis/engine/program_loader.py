@@ -24,9 +24,9 @@ class ProgramLoader:
     Args:
         logic: calls goals.
         rules: receives rules.
-        runner: executes the goals exclusively and is told which goal runs.
+        executor: executes the goals exclusively and is told which goal runs.
         dispatcher: dispatches the events of the engine; none is dispatched in the middle of a goal.
-        limited: whether the limits of later goals apply.
+        has_start_limits: whether the limits of later goals apply.
         once: calls a goal.
     """
 
@@ -34,17 +34,17 @@ class ProgramLoader:
         self,
         logic: PrologSystem,
         rules: RuleBase,
-        runner: SerialExecutor,
+        executor: SerialExecutor,
         dispatcher: Dispatcher,
-        limited: bool,
+        has_start_limits: bool,
         once: Callable[[Term], bool],
     ):
         self._logic = logic
         self._rules = rules
         self._files = rules.files
-        self._runner = runner
+        self._executor = executor
         self._dispatcher = dispatcher
-        self._limited = limited
+        self._has_start_limits = has_start_limits
         self._once = once
 
     def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
@@ -60,7 +60,7 @@ class ProgramLoader:
                 self.load_rules(rules, source, folder)
         finally:
             if has_both:
-                self._runner.call(self._rules.loader.log_deferred_warnings, (REQUEST,))
+                self._executor.call(self._rules.loader.log_deferred_warnings, (REQUEST,))
 
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load the text of an event file; see `Engine.load_rules`."""
@@ -88,9 +88,9 @@ class ProgramLoader:
         """Call a goal of a goal file."""
         budget = self._logic.machine.budget
         # The watchdog names this entry, with its place in the file, if the goal takes long.
-        self._runner.entry = goal
+        self._executor.entry = goal
         limits = budget.limits
-        if not self._limited:
+        if not self._has_start_limits:
             budget.allow(NO_LIMITS)
         try:
             return self._once(goal.term)
@@ -109,4 +109,4 @@ class ProgramLoader:
             with self._files.loading(folder):
                 return work()
 
-        return self._runner.call(lambda: self._dispatcher.undisturbed(run_with_files), (REQUEST,))
+        return self._executor.call(lambda: self._dispatcher.undisturbed(run_with_files), (REQUEST,))

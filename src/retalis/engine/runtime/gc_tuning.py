@@ -13,7 +13,7 @@ _holders: "WeakSet[StatusReader]" = WeakSet()
 
 
 def _count_records() -> int:
-    return sum(holder.held_records() for holder in list(_holders))
+    return sum(holder.count_records() for holder in list(_holders))
 
 
 _collector = YoungCollector(_count_records)
