@@ -400,7 +400,11 @@ def own_options() -> argparse.ArgumentParser:
         help="catkin workspace (default: in ~/.cache/retalis)",
     )
     add("--no-system", action="store_true", help="install no system packages; stop where some are missing")
-    add("--with-swi", action="store_true", help="install SWI-Prolog too, for use_swi/1 (docs/prolog.md)")
+    add(
+        "--with-swi",
+        action="store_true",
+        help="install SWI-Prolog too, for use_swi/1 (docs/how-to/swi-prolog.md)",
+    )
     add("--install", action="store_true", help="also build the install space (catkin_make install)")
     add("--dry-run", action="store_true", help="print what would be done and do nothing")
     return parser

@@ -103,7 +103,7 @@ def described() -> dict:
         "entry_points": {"console_scripts": ["retalis = retalis.__main__:main"]},
         "data_files": [
             *shared(),
-            ("share/retalis/docs", ["docs/predicates.md"]),
+            ("share/retalis/docs/reference", ["docs/reference/predicates.md"]),
             ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
         ],
     }

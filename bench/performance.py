@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Run all benchmarks and write their tables and plots into ``docs/performance.md``.
+"""Run all benchmarks and write their tables and plots into ``docs/explanation/performance.md``.
 
     bench/performance.py [--against FOLDER] [--python PATH ...] [--ros SETUP] [--runs N]
                          [--only NAME ...] [--figures FOLDER]
@@ -24,7 +24,7 @@ sys.path.insert(0, str(HERE))
 from arguments import existing, interpreter, positive  # noqa: E402
 
 DOCS = HERE.parent / "docs"
-PAGE = DOCS / "performance.md"
+PAGE = DOCS / "explanation" / "performance.md"
 NAMES = ("engine", "offline", "curves", "node")
 
 
@@ -51,14 +51,14 @@ def run(options: argparse.Namespace) -> None:
         if name in options.only:
             where = ["--json", str(options.figures / f"{name}.json")]
             if name != "node":  # matplotlib need not be there for ROS's own Python
-                where += ["--plot", str(DOCS / f"performance-{name}.png")]
+                where += ["--plot", str(DOCS / "images" / f"performance-{name}.png")]
             subprocess.run([*command, *where], check=True)
             if name == "node":
                 from performance_plots import draw_node
 
                 draw_node(
                     json.loads((options.figures / "node.json").read_text()),
-                    str(DOCS / "performance-node.png"),
+                    str(DOCS / "images" / "performance-node.png"),
                 )
 
 

@@ -1,4 +1,4 @@
-"""Draws the figures of the benchmarks that ``docs/performance.md`` shows."""
+"""Draws the figures of the benchmarks that ``docs/explanation/performance.md`` shows."""
 
 from typing import Any, Dict, List, Tuple
 

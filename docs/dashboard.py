@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make docs/dashboard.png: the page of the NAO example, as headless Chromium shows it.
+"""Make docs/images/dashboard.png: the page of the NAO example, as headless Chromium shows it.
 
     docs/dashboard.py [--output FILE] [--width 1280] [--height 1000] [--dark] [--seconds 12]
     docs/dashboard.py --serve [--port 8088]
@@ -52,7 +52,7 @@ def play(playback, bag):
 def main():
     """Do what the command line says."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--output", type=Path, default=HERE / "dashboard.png")
+    parser.add_argument("--output", type=Path, default=HERE / "images" / "dashboard.png")
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--height", type=int, help="as high as the page is, if not given")
     parser.add_argument("--dark", action="store_true")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Draw the packages of src/retalis and their imports.
 
-    docs/packages.py    # writes docs/packages.svg
+    docs/packages.py    # writes docs/images/packages.svg
 
 Each package is drawn one level above the highest package that it imports. Arrows that follow from others are
 omitted. Imports for annotations only (``if TYPE_CHECKING:``) are ignored.
@@ -14,7 +14,7 @@ from typing import Dict, Iterator, List, Optional, Set, Tuple
 
 HERE = Path(__file__).resolve().parent
 SOURCE = HERE.parent / "src" / "retalis"
-PICTURE = HERE / "packages.svg"
+PICTURE = HERE / "images" / "packages.svg"
 
 GENERATED = ("msg", "srv")
 """Packages that catkin generates beside the source."""

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Draw the pictures of programs and of what they do: nao-program.svg, nao-map.png, timeline.png and door.png.
 
-    docs/pictures.py [--folder docs]
+    docs/pictures.py [--folder docs/images]
 
 Needs matplotlib, Graphviz and rosbags, and no ROS. The programs are run; nothing in the pictures is written by hand
 but the names of the lanes.
@@ -210,7 +210,7 @@ def save(figure: Any, path: Path) -> None:
 def main() -> None:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--folder", type=Path, default=HERE, help="where to write them")
+    parser.add_argument("--folder", type=Path, default=HERE / "images", help="where to write them")
     options = parser.parse_args()
     folder = options.folder.resolve()
     os.chdir(str(ROOT))  # the program is called as it is from there

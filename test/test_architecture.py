@@ -8,7 +8,7 @@ from source import NODES, ROOT, SOURCE
 
 pytestmark = pytest.mark.docs
 
-PAGE = ROOT / "docs" / "architecture.md"
+PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 QUOTED = re.compile(r"`([^`\n]+)`")
 NO_NAMES = {
     *("float", "int", "struct"),  # Python's

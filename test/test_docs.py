@@ -19,7 +19,7 @@ from retalis.prolog.terms import timestamps
 pytestmark = pytest.mark.docs
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
 EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+|datime\([^)]*\))\](?:, |$)")
 UNTOLD = ("memory_created(", "memory_updated(", "synchronized(")
@@ -61,7 +61,7 @@ def prolog():
     for page in PAGES:
         for number, found in enumerate(snippets(page)):
             if found["kind"] == "prolog":
-                yield pytest.param(found["text"], id=f"{page.name}-{number}")
+                yield pytest.param(found["text"], id=f"{page.relative_to(ROOT)}-{number}")
 
 
 PARTS = (
@@ -126,7 +126,7 @@ def in_seconds(instant):
     return f"{instant / 10**9:g}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
     for target in LINK.findall(page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
@@ -169,7 +169,8 @@ NAMED_TEST = re.compile(r"`(?:test/)?([\w/]+\.(?:py|test))[ `]")
 
 
 def test_the_tests_that_the_page_on_reliability_names_are_there():
-    named = set(NAMED_TEST.findall((ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")))
+    page = ROOT / "docs" / "explanation" / "reliability.md"
+    named = set(NAMED_TEST.findall(page.read_text(encoding="utf-8")))
     there = {path.relative_to(ROOT / "test").as_posix() for path in (ROOT / "test").rglob("*.*")}
     missing = {name for name in named if not any(f"/{path}".endswith(f"/{name}") for path in there)}
     assert len(named) > 15

@@ -13,7 +13,7 @@ from retalis.prolog.system.prolog_system import PrologSystem
 
 pytestmark = pytest.mark.docs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "memories.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "memories.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 SECTIONS = re.split(r"^## ", TEXT, flags=re.MULTILINE)[1:]
 SNIPPET = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -58,7 +58,10 @@ def test_every_predicate_of_an_engine_is_on_a_page():
     """Those of the logic have a page of their own, with a test of its own."""
     added = {str(key) for key in Engine().logic.names()} - {str(key) for key in PrologSystem().names()}
     pages = " ".join(
-        (PAGE.parent / name).read_text() for name in ("language.md", "memories.md", "foreign.md", "prolog.md")
+        page.read_text(encoding="utf-8")
+        for folder in ("reference", "how-to")
+        for page in (PAGE.parents[1] / folder).rglob("*.md")
+        if page.name != "predicates.md"
     )
     missing = {
         key

@@ -13,7 +13,7 @@ from retalis.prolog.system.prolog_system import PrologSystem
 
 pytestmark = pytest.mark.docs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "predicates.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "predicates.md"
 CODE = re.compile(r"`` (.+?) ``")
 MOST = 3
 

@@ -10,7 +10,7 @@ from retalis.prolog.swi.libswipl import find_library
 
 pytestmark = pytest.mark.docs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "prolog.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "how-to" / "swi-prolog.md"
 FILES = dict(re.findall(r"<!-- (\S+) -->\n```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL))
 
 

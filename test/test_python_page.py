@@ -1,4 +1,4 @@
-"""``docs/python.md``: the session is run as it stands, and names all that the package offers."""
+"""``docs/reference/python.md``: the session is run as it stands, and names all that the package offers."""
 
 import doctest
 import re
@@ -10,7 +10,9 @@ import retalis
 
 pytestmark = pytest.mark.docs
 
-PAGE = (Path(__file__).resolve().parent.parent / "docs" / "python.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parent.parent / "docs" / "reference" / "python.md").read_text(
+    encoding="utf-8"
+)
 
 
 @pytest.mark.slow

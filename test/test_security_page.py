@@ -1,5 +1,5 @@
 # ruff: noqa: E501 - texts of the page
-"""The limits that docs/security.md and the launch file state are those of the code."""
+"""The limits that docs/explanation/security.md and the launch file state are those of the code."""
 
 import ast
 from math import log10
@@ -21,7 +21,7 @@ from retalis.prolog.builtins import text_arguments, text_streams
 from retalis.prolog.machine import arithmetic
 from retalis.prolog.terms import term_traversal
 
-PAGE = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "explanation" / "security.md").read_text(encoding="utf-8")
 MILLION = 1_000_000
 
 

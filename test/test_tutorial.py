@@ -1,4 +1,4 @@
-"""``docs/tutorial.md``: each file is written, each command run, and it prints what the page says."""
+"""``docs/tutorials/first-rule.md``: its files are written, its commands run, and they print what it shows."""
 
 import io
 import re
@@ -13,7 +13,7 @@ from retalis.cli.command_line import main
 
 pytestmark = pytest.mark.docs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "tutorial.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "tutorials" / "first-rule.md"
 BLOCK = re.compile(r"(?:<!-- (?P<name>[\w./]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
 RETALIS = ["python3", "-m", "retalis"]
 

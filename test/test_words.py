@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from source import NODES, ROOT, TREES
 
-GLOSSARY = ROOT / "docs" / "glossary.md"
+GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
 
 # Names that are defined more than once, each with the reason.
 TWICE: "dict[str, str]" = {}

@@ -26,7 +26,7 @@ FILES = {
     "pub_sub.xml",
 }
 
-SHORTER = FOLDER.parents[1] / "docs" / "shorter.md"
+SHORTER = FOLDER.parents[1] / "docs" / "how-to" / "shorter.md"
 CHANGED = re.compile(
     r"## (\w+)\n\nBefore:\n\n```prolog\n(.*?)```\n\nAfter:\n\n```prolog\n(.*?)```", re.DOTALL
 )

@@ -17,7 +17,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "fleet"
-PAGE = ROOT / "docs" / "fleet.md"
+PAGE = ROOT / "docs" / "how-to" / "many-bags.md"
 
 ALSO = os.environ.get("PYTHONPATH", "")
 """Where the tests' own packages may be, which the page knows nothing of."""

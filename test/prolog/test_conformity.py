@@ -10,7 +10,7 @@ _spec = importlib.util.spec_from_file_location("conformity", str(Path(__file__).
 conformity = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(conformity)
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "conformity.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "conformity.md"
 FILES = ("goals.txt", "syntax.txt")
 ROW = re.compile(r"^\| `` (.*?) `` \| `` .*? `` \| `` .*? `` \| (.+) \|$", re.MULTILINE)
 

@@ -32,7 +32,7 @@ from .option_values import from_zero
 from .stderr_report import Report, to_reader
 from .toplevel_io import LEAVE, Lines, Terminal, bindings, read_clause
 
-PAGE = "docs/predicates.md"
+PAGE = "docs/reference/predicates.md"
 MAX_HELP_LINES = 50
 """Limit for the lines of an answer."""
 

@@ -678,7 +678,7 @@ class Engine:
     # ---- state ----
 
     def snapshot(self) -> bytes:
-        """Return the complete state of the engine as bytes; see docs/state.md.
+        """Return the complete state of the engine as bytes; see docs/reference/state-files.md.
 
         >>> engine = Engine()
         >>> engine.load(rules="alarm(X) <- smoke(X) seq heat(X).")

@@ -16,7 +16,9 @@ from retalis.events.language.event_operators import EVENT_OPERATORS, OPERATORS, 
 from retalis.events.language.sequence_aggregates import AGGREGATES
 
 SOURCE = Path(retalis.__file__).parent
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "language.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "language.md").read_text(
+    encoding="utf-8"
+)
 NO_OPERATORS = {"`E`", "`P seq prolog(G)`, `prolog(G) seq P`"}
 """Rows of the table of patterns that are those of no operator."""
 

@@ -9,7 +9,7 @@ from retalis.prolog.syntax.term_writer import write_term
 from ..mutate import changed_text, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "predicates.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "predicates.md"
 EXAMPLE = re.compile(r"`` (.+?) ``")
 MOST = 5
 

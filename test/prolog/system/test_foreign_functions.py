@@ -242,7 +242,7 @@ def test_a_result_that_does_not_fit_is_the_goals_error():
 
 
 def test_the_example_of_the_documentation(tmp_path):
-    page = Path(__file__).resolve().parents[3] / "docs" / "foreign.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "python-predicate.md"
     code = page.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     (tmp_path / "helpers.py").write_text(code)
     engine = Engine(settings=Settings(allow_foreign=True))

@@ -1,7 +1,7 @@
 """Table of event operators: the only list of the operators of the event language.
 
 This module registers the syntax of the operators with the Prolog reader (`EventSyntax`). The compiler of patterns
-takes their meaning from the table, explanations the reason why a pair did not match, and `docs/language.md` its rows.
+takes their meaning from the table, explanations the reason why a pair did not match.
 A further operator between two patterns needs one more entry here.
 
 ``comparisons`` define when the intervals of a pair match. They are Python expressions over ``s1, e1, s2, e2``, the

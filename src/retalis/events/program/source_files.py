@@ -24,7 +24,7 @@ _EXCEPT, _AS, _CLAUSE = functor("except", 1), functor("as", 2), functor(":-", 2)
 _MAX_ARGUMENTS = 1000
 _UNKNOWN_LIBRARY_ADVICE = (
     "what the program calls of it has to be defined elsewhere, or the file to be given to SWI-Prolog: "
-    ":- use_swi(File), see docs/prolog.md"
+    ":- use_swi(File), see docs/how-to/swi-prolog.md"
 )
 
 LIBRARIES = frozenset(
