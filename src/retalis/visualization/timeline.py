@@ -10,7 +10,7 @@ only every second new one is added, so that the remaining marks are spread evenl
 import json
 import re
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..foundation.errors import UsageError, beginning, printable, printable_json
 from ..prolog.terms import timestamps
@@ -312,14 +312,9 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
     height = _LANE_HEIGHT * max(4, len(lanes))
     figure = Figure(figsize=(_WIDTH, height + 1.0))
     axes = figure.subplots()
-    for row, lane in enumerate(lanes):
-        _draw_lane(axes, row, lane)
+    draw_lanes(axes, lanes)
     axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
-    axes.set_xlabel("seconds")
     axes.set_title(f"{_literal(title)}\n{_about(timeline)}", fontsize=10, loc="left")
-    axes.grid(axis="x", color="#e1e5ea")
-    axes.set_axisbelow(True)
-    _name_rows(axes, [_literal(lane.name) for lane in lanes], fontsize=9)
     _name_rows(axes.twinx(), [f"{lane.number:,}" for lane in lanes], fontsize=8, color="#5b6675")
     kinds = [kind for kind in KINDS if any(lane.kind == kind for lane in lanes)]
     patches = [Patch(color=_COLOURS[kind], label=_NAMES[kind]) for kind in kinds]
@@ -336,6 +331,16 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
         figure.savefig(path, dpi=110, bbox_inches="tight")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
+
+
+def draw_lanes(axes: Any, lanes: Sequence[TimelineLane]) -> None:
+    """Draw lanes with their names and a time axis on the axes of a matplotlib figure."""
+    for row, lane in enumerate(lanes):
+        _draw_lane(axes, row, lane)
+    axes.set_xlabel("seconds")
+    axes.grid(axis="x", color="#e1e5ea")
+    axes.set_axisbelow(True)
+    _name_rows(axes, [_literal(lane.name) for lane in lanes], fontsize=9)
 
 
 def _literal(text: str) -> str:

@@ -147,11 +147,11 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         patterns=_GOAL,
         rows=(
             OperatorEntry(
-                "`P with throttle(N)`", "P, none of them less than N seconds after the last", "that of P"
+                "`P with throttle(N)`", "P, at most one in N seconds", "that of P"
             ),
-            OperatorEntry("`P with burst(N)`", "the first P after N seconds without any", "that of P"),
-            OperatorEntry("`P with debounce(N)`", "P, and no further one for N seconds", "[s,e+N]"),
-            OperatorEntry("`P with change(X)`", "P, where X is another than in the P before it", "that of P"),
+            OperatorEntry("`P with burst(N)`", "P, if no other ended in the N seconds before", "that of P"),
+            OperatorEntry("`P with debounce(N)`", "P, if no other follows for N seconds", "[s,e+N]"),
+            OperatorEntry("`P with change(X)`", "P, if X differs from that of the P before", "that of P"),
         ),
     ),
     EventOperator(
@@ -367,8 +367,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         rows=(
             OperatorEntry(
                 "`aggregate(K,Q,R,W)`",
-                "each Q, or the end of window W; R collects those in the window",
-                "of those, or of the window",
+                "each Q, or the end of window W; R measures the Q in it",
+                "of these Q, or of the window",
             ),
         ),
     ),

@@ -1,0 +1,46 @@
+"""The timelines of the language reference are drawn from the examples on its pages, and are up to date."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.docs
+
+SCRIPT = Path(__file__).resolve().parent.parent / "docs" / "timelines.py"
+MAX_BYTES = 20_000
+WITHOUT_OPERATORS = {"index", "predicates", "declared-events", "provenance", "revision"}
+"""Pages without a picture: they define no operator, or events that have no place on a timeline."""
+
+
+def load_script():
+    spec = importlib.util.spec_from_file_location("timelines", str(SCRIPT))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+timelines = load_script()
+PAGES = sorted(timelines.PAGES.glob("*.md"))
+EXAMPLES = [example for page in PAGES for example in timelines.examples(page)]
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.path.stem)
+def test_picture_shows_the_events_of_its_example(example):
+    assert timelines.description(example.path) == example.text, "run docs/timelines.py"
+    texts = timelines.texts(example.path)
+    for lane in timelines.run_example(example.text):
+        assert lane.name in texts
+        assert {label for _, _, label in lane.marks} - {""} <= set(texts)
+
+
+def test_every_page_of_an_operator_has_a_picture():
+    with_pictures = {page.stem for page in PAGES if any(timelines.examples(page))}
+    assert {page.stem for page in PAGES} - with_pictures == WITHOUT_OPERATORS
+
+
+def test_pictures_are_small_and_none_is_left_over():
+    pictures = set((timelines.PAGES / "pictures").iterdir())
+    assert pictures == {example.path for example in EXAMPLES}
+    assert len(EXAMPLES) == len(pictures)
+    assert all(picture.stat().st_size <= MAX_BYTES for picture in pictures)
