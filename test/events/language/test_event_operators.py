@@ -16,17 +16,17 @@ from retalis.events.language.event_operators import EVENT_OPERATORS, OPERATORS, 
 from retalis.events.language.sequence_aggregates import AGGREGATES
 
 SOURCE = Path(retalis.__file__).parent
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "language.md").read_text(
-    encoding="utf-8"
-)
+PAGES = Path(__file__).resolve().parents[3] / "docs" / "reference" / "language"
+PAGE = (PAGES / "index.md").read_text(encoding="utf-8")
 NO_OPERATORS = {"`E`", "`P seq prolog(G)`, `prolog(G) seq P`"}
 """Rows of the table of patterns that are those of no operator."""
+LINK = re.compile(r"\[(.*)\]\([\w-]+\.md\)")
 
 
 def rows(title):
     """Return the rows of the table of this title, each a list of its cells."""
     found = PAGE[PAGE.index(f"\n{title}\n") :].split("\n\n")[0].strip().split("\n")[2:]
-    return [row[2:-2].split(" | ") for row in found]
+    return [[LINK.sub(r"\1", cell) for cell in row[2:-2].split(" | ")] for row in found]
 
 
 def test_page_has_the_rows_of_all_patterns():
@@ -62,7 +62,8 @@ def test_page_has_the_priorities():
 
 
 def test_page_names_the_aggregates():
-    (found,) = re.findall(r"The kinds of aggregate are (.*)\. `", PAGE)
+    page = (PAGES / "repetition.md").read_text(encoding="utf-8")
+    (found,) = re.findall(r"The kinds of aggregate are (.*)\. `", page)
     assert re.findall(r"`([^`]+)`", found) == [one.form for one in AGGREGATES.values()]
 
 

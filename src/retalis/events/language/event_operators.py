@@ -146,9 +146,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1065,
         patterns=_GOAL,
         rows=(
-            OperatorEntry(
-                "`P with throttle(N)`", "P, at most one in N seconds", "that of P"
-            ),
+            OperatorEntry("`P with throttle(N)`", "P, at most one in N seconds", "that of P"),
             OperatorEntry("`P with burst(N)`", "P, if no other ended in the N seconds before", "that of P"),
             OperatorEntry("`P with debounce(N)`", "P, if no other follows for N seconds", "[s,e+N]"),
             OperatorEntry("`P with change(X)`", "P, if X differs from that of the P before", "that of P"),
