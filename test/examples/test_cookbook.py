@@ -4,7 +4,6 @@ import ast
 import importlib.util
 import logging
 import re
-import shutil
 import sys
 from pathlib import Path
 
@@ -25,12 +24,6 @@ FILES = {
     "node.py",
     "pub_sub.xml",
 }
-
-SHORTER = FOLDER.parents[1] / "docs" / "how-to" / "shorter.md"
-CHANGED = re.compile(
-    r"## (\w+)\n\nBefore:\n\n```prolog\n(.*?)```\n\nAfter:\n\n```prolog\n(.*?)```", re.DOTALL
-)
-"""A situation of that page: its name, its rules as they were, and as they are."""
 
 WITHOUT_STAND_IN = {"places"}
 """Recipes whose nodes need more of ROS than the stand-in has: a buffer of tf2. They are only compiled."""
@@ -119,40 +112,3 @@ def test_the_command_makes_a_bag(recipes, tmp_path, monkeypatch, capsys):
 def test_slots_that_are_none_are_named(recipes, definitions):
     with pytest.raises(SystemExit, match="std_msgs/Bool has no slot daat"):
         recipes.to_term(definitions.find("std_msgs/Bool"), {"daat": True}, 0)
-
-
-def changed():
-    """Return the situations of the page on shorter rules: name, rules before and after."""
-    return CHANGED.findall(SHORTER.read_text(encoding="utf-8"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name, before, after", changed(), ids=[name for name, _, _ in changed()])
-def test_longer_rules_give_the_same(name, before, after, recipes, definitions, tmp_path, caplog):
-    shutil.copytree(str(FOLDER / name), str(tmp_path / name))
-    rules = tmp_path / name / "eventRules.txt"
-    text = rules.read_text(encoding="utf-8")
-    assert text.count(after) == 1
-    rules.write_text(text.replace(after, before), encoding="utf-8")
-    as_it_was, as_it_is = (
-        [
-            (round(one[0], -3), *one[1:])
-            for one in played(folder, recipes, definitions, tmp_path / "recipe.bag", caplog)
-        ]
-        for folder in (tmp_path / name, FOLDER / name)
-    )
-    assert as_it_was == as_it_is != []
-
-
-def test_the_page_counts_the_lines_of_both():
-    table = re.findall(
-        r"^\| \[(\w+)\]\(#\1\) \|.*\| (\d+) \| (\d+) \|$", SHORTER.read_text(encoding="utf-8"), re.MULTILINE
-    )
-    found = [(name, str(lines(before)), str(lines(after))) for name, before, after in changed()]
-    assert table == found and len(found) >= 12
-    assert all(lines(after) < lines(before) for _, before, after in changed())
-
-
-def lines(rules):
-    """Return how many lines rules have without comments and blank ones."""
-    return sum(1 for line in rules.splitlines() if line.strip() and not line.startswith("%"))

@@ -55,6 +55,7 @@ COMMANDS = {
     "demo": "demo_command",
     "events": "event_stream_command",
     "graph": "graph_command",
+    "help": "help_command",
     "query": "node_commands",
     "explain": "node_commands",
     "list": "node_commands",
