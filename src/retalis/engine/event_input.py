@@ -13,7 +13,7 @@ import logging
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional
 
 from ..events.dispatch.dispatcher import Dispatcher
-from ..events.language.event_declarations import event_fault
+from ..events.language.event_declarations import event_name_error
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_predicates import InputReader
 from ..events.rules.event_types import EventTypes
@@ -280,7 +280,7 @@ class InputTopics:
         self._check("topic", topic, topic_fault(request.topic))
         self._check("message_type", kind, type_fault(request.kind))
         if event:
-            self._check("event_name", event[0], event_fault(request.event))
+            self._check("event_name", event[0], event_name_error(request.event))
         try:
             key = self._plain(request.topic)
         except UsageError as error:

@@ -11,7 +11,7 @@ from threading import Event
 from time import monotonic
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, TypeVar
 
-from ..events.language.rule_head_parser import RULE, is_rule, labelled
+from ..events.language.rule_head_parser import RULE, is_rule, split_label
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import NO_LIMITS, Limits
 from ..prolog.syntax.term_reader import ReadTerm, read_term
@@ -222,7 +222,7 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
 def _choose_label(engine: Engine, parsed_rule: ReadTerm, requested: str) -> Term:
     """Return the label of a parsed rule; add one to the rule if it has none."""
     term: Any = deref(parsed_rule.term)
-    own_label, _ = labelled(term)
+    own_label, _ = split_label(term)
     label = _parse_label(engine, requested) if requested.strip() else own_label
     if own_label is not None and requested.strip() and _strip_properties(own_label) is not label:
         raise UsageError(

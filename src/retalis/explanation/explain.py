@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 from ..engine.engine import Engine
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.pattern_tree import Aggregate, Shaped, Windowed, walk
-from ..events.language.stream_parser import subscribed_event
+from ..events.language.stream_parser import subscription_event
 from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence
@@ -91,7 +91,7 @@ class WhyNotSent:
     def _copy_definitions(self) -> Iterator[Tuple[str, Any]]:
         for (topic, _), subscription in self._subscriptions:
             definition: Any = copy(subscription.definition)
-            event = subscribed_event(definition[1])
+            event = subscription_event(definition[1])
             yield (
                 f"subscription {self._show(subscription.id)} of topic {topic}",
                 (definition[0], event, *definition[2:]),

@@ -45,7 +45,7 @@ from ..events.language.pattern_tree import (
 )
 from ..events.language.row_pattern_parser import step_term
 from ..events.language.sequence_aggregates import Collector
-from ..events.language.stream_parser import shape_term, window_term
+from ..events.language.stream_parser import rate_operator_term, window_term
 from ..events.matches.partial_matches import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
@@ -265,7 +265,7 @@ class WhyNot:
 
     def _evaluate_repeated(self, pattern: Repeated) -> Part:
         # A repetition of many events is cut off: the first missing event is among the first repetitions.
-        return self.of(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).written_out())
+        return self.of(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).as_sequence())
 
     def _evaluate_either(self, pattern: Either) -> Part:
         parts = [self.of(branch) for branch in pattern.branches]
@@ -466,7 +466,9 @@ class WhyNot:
         matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
         reason = _SHAPE_REASONS[pattern.shape].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
-        text = f"{_SHAPE_NAME} {self._show(shape_term(pattern))}: {self._format_result(matches, reason)}"
+        text = (
+            f"{_SHAPE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
+        )
         return Part(text, matches, [part], None, bool(part.matches))
 
     def _evaluate_awaited(self, pattern: Awaited) -> Part:

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from ..engine.event_input import MAX_INPUT_TOPICS, TopicRequest
 from ..engine.runtime.problem_reports import Reports
-from ..events.language.event_declarations import event_fault
+from ..events.language.event_declarations import event_name_error
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning
 from .internal_topics import INPUT, OUTPUT, read_control_json, resolve
 from .ros_interface import RosInterface
@@ -115,7 +115,7 @@ def read_subscriptions(text: str) -> List[TopicRequest]:
     for item in items:
         if not isinstance(item, list) or len(item) != 3 or not all(part.__class__ is str for part in item):
             raise malformed
-        if item[2] and event_fault(item[2]):
+        if item[2] and event_name_error(item[2]):
             raise malformed
     return [TopicRequest(*item) for item in items]
 

@@ -21,7 +21,7 @@ from ..engine.engine import Engine
 from ..engine.engine_status import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
 from ..engine.external_requests import add_rule, ask, await_memories, delete_rule, do_for_others
 from ..engine.runtime.problem_reports import Reports
-from ..events.language.stream_parser import subscribed_event
+from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
 from ..explanation.explain import explain, records_origins
 from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, beginning, printable
@@ -160,7 +160,7 @@ class EngineServices:
                 raise UsageError(f"format: {misfit}")
             self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
             self._warn_about_unbound("subscribe", request.id, fields)
-            matched_fields = fields._replace(event=subscribed_event(fields.event))
+            matched_fields = fields._replace(event=subscription_event(fields.event))
             self._warn_about_missing_source("subscribe", request.id, matched_fields)
             self._untyped_topics.check(request.topic.strip())
 

@@ -6,12 +6,12 @@ from hypothesis import strategies as st
 
 from retalis import Operators, RuleError, UsageError, atom, functor
 from retalis.events.language.event_declarations import (
-    KINDS,
+    VALUE_TYPES,
     Argument,
     Declaration,
     Declarations,
-    declared_in,
-    read_kind,
+    parse_declarations,
+    parse_value_type,
 )
 from retalis.events.program.event_file_checker import FileChecker
 from retalis.prolog.syntax.term_reader import read_program, read_term
@@ -20,13 +20,13 @@ from retalis.prolog.syntax.term_writer import writeq
 OPERATORS = Operators.prolog()
 NAMES = st.sampled_from(["left", "motor", "T one", "a:b", "don't", "list"])
 KIND = st.recursive(
-    st.sampled_from([*(kind.term for kind in KINDS.values()), read_term("a__0__B", OPERATORS).term]),
+    st.sampled_from([*(kind.term for kind in VALUE_TYPES.values()), read_term("a__0__B", OPERATORS).term]),
     lambda inner: inner.map(lambda kind: (functor("list", 1), kind)),
     max_leaves=3,
 )
 DECLARATION = st.builds(
     lambda name, found: Declaration(
-        name, tuple(Argument(one, read_kind(kind)) for one, kind in found.items())
+        name, tuple(Argument(one, parse_value_type(kind)) for one, kind in found.items())
     ),
     NAMES,
     st.dictionaries(NAMES, KIND, max_size=4),
@@ -51,7 +51,7 @@ def places(part, number=0):
 
 def read(text):
     goal = read_term(f":- event {text}.", OPERATORS).term[1]
-    return [one for one, _ in declared_in(goal, places)]
+    return [one for one, _ in parse_declarations(goal, places)]
 
 
 @settings(max_examples=50)
@@ -74,7 +74,7 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
 
     def event():
         one = data.draw(st.sampled_from(found))
-        arguments = ", ".join(value(argument.kind) for argument in one.arguments)
+        arguments = ", ".join(value(argument.value_type) for argument in one.arguments)
         name = writeq(atom(one.name), OPERATORS)
         return f"{name}({arguments})" if arguments else name
 

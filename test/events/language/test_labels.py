@@ -3,7 +3,7 @@
 import pytest
 from events.refusals import assert_refused, warnings_of
 
-from retalis.events.language.rule_head_parser import WORDS
+from retalis.events.language.rule_head_parser import WORD_PROPERTIES
 from retalis.events.matches.partial_matches import AfterMatchSkipStrategy, ConsumptionPolicy
 
 FORMS = "a label is an atom, or Label([property(Name, Value), ...])"
@@ -51,5 +51,5 @@ def test_a_misspelt_property_is_asked_about():
 
 
 def test_words_are_those_that_a_rule_runs_by():
-    assert WORDS["policy"] == tuple(policy.value for policy in ConsumptionPolicy)
-    assert WORDS["after_match"] == tuple(kind.value for kind in AfterMatchSkipStrategy)
+    assert WORD_PROPERTIES["policy"] == tuple(policy.value for policy in ConsumptionPolicy)
+    assert WORD_PROPERTIES["after_match"] == tuple(kind.value for kind in AfterMatchSkipStrategy)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from parsing import parse_term
 
 from retalis import UsageError
-from retalis.events.language.rule_head_parser import schedule_fault, schedule_of, sets_timer
+from retalis.events.language.rule_head_parser import parse_schedule, schedule_error, sets_timer
 from retalis.prolog.terms.timestamps import SECOND
 
 DAY = 86_400
@@ -15,7 +15,7 @@ DAY = 86_400
 @given(st.integers(1, 10**6), st.integers(1, 4 * 10**18), st.booleans())
 def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, aligned):
     period = milliseconds * 10**6
-    schedule = schedule_of(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
+    schedule = parse_schedule(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
     found = schedule.next(now)
     assert schedule.repeats and schedule.period == period
     assert now < found <= now + period
@@ -36,7 +36,7 @@ def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, ali
     ],
 )
 def test_instants_of_the_day_and_single_ones(text, now, wanted):
-    found = schedule_of(parse_term(text)).next(int(now * SECOND))
+    found = parse_schedule(parse_term(text)).next(int(now * SECOND))
     assert found == (None if wanted is None else round(wanted * SECOND))
 
 
@@ -63,14 +63,14 @@ def test_instants_of_the_day_and_single_ones(text, now, wanted):
 )
 def test_what_is_no_time_is_told_what_was_expected(text, said):
     with pytest.raises(UsageError) as raised:
-        schedule_of(parse_term(text))
+        parse_schedule(parse_term(text))
     assert said in raised.value.message
-    assert said in schedule_fault(parse_term(text))
+    assert said in schedule_error(parse_term(text))
 
 
 @pytest.mark.parametrize("text", ["W", "every(N)", "at(H,0,0)", "every(2)", "at(datime(Y,1,1,0,0,0,0))"])
 def test_what_may_yet_become_a_time_is_no_fault(text):
-    assert schedule_fault(parse_term(text)) is None
+    assert schedule_error(parse_term(text)) is None
 
 
 @pytest.mark.parametrize(

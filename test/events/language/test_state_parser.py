@@ -4,17 +4,19 @@ import pytest
 from parsing import parse_term
 
 from retalis import UsageError
-from retalis.events.language.state_parser import asked_state, declares_state, state_form
+from retalis.events.language.state_parser import declares_state, parse_state_declaration, queried_state
 from retalis.prolog.terms.timestamps import SECOND
 
 
 def test_a_declaration_says_what_begins_and_ends_a_state():
-    form = state_form(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
+    form = parse_state_declaration(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
     assert (form.within, form.past, form.open) == (None, 1000, 10_000)
     assert str(form.functor) == "at/2"
-    same = state_form(parse_term("state(at(X, Y), from(come(X, Y, _)), until(all_out))"))
+    same = parse_state_declaration(parse_term("state(at(X, Y), from(come(X, Y, _)), until(all_out))"))
     assert same.key == form.key
-    form = state_form(parse_term("state(on, from(go), until(stop), [open(1), within(2.5), past(0)])"))
+    form = parse_state_declaration(
+        parse_term("state(on, from(go), until(stop), [open(1), within(2.5), past(0)])")
+    )
     assert (form.within, form.past, form.open) == (int(2.5 * SECOND), 0, 1)
 
 
@@ -41,7 +43,7 @@ def test_a_declaration_says_what_begins_and_ends_a_state():
 )
 def test_what_is_no_declaration_is_told_what_was_expected(text, said):
     with pytest.raises(UsageError) as raised:
-        state_form(parse_term(text))
+        parse_state_declaration(parse_term(text))
     assert said in raised.value.message
 
 
@@ -63,5 +65,5 @@ def test_declarations_are_told_from_facts(text, declares):
     [("holds(a)", "a/0"), ("holds_at(a(X), 1)", "a/1"), ("holds(X, T)", None), ("held(a)", None)],
 )
 def test_questions_name_a_state(text, asked):
-    found = asked_state(parse_term(text))
+    found = queried_state(parse_term(text))
     assert (found and str(found)) == asked

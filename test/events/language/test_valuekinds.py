@@ -4,7 +4,7 @@ import pytest
 from parsing import parse_term
 
 from retalis import UsageError
-from retalis.events.language.event_declarations import KINDS, SLOT_KINDS, form_of, read_kind
+from retalis.events.language.event_declarations import SLOT_TYPES, VALUE_TYPES, form_of, parse_value_type
 
 VALUES = {
     "left": "any atom event",
@@ -28,31 +28,31 @@ VALUES = {
 
 @pytest.mark.parametrize("value", VALUES)
 def test_a_value_is_of_its_kinds_and_no_others(value):
-    kinds = [*KINDS, "std_msgs__0__Empty", "std_msgs__0__Bool"]
-    found = [name for name in kinds if read_kind(parse_term(name)).takes(parse_term(value))]
+    kinds = [*VALUE_TYPES, "std_msgs__0__Empty", "std_msgs__0__Bool"]
+    found = [name for name in kinds if parse_value_type(parse_term(name)).takes(parse_term(value))]
     assert sorted(found) == sorted(VALUES[value].split())
 
 
-@pytest.mark.parametrize("one", KINDS)
-@pytest.mark.parametrize("other", KINDS)
+@pytest.mark.parametrize("one", VALUE_TYPES)
+@pytest.mark.parametrize("other", VALUE_TYPES)
 def test_kinds_exclude_each_other_where_no_value_is_of_both(one, other):
     both = [value for value, kinds in VALUES.items() if {one, other} <= set(kinds.split()) and value != "nan"]
-    assert KINDS[one].excludes(KINDS[other]) == (not both)
-    assert KINDS[one].excludes(KINDS[other]) == KINDS[other].excludes(KINDS[one])
+    assert VALUE_TYPES[one].excludes(VALUE_TYPES[other]) == (not both)
+    assert VALUE_TYPES[one].excludes(VALUE_TYPES[other]) == VALUE_TYPES[other].excludes(VALUE_TYPES[one])
 
 
 def test_every_form_is_one_that_terms_or_stamps_have():
     forms = {form_of(parse_term(value)) for value in VALUES} | {"stamp"}
-    assert frozenset().union(*(kind.forms for kind in (*KINDS.values(), *SLOT_KINDS.values()))) == forms
+    assert frozenset().union(*(kind.forms for kind in (*VALUE_TYPES.values(), *SLOT_TYPES.values()))) == forms
 
 
 def test_messages_of_two_types_exclude_each_other():
-    one, other = (read_kind(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
-    assert one.excludes(other) and not one.excludes(one) and not one.excludes(KINDS["event"])
+    one, other = (parse_value_type(parse_term(f"std_msgs__0__{name}")) for name in ("Bool", "Empty"))
+    assert one.excludes(other) and not one.excludes(one) and not one.excludes(VALUE_TYPES["event"])
 
 
 def test_lists_in_lists():
-    assert read_kind(parse_term("list(list(atom))")).items.items is KINDS["atom"]
+    assert parse_value_type(parse_term("list(list(atom))")).items.items is VALUE_TYPES["atom"]
 
 
 @pytest.mark.parametrize(
@@ -68,5 +68,5 @@ def test_lists_in_lists():
 )
 def test_what_is_no_kind(kind, said):
     with pytest.raises(UsageError) as caught:
-        read_kind(parse_term(kind))
+        parse_value_type(parse_term(kind))
     assert caught.value.message.startswith(said)

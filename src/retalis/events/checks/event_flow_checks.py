@@ -13,17 +13,17 @@ from ...prolog.terms.types import SLASH, TRUE, Atom, Functor, Term, deref, funct
 from ..knowledge.knowledge_base import OWN_EVENTS
 from ..language.called_predicates import calls
 from ..language.event_declarations import (
-    VariableKinds,
-    has_branches,
+    VariableTypes,
+    calls_in_query,
+    events_raised_by_goals,
+    has_alternatives,
     head_event,
-    made_by_goals,
-    query_goals,
-    slot_kind,
+    slot_value_type,
 )
 from ..language.event_operators import ARROWS, SPELLINGS
 from ..language.pattern_parser import EventTerm, PatternReader
 from ..language.pattern_tree import Action
-from ..language.rule_head_parser import made_by, makes_event
+from ..language.rule_head_parser import event_raised_by, makes_event
 from ..language.state_parser import StateForm
 from ..program.topic_configuration import TOPICS
 from .program_model import (
@@ -63,7 +63,7 @@ class EventProducers:
         self.anything = False
         self._add_topics(program)
         for rule in program.rules:
-            head = made_by(rule.definition.head)
+            head = event_raised_by(rule.definition.head)
             if head is not None:
                 self._add_event(head, rule.definition.place)
         self._add_goal_events(program)
@@ -208,7 +208,7 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
     nearby = NearFunctors()
     reported: Set[Functor] = set()
     for rule in program.rules:
-        head = made_by(rule.definition.head)
+        head = event_raised_by(rule.definition.head)
         key = None if head is None else key_of(head)
         if (
             head is None
@@ -223,7 +223,7 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
         if isinstance(rule.definition.pattern, Action):
             continue
         reported.add(key)
-        place = rule.spot(head) if deref(head).__class__ is tuple else rule.definition.place
+        place = rule.place_of(head) if deref(head).__class__ is tuple else rule.definition.place
         yield RuleError(_no_consumer_text(key, consumed, nearby), place)
     for subterm in program.calls():
         term = subterm.term
@@ -266,18 +266,24 @@ def unfitting(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that do not fit the declarations of events."""
     declarations = program.declared
     for rule in program.rules if declarations else ():
-        kinds = VariableKinds(
-            {**program.names, **rule.definition.names}, not has_branches(rule.definition.term)
+        variable_types = VariableTypes(
+            {**program.names, **rule.definition.names}, not has_alternatives(rule.definition.term)
         )
-        yield from declarations.misfits(events_of_rule(rule), rule.spot, kinds)
+        yield from declarations.declaration_errors(events_of_rule(rule), rule.place_of, variable_types)
     for clause_or_goal in (*program.clauses, *program.goals) if declarations else ():
-        kinds = VariableKinds(program.names, not has_branches(clause_or_goal.parent))
-        yield from declarations.misfits(events_of_goals(clause_or_goal), clause_or_goal.spot, kinds)
-    for form, spot, prefix in program.states if declarations else ():
-        for error in declarations.misfits(_events_of_state(form), spot, VariableKinds(program.names)):
+        variable_types = VariableTypes(program.names, not has_alternatives(clause_or_goal.parent))
+        yield from declarations.declaration_errors(
+            events_of_goals(clause_or_goal), clause_or_goal.place_of, variable_types
+        )
+    for form, place_of, prefix in program.states if declarations else ():
+        for error in declarations.declaration_errors(
+            _events_of_state(form), place_of, VariableTypes(program.names)
+        ):
             yield RuleError(f"{prefix}{error.message}", error.place)
     for consumer in (*program.memories, *program.subscriptions) if declarations else ():
-        for error in declarations.misfits([event_of_kept(consumer)], consumer.spot, VariableKinds({})):
+        for error in declarations.declaration_errors(
+            [event_of_kept(consumer)], consumer.place_of, VariableTypes({})
+        ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
     yield from _find_unfitting_topics(program)
 
@@ -291,9 +297,9 @@ def _find_unfitting_topics(program: ProgramModel) -> Iterator[RuleError]:
             continue
         fault = program.declared.wrong_functor(functor(declaration.name, len(definition.fields)))
         for slot, argument in zip(definition.fields, () if fault else declaration.arguments):
-            slot_type = slot_kind(slot)
-            if slot_type is not None and slot_type.excludes(argument.kind):
-                types_text = f"{argument.kind.what}, and {slot.name} of {type_name} {slot_type.what}"
+            slot_type = slot_value_type(slot)
+            if slot_type is not None and slot_type.excludes(argument.value_type):
+                types_text = f"{argument.value_type.what}, and {slot.name} of {type_name} {slot_type.what}"
                 fault = f"{argument.name} of {declaration.key} is {types_text}"
         if fault:
             yield RuleError(f"the events of topic {topic}: {fault}")
@@ -311,21 +317,21 @@ def events_of_rule(rule: WrittenRule) -> List[EventTerm]:
     term = rule.definition.term
     assert term.__class__ is tuple
     # Parsed again with a reader that keeps places; its warnings were reported on loading.
-    reader = PatternReader(rule.spot, lambda warning: None)
+    reader = PatternReader(rule.place_of, lambda warning: None)
     if term[0] not in ARROWS:  # P do G
         reader.read(wrapped(term), 1)
-        return [*reader.events, *made_by_goals(reader.goals)]
+        return [*reader.events, *events_raised_by_goals(reader.goals)]
     head = deref(term[1])
     if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
         reader.goal(head, 2, "do")
     reader.read(term, 2)
-    goals = [*reader.goals, *query_goals(rule.definition.head or TRUE)]
-    return [head_event(term, 1), *reader.events, *made_by_goals(goals)]
+    goals = [*reader.goals, *calls_in_query(rule.definition.head or TRUE)]
+    return [head_event(term, 1), *reader.events, *events_raised_by_goals(goals)]
 
 
 def events_of_goals(goal: WrittenTerm) -> List[EventTerm]:
     """Return the events that a goal or the body of a clause creates."""
-    return list(made_by_goals(calls(goal.parent, goal.number)))
+    return list(events_raised_by_goals(calls(goal.parent, goal.number)))
 
 
 def event_of_kept(consumer: EventConsumer) -> EventTerm:

@@ -17,7 +17,7 @@ from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, 
 from ...prolog.terms.unification import may_unify
 from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
-from ..language.state_parser import HOLDS, asked_state
+from ..language.state_parser import HOLDS, queried_state
 from .predicate_checks import ADDS, RETRACTS, key_of_clause
 from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrapped
 
@@ -80,7 +80,7 @@ def wrong_records(program: ProgramModel) -> Iterator[RuleError]:
                 if not any(may_unify(candidate, record) for candidate in candidates):
                     expected = _brief_text(program, candidates[0])
                     text = f"no record of memory {name.name} is {_brief_text(program, record)}: they are {expected}"
-                    yield RuleError(text, subterm.spot(term, 2))
+                    yield RuleError(text, subterm.place_of(term, 2))
             elif name.__class__ is not Var and isinstance(record, Atom) and record.name in records:
                 text = f"the memory comes first: {term[0].name}({record.name}, {_brief_text(program, name)}, ...)"
                 yield RuleError(text, subterm.place)
@@ -214,7 +214,7 @@ def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _Tabl
         for call in calls(goal.parent, goal.number):
             term: Any = deref(call.term)
             if term.__class__ is tuple and term[0] is key:
-                place = Subterm(term, call.parent, call.number, goal.spot).place
+                place = Subterm(term, call.parent, call.number, goal.place_of).place
                 for declared_key, options in _declared_items(term[1]):
                     declaration = declarations.setdefault(declared_key, _TableDeclaration(place, set()))
                     declaration.options.update(options)
@@ -247,9 +247,9 @@ def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
     running = _run_time_predicates(program)
     for clause in program.clauses:
         if key_of(clause.head) in running:
-            yield from subterms(clause.parent, clause.number, clause.spot)
+            yield from subterms(clause.parent, clause.number, clause.place_of)
     for rule in program.rules:
-        yield from subterms(wrapped(rule.definition.term), 1, rule.spot)
+        yield from subterms(wrapped(rule.definition.term), 1, rule.place_of)
 
 
 def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
@@ -262,17 +262,19 @@ def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
         head_key = key_of(clause.head)
         if head_key is not None:
             callees.setdefault(head_key, set()).update(
-                _functors_of(subterms(clause.parent, clause.number, clause.spot))
+                _functors_of(subterms(clause.parent, clause.number, clause.place_of))
             )
     called_keys = {
-        key for goal in program.goals for key in _functors_of(subterms(goal.parent, goal.number, goal.spot))
+        key
+        for goal in program.goals
+        for key in _functors_of(subterms(goal.parent, goal.number, goal.place_of))
     }
     # A predicate that calls only itself still needs a first caller.
     called_keys.update(key for head_key, keys in callees.items() for key in keys if key is not head_key)
     # A predicate without a caller in the program exists for queries from outside.
     pending = [key for key in callees if key not in called_keys]
     for rule in program.rules:
-        pending += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.spot))
+        pending += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.place_of))
     reached: Set[Functor] = set()
     while pending:
         key = pending.pop()
@@ -329,7 +331,7 @@ def _dependency_of_goal(program: ProgramModel, term: Any, changed: Set[Functor])
             f"memory {name.name}" if isinstance(name, Atom) and key is not POSE_CHAIN else "memories"
         )
     if key in HOLDS:
-        state = asked_state(goal)
+        state = queried_state(goal)
         return _Dependency("states" if state is None else f"state {state}")
     return None
 

@@ -25,7 +25,7 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
-from ..language.rule_head_parser import NEW_EVENT, made_by
+from ..language.rule_head_parser import NEW_EVENT, event_raised_by
 from ..program.event_file_checker import nowhere
 from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_text
 from .event_flow_checks import SUBSCRIBE_TO
@@ -103,25 +103,25 @@ def _event_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     """Yield terms in positions that only events have; elsewhere, the name of a topic may denote other things."""
     yield from program.patterns()
     for rule in program.rules:
-        head = made_by(rule.definition.head)
+        head = event_raised_by(rule.definition.head)
         if head is not None:
-            place = rule.definition.place if head.__class__ is Atom else rule.spot(head)
+            place = rule.definition.place if head.__class__ is Atom else rule.place_of(head)
             yield Subterm(head, wrapped(head), 1, everywhere(place)), ""
     for subterm in program.calls():
         if subterm.term.__class__ is tuple and subterm.term[0] in NEW_EVENT:
-            yield Subterm(deref(subterm.term[1]), subterm.term, 1, subterm.spot), ""
+            yield Subterm(deref(subterm.term[1]), subterm.term, 1, subterm.place_of), ""
 
 
 def _all_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     for rule in program.rules:
-        for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+        for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
             yield subterm, ""
     for consumer in (*program.memories, *program.subscriptions):
         for number in (1, 3):
-            for subterm in subterms(consumer.term, number, consumer.spot):
+            for subterm in subterms(consumer.term, number, consumer.place_of):
                 yield subterm, consumer.prefix
     for clause in program.clauses:
-        for subterm in subterms(clause.parent, clause.number, clause.spot):
+        for subterm in subterms(clause.parent, clause.number, clause.place_of):
             yield subterm, ""
 
 
@@ -148,7 +148,7 @@ def _type_fault(
 def values(program: ProgramModel) -> Iterator[RuleError]:
     """Yield values in patterns that no message has in that slot."""
     for event, prefix in program.patterns():
-        for subterm in subterms(event.parent, event.number, event.spot):
+        for subterm in subterms(event.parent, event.number, event.place_of):
             definition = program.message_of(subterm.term)
             if definition is None:
                 continue
@@ -159,7 +159,7 @@ def values(program: ProgramModel) -> Iterator[RuleError]:
                 )
                 if fault:
                     message = f"{slot.name} of {definition.name} {fault}"
-                    yield RuleError(f"{prefix}{message}", subterm.spot(subterm.term, position))
+                    yield RuleError(f"{prefix}{message}", subterm.place_of(subterm.term, position))
 
 
 def _slot_named_in_parentheses(definition: Definition, message: CompoundTerm, value: Any) -> str:
@@ -243,7 +243,7 @@ def outputs(program: ProgramModel) -> Iterator[RuleError]:
         if fault is not None:
             yield RuleError(
                 f"{subscription.prefix}{fault}",
-                subscription.spot(subscription.term, 1 if subscription.stands_for_event else 3),
+                subscription.place_of(subscription.term, 1 if subscription.stands_for_event else 3),
             )
 
 
@@ -262,7 +262,7 @@ def unpublished(program: ProgramModel) -> Iterator[RuleError]:
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
             f"{did_you_mean(plain(topic), published) or advice}",
-            subscription.spot(subscription.term, 4),
+            subscription.place_of(subscription.term, 4),
         )
 
 

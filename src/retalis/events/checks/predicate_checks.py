@@ -13,7 +13,7 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ..language.called_predicates import calls
 from ..language.event_operators import SPELLINGS
-from ..language.state_parser import asked_state
+from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES, read_text
 from .program_model import (
     NECK,
@@ -113,7 +113,7 @@ def slipped_arrows(program: ProgramModel) -> Iterator[RuleError]:
 
 def _calls_in(clause: WrittenTerm) -> Iterator[Subterm]:
     for call in calls(clause.parent, clause.number):
-        yield Subterm(call.term, call.parent, call.number, clause.spot)
+        yield Subterm(call.term, call.parent, call.number, clause.place_of)
 
 
 def redefined(program: ProgramModel) -> Iterator[RuleError]:
@@ -212,7 +212,7 @@ def unknown_states(program: ProgramModel) -> Iterator[RuleError]:
     declared_functors = [state.form.functor for state in program.states]
     nearby = NearFunctors()
     for subterm in program.called():
-        key = asked_state(subterm.term)
+        key = queried_state(subterm.term)
         if key is None or key in declared_functors or not program.logic.is_of_system(subterm.term[0]):
             continue
         nearest = nearby.of(key, declared_functors)

@@ -23,10 +23,10 @@ from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_event_variable
 from ..language.called_predicates import calls
 from ..language.event_operators import SPELLINGS
-from ..language.pattern_parser import Spot
+from ..language.pattern_parser import PlaceLookup
 from ..language.pattern_tree import Occurs, RuleDefinition, own_terms, walk
-from ..language.state_parser import StateForm, declares_state, state_form
-from ..language.stream_parser import subscribed_event
+from ..language.state_parser import StateForm, declares_state, parse_state_declaration
+from ..language.stream_parser import subscription_event
 from ..program.event_file_checker import FileChecker, nowhere
 from ..program.goal_file import goal_of, read_goals
 from ..program.topic_configuration import GOALS, Topics, TopicType, read_text
@@ -93,7 +93,7 @@ class WrittenRule(NamedTuple):
     """Rule with a function for the places of its parts."""
 
     definition: RuleDefinition
-    spot: Spot
+    place_of: PlaceLookup
 
 
 class WrittenTerm(NamedTuple):
@@ -102,14 +102,14 @@ class WrittenTerm(NamedTuple):
     Attributes:
         head: the head of a clause; None for a goal.
         parent: term with the body as argument ``number``.
-        spot: returns the places of its parts.
+        place_of: returns the places of its parts.
         place: the place where it starts.
     """
 
     head: Optional[Term]
     parent: CompoundTerm
     number: int
-    spot: Spot
+    place_of: PlaceLookup
     place: Optional[Place]
 
 
@@ -119,14 +119,14 @@ class Subterm(NamedTuple):
     term: Any
     parent: CompoundTerm
     number: int
-    spot: Spot
+    place_of: PlaceLookup
 
     @property
     def place(self) -> Optional[Place]:
         """The place where it starts, or that of the operator for an operator term."""
         if self.term.__class__ is tuple:
-            return self.spot(self.term)
-        return self.spot(self.parent, self.number)
+            return self.place_of(self.term)
+        return self.place_of(self.parent, self.number)
 
     @property
     def key(self) -> Optional[Functor]:
@@ -140,16 +140,16 @@ def key_of(term: Any) -> Optional[Functor]:
     return term[0] if term.__class__ is tuple else term.functor if term.__class__ is Atom else None
 
 
-def subterms(parent: CompoundTerm, number: int, spot: Spot) -> Iterator[Subterm]:
+def subterms(parent: CompoundTerm, number: int, place_of: PlaceLookup) -> Iterator[Subterm]:
     """Yield an argument of a term and all its subterms, from left to right."""
-    stack = [Subterm(deref(parent[number]), parent, number, spot)]
+    stack = [Subterm(deref(parent[number]), parent, number, place_of)]
     while stack:
         subterm = stack.pop()
         yield subterm
         term = subterm.term
         if term.__class__ is tuple:
             stack += [
-                Subterm(deref(term[position]), term, position, spot)
+                Subterm(deref(term[position]), term, position, place_of)
                 for position in range(len(term) - 1, 0, -1)
             ]
 
@@ -208,7 +208,7 @@ def _path_as_written(path: Path, real_folder: Path, folder: Path) -> Path:
 def _loaded_files(goals: Iterable[WrittenTerm], folder: Path) -> Iterator[Path]:
     """Yield the files that goals load, in order."""
     for goal in goals:
-        for subterm in subterms(goal.parent, goal.number, goal.spot):
+        for subterm in subterms(goal.parent, goal.number, goal.place_of):
             if subterm.term.__class__ is tuple and subterm.key in _LOAD_GOALS:
                 name = _file_name(deref(subterm.term[1]))
                 if name and os.path.isfile(folder / name):
@@ -249,11 +249,11 @@ def _add_goals(positions: SourcePositions, files: List[Path], path: Path, logic:
 def _written_goal(goal: Term, read_term: ReadTerm) -> WrittenTerm:
     parent = wrapped(goal)
 
-    def spot(part: Term, number: int = 0) -> Place:
+    def place_of(part: Term, number: int = 0) -> Place:
         # The wrapping term is not in the source: its place is that of the goal.
         return read_term.place_of(goal) if part is parent else read_term.place_of(part, number)
 
-    return WrittenTerm(None, parent, 1, spot, read_term.place)
+    return WrittenTerm(None, parent, 1, place_of, read_term.place)
 
 
 def _add_file(positions: SourcePositions, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
@@ -272,17 +272,17 @@ def _add_file(positions: SourcePositions, program: Iterable[Union[ReadTerm, Synt
                 positions.goals.append(_written_goal(step.term, read_term))
 
 
-def clause_of(term: Any, spot: Spot, place: Optional[Place]) -> WrittenTerm:
+def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> WrittenTerm:
     """Return the parts of a clause; for a grammar rule, only its predicate."""
     if term.__class__ is tuple and term[0] is NECK:
-        return WrittenTerm(deref(term[1]), term, 2, spot, place)
+        return WrittenTerm(deref(term[1]), term, 2, place_of, place)
     if term.__class__ is tuple and term[0] is _GRAMMAR:
         key = key_of(term[1])
         if key is not None:
             # The translation of a grammar rule adds two arguments, for the list and its rest.
             head: Tuple[Any, ...] = (functor(key.name, key.arity + 2), *[Var() for _ in range(key.arity + 2)])
-            return WrittenTerm(head, wrapped(TRUE), 1, spot, place)
-    return WrittenTerm(term, wrapped(TRUE), 1, spot, place)
+            return WrittenTerm(head, wrapped(TRUE), 1, place_of, place)
+    return WrittenTerm(term, wrapped(TRUE), 1, place_of, place)
 
 
 def clause_at(head: Term, body: Term, place: Optional[Place]) -> WrittenTerm:
@@ -290,15 +290,15 @@ def clause_at(head: Term, body: Term, place: Optional[Place]) -> WrittenTerm:
     return WrittenTerm(head, (NECK, head, body), 2, everywhere(place), place)
 
 
-def everywhere(place: Optional[Place]) -> Spot:
+def everywhere(place: Optional[Place]) -> PlaceLookup:
     """Return a function that gives the same place for all parts."""
     if place is None:
         return nowhere
 
-    def spot(part: Term, number: int = 0) -> Optional[Place]:
+    def place_of(part: Term, number: int = 0) -> Optional[Place]:
         return place
 
-    return spot
+    return place_of
 
 
 MEMORIZE = frozenset((functor("memorize", 5), functor("memorize", 6), functor("memorize_diactive", 5)))
@@ -311,12 +311,12 @@ class EventConsumer(NamedTuple):
     Attributes:
         term: ``(Functor, Pattern, Conditions, Form, Id or Topic, Size or Id)``.
         prefix: beginning of messages if its place is unknown.
-        spot: returns the places of its parts.
+        place_of: returns the places of its parts.
     """
 
     term: CompoundTerm
     prefix: str
-    spot: Spot
+    place_of: PlaceLookup
 
     @property
     def pattern(self) -> Term:
@@ -328,8 +328,8 @@ class EventConsumer(NamedTuple):
     def event(self) -> Subterm:
         """The same with its position, which may be inside ``P with S``."""
         consumed = deref(self.term[1])
-        event = subscribed_event(consumed) if self.term[0] is SUBSCRIBE else consumed
-        return Subterm(event, self.term if event is consumed else _compound(consumed), 1, self.spot)
+        event = subscription_event(consumed) if self.term[0] is SUBSCRIBE else consumed
+        return Subterm(event, self.term if event is consumed else _compound(consumed), 1, self.place_of)
 
     @property
     def form(self) -> Term:
@@ -351,7 +351,7 @@ class StateDeclaration(NamedTuple):
     """Declared state, with a function for the places of its parts and a prefix for messages without a place."""
 
     form: StateForm
-    spot: Spot
+    place_of: PlaceLookup
     prefix: str
 
 
@@ -434,40 +434,40 @@ class ProgramModel:
         for rule in self.rules:
             term = rule.definition.term
             own = list(
-                subterms(_wrapped_rule(rule), 1, rule.spot)
+                subterms(_wrapped_rule(rule), 1, rule.place_of)
                 if rule.definition.head is None or term.__class__ is not tuple
-                else subterms(term, 2, rule.spot)
+                else subterms(term, 2, rule.place_of)
             )
             for node in walk(rule.definition.pattern, negated=True):
                 if isinstance(node, Occurs):
-                    yield _locate(own, deref(node.term), rule.spot), ""
+                    yield _locate(own, deref(node.term), rule.place_of), ""
         for consumer in (*self.memories, *self.subscriptions):
             yield consumer.event, consumer.prefix
-        for form, spot, prefix in self.states:
+        for form, place_of, prefix in self.states:
             for part in map(deref, _compound(form.term)[2:4]):
                 parent = _compound(part)
-                yield Subterm(deref(parent[1]), parent, 1, spot), prefix
+                yield Subterm(deref(parent[1]), parent, 1, place_of), prefix
 
     def called(self) -> Iterator[Subterm]:
         """Yield the calls in goals of files, bodies of clauses, and goals of rules."""
         goals = [
-            (goal_or_clause.parent, goal_or_clause.number, goal_or_clause.spot)
+            (goal_or_clause.parent, goal_or_clause.number, goal_or_clause.place_of)
             for goal_or_clause in (*self.goals, *self.clauses)
         ]
         for rule in self.rules:
             for part in walk(rule.definition.pattern, negated=True):
                 if not isinstance(part, Occurs):
-                    goals += [(wrapped(goal), 1, rule.spot) for goal in own_terms(part)]
-        for parent, number, spot in goals:
+                    goals += [(wrapped(goal), 1, rule.place_of) for goal in own_terms(part)]
+        for parent, number, place_of in goals:
             for call in calls(parent, number):
-                yield Subterm(call.term, call.parent, call.number, spot)
+                yield Subterm(call.term, call.parent, call.number, place_of)
 
     def calls(self) -> Iterator[Subterm]:
         """Yield all subterms of goals, clauses and rules."""
         for goal_or_clause in (*self.goals, *self.clauses):
-            yield from subterms(goal_or_clause.parent, goal_or_clause.number, goal_or_clause.spot)
+            yield from subterms(goal_or_clause.parent, goal_or_clause.number, goal_or_clause.place_of)
         for rule in self.rules:
-            yield from subterms(_wrapped_rule(rule), 1, rule.spot)
+            yield from subterms(_wrapped_rule(rule), 1, rule.place_of)
 
     def _collect_consumers(self, knowledge: KnowledgeBase) -> None:
         """Collect memories and subscriptions, from the files and from the loaded program."""
@@ -477,10 +477,10 @@ class ProgramModel:
             if term.__class__ is not tuple or (term[0] not in MEMORIZE and term[0] is not SUBSCRIBE):
                 continue
             if subterm.key is SUBSCRIBE:
-                self.subscriptions.append(EventConsumer(term, "", subterm.spot))
+                self.subscriptions.append(EventConsumer(term, "", subterm.place_of))
                 seen.add((self.topic(term[4]), term_key(deref(term[5]))))
             else:
-                self.memories.append(EventConsumer(term, "", subterm.spot))
+                self.memories.append(EventConsumer(term, "", subterm.place_of))
                 seen.add(("", term_key(deref(term[4]))))
         for instance in knowledge.memories:
             # Memories of the files were collected with places already; the others were created at run time.
@@ -500,11 +500,11 @@ class ProgramModel:
         for subterm in self.calls():
             if declares_state(subterm.term):
                 try:
-                    form = state_form(subterm.term)
+                    form = parse_state_declaration(subterm.term)
                 except UsageError:
                     # Reported when it was declared.
                     continue
-                self.states.append(StateDeclaration(form, subterm.spot, ""))
+                self.states.append(StateDeclaration(form, subterm.place_of, ""))
                 seen.add(form.key)
         for state in knowledge.states:
             if state.form.key not in seen:
@@ -525,7 +525,7 @@ def _wrapped_rule(rule: WrittenRule) -> CompoundTerm:
     return wrapped(rule.definition.term)
 
 
-def _locate(own: List[Subterm], term: Term, spot: Spot) -> Subterm:
+def _locate(own: List[Subterm], term: Term, place_of: PlaceLookup) -> Subterm:
     """Return a term of a rule with its place; for copies in repetitions, the place of the rule."""
     occurrences_of_term = [subterm for subterm in own if subterm.term is term]
     # The same atom may also occur in an earlier goal: the event is the one that is an operand of an operator.
@@ -533,7 +533,7 @@ def _locate(own: List[Subterm], term: Term, spot: Spot) -> Subterm:
         subterm for subterm in occurrences_of_term if subterm is own[0] or subterm.parent[0] in SPELLINGS
     ]
     candidates = joined or occurrences_of_term
-    return candidates[0] if candidates else Subterm(term, wrapped(term), 1, spot)
+    return candidates[0] if candidates else Subterm(term, wrapped(term), 1, place_of)
 
 
 def _other_rules(rules: RuleBase, sources: Set[str]) -> List[WrittenRule]:

@@ -35,7 +35,7 @@ from ..language.pattern_tree import (
     children,
     occurrences,
 )
-from ..language.rule_head_parser import ALARMS, TIMER, made_by, schedule_fault
+from ..language.rule_head_parser import ALARMS, TIMER, event_raised_by, schedule_error
 from .program_model import ProgramModel, WrittenRule, key_of, subterms, wrapped
 
 DAY = 86_400
@@ -78,7 +78,7 @@ def cycles(program: ProgramModel) -> Iterator[RuleError]:
 def _triggers_of_rule(rule: WrittenRule) -> Iterator[_Trigger]:
     head = rule.definition.head
     # Alarms and queries raise their event later, so they end a cycle without time.
-    if head is None or key_of(head) in ALARMS or made_by(head) is not deref(head):
+    if head is None or key_of(head) in ALARMS or event_raised_by(head) is not deref(head):
         return
     for event in _sole_triggers(rule.definition.pattern):
         if key_of(event) is not None and key_of(head) is not None:
@@ -214,7 +214,7 @@ class _Instants:
         self._rules: Dict[Functor, List[WrittenRule]] = {}
         self._goals: Set[Functor] = set()
         for rule in program.rules:
-            key = None if rule.definition.head is None else key_of(made_by(rule.definition.head))
+            key = None if rule.definition.head is None else key_of(event_raised_by(rule.definition.head))
             if key is not None:
                 self._rules.setdefault(key, []).append(rule)
         for subterm in program.calls():
@@ -278,7 +278,9 @@ def _required_instants(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
     required: Set[Functor] = set()
     for rule in rules:
         head: Any = rule.definition.head
-        events = _alternative_events(rule.definition.pattern) if made_by(head) is deref(head) else None
+        events = (
+            _alternative_events(rule.definition.pattern) if event_raised_by(head) is deref(head) else None
+        )
         if events is None:
             return None
         required.update(events)
@@ -307,12 +309,12 @@ _ANY_EVENT = functor("$any", 0)
 def windows(program: ProgramModel) -> Iterator[RuleError]:
     """Yield unlikely time spans: zero, or more than a day."""
     for rule in program.rules:
-        for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+        for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
             term = subterm.term
             if term.__class__ is tuple and SPELLINGS.get(term[0]) == "within" and len(term) == 3:
                 fault = _long_span_text(deref(term[2]))
                 if fault:
-                    yield RuleError(f"within {fault}", rule.spot(term, 2))
+                    yield RuleError(f"within {fault}", rule.place_of(term, 2))
     labels = {
         term_key(rule.definition.label): rule for rule in program.rules if rule.definition.label is not None
     }
@@ -422,7 +424,7 @@ def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
 
 def _aggregate_place(rule: WrittenRule) -> Optional[Place]:
     """Return the place of the first aggregate in a rule."""
-    for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+    for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
         if subterm.term.__class__ is tuple and subterm.term[0].name == "aggregate":
             return subterm.place
     return rule.definition.place
@@ -490,7 +492,7 @@ def _walk_nodes(pattern: Pattern) -> Iterator[Pattern]:
 
 def _operator_place(rule: WrittenRule, operator: str) -> Optional[Place]:
     """Return the place of the first occurrence of an operator in a rule."""
-    for subterm in subterms(wrapped(rule.definition.term), 1, rule.spot):
+    for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
         if subterm.term.__class__ is tuple and SPELLINGS.get(subterm.term[0]) == operator:
             return subterm.place
     return rule.definition.place
@@ -501,7 +503,7 @@ def timers(program: ProgramModel) -> Iterator[RuleError]:
     if not program.logic.is_of_system(TIMER):
         return
     for subterm in program.called():
-        fault = schedule_fault(subterm.term[2]) if subterm.key is TIMER else None
+        fault = schedule_error(subterm.term[2]) if subterm.key is TIMER else None
         if fault is not None:
             text = f"timer/2: {fault}, found {program.logic.brief(subterm.term[2], program.names)}"
-            yield RuleError(text, subterm.spot(subterm.term, 2))
+            yield RuleError(text, subterm.place_of(subterm.term, 2))

@@ -13,11 +13,11 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 from ...foundation.errors import RuleError
 from ...messages.type_definition import Definition, Field
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
-from ..language.event_declarations import ValueType, slot_kind
+from ..language.event_declarations import ValueType, slot_value_type
 from ..language.event_operators import OperatorKind, names_of_kind
-from ..language.pattern_parser import EventTerm, Spot
+from ..language.pattern_parser import EventTerm, PlaceLookup
 from ..language.pattern_tree import Occurs, walk
-from ..language.rule_head_parser import NEW_EVENT, made_by, makes_event
+from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
 from ..language.sequence_aggregates import AGGREGATES
 from ..program.event_file_checker import nowhere
 from .event_flow_checks import event_of_kept, events_of_goals, events_of_rule
@@ -67,16 +67,18 @@ def kinds(program: ProgramModel) -> Iterator[RuleError]:
         parent = wrapped(rule.definition.term)
         names = {**program.names, **rule.definition.names}
         events = events_of_rule(rule) if program.declared else []
-        yield from _check_clause(program, parent, rule.spot, names, events, made_by(rule.definition.head))
+        yield from _check_clause(
+            program, parent, rule.place_of, names, events, event_raised_by(rule.definition.head)
+        )
     for clause in program.clauses:
         # A fact has no parent with head and body, so it is wrapped.
         whole = clause.parent if clause.parent[0] is NECK else wrapped(clause.head or clause.parent)
         events = events_of_goals(clause) if program.declared else []
-        yield from _check_clause(program, wrapped(whole), clause.spot, program.names, events)
+        yield from _check_clause(program, wrapped(whole), clause.place_of, program.names, events)
     for consumer in (*program.memories, *program.subscriptions):
         events = [event_of_kept(consumer)]
         for error in _check_clause(
-            program, wrapped(consumer.term), consumer.spot, program.names, events, consumer.form
+            program, wrapped(consumer.term), consumer.place_of, program.names, events, consumer.form
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
@@ -84,13 +86,13 @@ def kinds(program: ProgramModel) -> Iterator[RuleError]:
 def _check_clause(
     program: ProgramModel,
     parent: CompoundTerm,
-    spot: Spot,
+    place_of: PlaceLookup,
     names: Any,
     events: List[EventTerm],
     out: Optional[Term] = None,
 ) -> Iterator[RuleError]:
     """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
-    all_subterms = list(subterms(parent, 1, spot))
+    all_subterms = list(subterms(parent, 1, place_of))
     slots: Dict[Var, SlotKind] = {}
     branches = any(subterm.key in _ALTERNATIVES for subterm in all_subterms)
     created = _created_terms(all_subterms, out)
@@ -107,7 +109,7 @@ def _check_clause(
             if first_occurrence.kind.excludes(value_type) and not branches:
                 yield RuleError(
                     _type_clash_text(_variable_name(value, names), first_occurrence, occurrence),
-                    spot(subterm.term, position),
+                    place_of(subterm.term, position),
                 )
                 slots.pop(value)
             # The source of a value says more about its type than the slot it goes into; of two sources, the narrower
@@ -125,14 +127,14 @@ def _typed_arguments(
     definition = program.message_of(term)
     if definition is not None:
         for position, slot in enumerate(definition.fields, 1):
-            value_type = slot_kind(slot)
+            value_type = slot_value_type(slot)
             if value_type is not None and not (is_made and _accepts_other_types(slot)):
                 yield position, value_type, f"{slot.name} of {definition.name}"
     elif term.__class__ is tuple and id(term) in event_ids:
         declaration = program.declared.get(term[0].name)
         if declaration is not None and declaration.key is term[0]:
             for position, argument in enumerate(declaration.arguments, 1):
-                yield position, argument.kind, f"{argument.name} of {declaration.key}"
+                yield position, argument.value_type, f"{argument.name} of {declaration.key}"
 
 
 def _created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[int]:
@@ -177,7 +179,8 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names:
             if occurrence is not None and occurrence.what in _ADVICE and term not in reported:
                 reported.add(term)
                 yield RuleError(
-                    _not_number_text(_variable_name(term, names), occurrence), subterm.spot(parent, position)
+                    _not_number_text(_variable_name(term, names), occurrence),
+                    subterm.place_of(parent, position),
                 )
 
 
@@ -211,7 +214,7 @@ def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names:
     slot = slots.get(value) if value.__class__ is Var else None
     if slot is not None and slot.what in _ADVICE and not slot.is_made:
         text = f"{_variable_name(value, names)} is {slot.what} ({slot.slot}): {subterm.term[0].name} collects numbers"
-        yield RuleError(text, subterm.spot(subterm.term, 1))
+        yield RuleError(text, subterm.place_of(subterm.term, 1))
 
 
 def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
@@ -228,7 +231,7 @@ def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: A
         if occurrence is not None and reason is not None:
             yield RuleError(
                 f"{_variable_name(value, names)} is {occurrence.what} ({occurrence.slot}): {reason}",
-                subterm.spot(subterm.term, other_position),
+                subterm.place_of(subterm.term, other_position),
             )
 
 
@@ -301,17 +304,21 @@ def numerals(program: ProgramModel) -> Iterator[RuleError]:
                         f"{slot.name} of {definition.name} is {_numeric_type_name(number_type)} in events: "
                         f"write {_number_text(number_type, value)}"
                     )
-                    yield RuleError(f"{prefix}{fault}", subterm.spot(subterm.term, position))
+                    yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
     for rule in program.rules:
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, Occurs)]
-        event_subterms = [Subterm(deref(term), wrapped(term), 1, rule.spot) for term in events]
-        rule_subterm = Subterm(None, wrapped(rule.definition.term), 1, rule.spot)
+        event_subterms = [Subterm(deref(term), wrapped(term), 1, rule.place_of) for term in events]
+        rule_subterm = Subterm(None, wrapped(rule.definition.term), 1, rule.place_of)
         yield from _check_compared_numbers(
             program, event_subterms, rule_subterm, {**program.names, **rule.definition.names}, created
         )
     for consumer in (*program.memories, *program.subscriptions):
         for error in _check_compared_numbers(
-            program, [consumer.event], Subterm(None, consumer.term, 2, consumer.spot), program.names, created
+            program,
+            [consumer.event],
+            Subterm(None, consumer.term, 2, consumer.place_of),
+            program.names,
+            created,
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
@@ -320,7 +327,7 @@ def _created_events(program: ProgramModel) -> Set[Optional[Functor]]:
     """Return the functors of the events that the program creates; None is included if some are unknown."""
     created: Set[Optional[Functor]] = set()
     for rule in program.rules:
-        head = made_by(rule.definition.head)
+        head = event_raised_by(rule.definition.head)
         if head is not None:
             created.add(key_of(head))
     for call in program.calls():
@@ -336,7 +343,7 @@ def _input_messages(
     # The program may raise such events with values that no message has.
     if event.key in created or None in created or program.message_of(event.term) is None:
         return
-    for subterm in subterms(event.parent, event.number, event.spot):
+    for subterm in subterms(event.parent, event.number, event.place_of):
         definition = program.message_of(subterm.term)
         if definition is not None:
             yield subterm, definition
@@ -350,7 +357,7 @@ def _check_compared_numbers(
     created: Set[Optional[Functor]],
 ) -> Iterator[RuleError]:
     """Yield comparisons that never hold, given the events that contain their variables."""
-    all_subterms = list(subterms(source.parent, source.number, source.spot))
+    all_subterms = list(subterms(source.parent, source.number, source.place_of))
     # With alternatives, the variable may be bound in another branch.
     if any(subterm.key in _BRANCHES for subterm in all_subterms):
         return
@@ -369,7 +376,7 @@ def _check_compared_numbers(
                 )
                 yield RuleError(
                     f"{text}, never {_numeric_type_name(type(value))}: write {numeric}",
-                    subterm.spot(subterm.term, other_position),
+                    subterm.place_of(subterm.term, other_position),
                 )
 
 

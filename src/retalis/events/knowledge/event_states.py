@@ -52,7 +52,7 @@ from ...prolog.terms.unification import may_unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..language.state_parser import StateForm, state_form
+from ..language.state_parser import StateForm, parse_state_declaration
 from ..provenance.event_log import Occurrence
 from .memory import Warn
 from .timeouts import AlarmClock, Timeouts
@@ -403,7 +403,7 @@ class StateRegistry:
             UsageError: if the term is not a declaration; the message tells what was expected.
             PrologError: if the state is declared differently, or there are too many.
         """
-        form = state_form(copy(definition))
+        form = parse_state_declaration(copy(definition))
         existing = self._all.get(form.key)
         if existing is not None:
             if _is_same_form(existing.form, form):
@@ -546,7 +546,7 @@ class _StateGoals:
     def declare(self, goal: Term) -> bool:
         try:
             # The events are checked first: if one is refused, nothing has been declared.
-            for event in state_form(goal).events:
+            for event in parse_state_declaration(goal).events:
                 self.states.on_event(event)
             self.states.declare(goal)
         except UsageError as error:

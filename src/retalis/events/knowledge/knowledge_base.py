@@ -13,7 +13,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import Frame, Term, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
-from ..language.stream_parser import subscribed_event
+from ..language.stream_parser import subscription_event
 from .event_states import StateRegistry
 from .interpolation import MemoryGaps, TransformChains
 from .memory import UPDATED, MemoryInstance, Warn, key_of
@@ -176,7 +176,7 @@ class KnowledgeBase:
             return after
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
-        self.on_pattern(subscribed_event(arguments[0]))
+        self.on_pattern(subscription_event(arguments[0]))
         self.subscriptions.create((SUBSCRIBE, *arguments))
         self.on_conditions(arguments[1], f"subscription {self._logic.brief(arguments[4])}")
         return True

@@ -30,7 +30,7 @@ from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values,
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import Shaped
-from ..language.stream_parser import subscribed_event, subscribed_shape
+from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.partial_matches import NetworkOptions
 from ..network.stream_compiler import rate_node_spec
 from ..streams.stream_operator import StreamElement, StreamOperator, StreamOutput
@@ -266,10 +266,10 @@ class Subscriptions:
         copied: Any = copy(definition)
         shaped_pattern, conditions, form, topic, name = (deref(rate_shape) for rate_shape in copied[1:])
         try:
-            rate_shape = subscribed_shape(shaped_pattern)
+            rate_shape = subscription_rate_operator(shaped_pattern)
         except UsageError as error:
             raise domain_error("subscription", shaped_pattern, error.message) from None
-        pattern = subscribed_event(shaped_pattern)
+        pattern = subscription_event(shaped_pattern)
         topic_text = self._topic_text(topic)
         key = (topic_text, key_of(name))
         if key in self._all:

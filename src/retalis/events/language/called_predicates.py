@@ -1,7 +1,7 @@
 """Static analysis of goals in rules: called predicates, and warnings about unknown ones.
 
-The analysis descends into control constructs and meta-predicates with a known meaning (`_GOALS_IN`). Predicates that
-any goal of the program could define by ``assert`` and the like are never reported.
+The analysis descends into control constructs and meta-predicates with a known meaning (`_GOAL_POSITIONS`).
+Predicates that any goal of the program could define by ``assert`` and the like are never reported.
 """
 
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set
@@ -11,7 +11,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor
 
-_GOALS_IN = {
+_GOAL_POSITIONS = {
     functor(name, arity): places
     for name, arity, places in (
         (",", 2, (1, 2)),
@@ -30,7 +30,7 @@ _GOALS_IN = {
         ("catch", 3, (1, 3)),
     )
 }
-_CHANGES = frozenset(
+_DATABASE_UPDATES = frozenset(
     (
         *[
             functor(name, 1)
@@ -40,11 +40,11 @@ _CHANGES = frozenset(
     )
 )
 _AS = functor("as", 2)
-_INTERVAL = frozenset((functor("t1", 1), functor("t2", 1)))
-_FOR_GOALS = frozenset((COMMA, functor("call", 1), functor("once", 1)))
+_INTERVAL_PREDICATES = frozenset((functor("t1", 1), functor("t2", 1)))
+_CONJUNCTIONS = frozenset((COMMA, functor("call", 1), functor("once", 1)))
 _CUT = functor("!", 0)
 _NECK = functor(":-", 2)
-_SEVERAL = frozenset((COMMA, CONS))
+_LIST_FUNCTORS = frozenset((COMMA, CONS))
 
 
 _MAX_HINTS = 50
@@ -65,7 +65,7 @@ def calls(parent: CompoundTerm, number: int) -> Iterator[Subgoal]:
     while stack:
         call = stack.pop()
         term = call.term
-        positions = _GOALS_IN.get(term[0]) if term.__class__ is tuple else None
+        positions = _GOAL_POSITIONS.get(term[0]) if term.__class__ is tuple else None
         if positions is None or term.__class__ is not tuple:
             yield call
         else:
@@ -80,16 +80,16 @@ def required_interval_calls(parent: CompoundTerm, number: int) -> List[Subgoal]:
         call = stack.pop()
         term = call.term
         # Only goals that always run are followed: a call in one branch of ``;`` or below ``\+`` may never run.
-        if term.__class__ is tuple and term[0] in _FOR_GOALS:
+        if term.__class__ is tuple and term[0] in _CONJUNCTIONS:
             stack += [
                 Subgoal(deref(term[position]), term, position) for position in range(len(term) - 1, 0, -1)
             ]
-        elif term.__class__ is tuple and term[0] in _INTERVAL:
+        elif term.__class__ is tuple and term[0] in _INTERVAL_PREDICATES:
             interval_calls.append(call)
     return interval_calls
 
 
-class Unknown(NamedTuple):
+class PredicateCall(NamedTuple):
     """Call of a predicate that may be undefined.
 
     Attributes:
@@ -107,83 +107,85 @@ class Unknown(NamedTuple):
     module: Optional[Term] = None
 
 
-def called_by(conditions: Term, caller: str) -> List[Unknown]:
+def calls_in_goals(conditions: Term, caller: str) -> List[PredicateCall]:
     """Return the calls of the goals in a list."""
-    unknown: List[Unknown] = []
+    predicate_calls: List[PredicateCall] = []
     for goal in list_items(conditions) or ():
         for call in calls((CONS, goal), 1):
             if isinstance(call.term, Atom):
-                unknown.append(Unknown(call.term.functor, None, caller))
+                predicate_calls.append(PredicateCall(call.term.functor, None, caller))
             elif isinstance(call.term, tuple):
-                unknown.append(Unknown(call.term[0], None, caller))
-    return unknown
+                predicate_calls.append(PredicateCall(call.term[0], None, caller))
+    return predicate_calls
 
 
-def unknown_calls(
-    logic: PrologSystem, calls_to_check: List[Unknown], terms: Callable[[], List[Term]]
+def undefined_call_warnings(
+    logic: PrologSystem, predicate_calls: List[PredicateCall], terms: Callable[[], List[Term]]
 ) -> Iterator[RuleError]:
     """Yield a warning for each called predicate that is undefined and that no goal in ``terms`` can define."""
-    missing = [call for call in calls_to_check if call.key is not _CUT and not _is_defined(logic, call)]
+    missing = [call for call in predicate_calls if call.key is not _CUT and not _is_defined(logic, call)]
     if not missing:
         return
     # The search through all terms of the program is slow, so it happens only if a predicate is undefined.
-    added = _dynamic_predicates(terms())
-    hints = _MAX_HINTS
+    defined_later = _dynamic_predicates(terms())
+    hints_left = _MAX_HINTS
     for key, place, caller, advice, _ in missing:
-        if key not in added and _ANY not in added:
+        if key not in defined_later and _UNKNOWN_PREDICATE not in defined_later:
             # Each predicate is reported once, at its first call.
-            added.add(key)
+            defined_later.add(key)
             # The search for similar names compares with all predicates, so only the first ones get a hint.
-            hints -= 1
-            similar = logic.similar(key) if hints >= 0 and not advice else []
+            hints_left -= 1
+            similar = logic.similar(key) if hints_left >= 0 and not advice else []
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             hint = f"; {advice}" if advice else hint
             prefix = f"{caller}: " if caller else ""
             yield RuleError(f"{prefix}there is no predicate {key} yet{hint}", place)
 
 
-def _is_defined(logic: PrologSystem, call: Unknown) -> bool:
+def _is_defined(logic: PrologSystem, call: PredicateCall) -> bool:
     modules = logic.database.modules
     module = None if call.module is None else modules.named(call.module)
     return logic.defines(call.key if module is None else modules.resolve(module, call.key))
 
 
-_ANY: Any = object()
+_UNKNOWN_PREDICATE: Any = object()
 """Marker among functors: a goal adds a predicate that cannot be determined statically."""
 
 
 def _dynamic_predicates(terms: List[Term]) -> Set[Functor]:
-    """Return the functors of predicates that goals in terms add, and `_ANY` for those that are unknown."""
-    added: Set[Functor] = set()
+    """Return the functors of predicates that goals in terms add; `_UNKNOWN_PREDICATE` for unknown ones."""
+    dynamic: Set[Functor] = set()
     stack = list(terms)
     while stack:
         term = deref(stack.pop())
         if term.__class__ is not tuple:
             continue
-        if term[0] in _CHANGES:
-            added |= _predicates_of(deref(term[1]))
+        if term[0] in _DATABASE_UPDATES:
+            dynamic |= _denoted_predicates(deref(term[1]))
         stack.extend(term[1:])
-    return added
+    return dynamic
 
 
-def _predicates_of(term: Term) -> Set[Functor]:
+def _denoted_predicates(term: Term) -> Set[Functor]:
     """Return the functors of the predicates or clauses that a term denotes."""
     heads: Set[Functor] = set()
     stack = [term]
     while stack:
         item = deref(stack.pop())
-        if item.__class__ is tuple and item[0] in _SEVERAL:
+        if item.__class__ is tuple and item[0] in _LIST_FUNCTORS:
             stack += item[1:]
         elif item.__class__ is tuple and (item[0] is _NECK or item[0] is _AS):
             stack.append(item[1])
         elif item.__class__ is tuple and item[0] is SLASH:
             name, arity = deref(item[1]), deref(item[2])
             heads.add(
-                functor(name.name, arity) if isinstance(name, Atom) and isinstance(arity, int) else _ANY
+                functor(name.name, arity)
+                if isinstance(name, Atom) and isinstance(arity, int)
+                else _UNKNOWN_PREDICATE
             )
         elif item.__class__ is Var:
             # ``assertz(X)`` with a variable can define any predicate.
-            heads.add(_ANY)
+            heads.add(_UNKNOWN_PREDICATE)
         elif item.__class__ is Atom:
             heads.add(item.functor)
         elif item.__class__ is tuple:

@@ -6,7 +6,7 @@ program may give to the events of a topic.
 
 The type check works without running the program: each term belongs to one of a few *forms* (see `form_of`), and a
 `ValueType` is the set of forms that its values can have. Two types exclude each other if they share no form. A
-variable of a rule has the narrowest type of all its occurrences (see `VariableKinds`); two occurrences with types
+variable of a rule has the narrowest type of all its occurrences (see `VariableTypes`); two occurrences with types
 that exclude each other are reported, because no event can satisfy both.
 """
 
@@ -49,11 +49,11 @@ from ...prolog.terms.types import (
 )
 from .called_predicates import Subgoal, calls
 from .event_operators import NO_EVENTS, OPERATORS, SPELLINGS, OperatorKind, names_of_kind
-from .pattern_parser import EventTerm, Spot
+from .pattern_parser import EventTerm, PlaceLookup
 from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
 
-_TAKEN = frozenset(
+_RESERVED_NAMES = frozenset(
     (
         *OPERATORS,
         *NO_EVENTS,
@@ -73,28 +73,28 @@ _TAKEN = frozenset(
 
 def has_fixed_meaning(name: str) -> bool:
     """Return whether a name has a fixed meaning in rules."""
-    return name in _TAKEN
+    return name in _RESERVED_NAMES
 
 
-def event_fault(name: str) -> Optional[str]:
+def event_name_error(name: str) -> Optional[str]:
     """Return the reason why the events of a topic cannot have a name, or None."""
-    fault = plain_fault(name)
-    if fault is not None:
-        return fault
+    error = plain_fault(name)
+    if error is not None:
+        return error
     if not name[0].islower():
         return f"the name of an event begins with a small letter, found {name}"
     if "__0__" in name:
         return f"{name} is reserved for the events of message types: choose a name without __0__"
-    if name in _TAKEN:
+    if name in _RESERVED_NAMES:
         return f"{name} has a fixed meaning in rules: choose another name for the events"
     return None
 
 
 _LIST = functor("list", 1)
-_WORDS_OF_FLOATS = frozenset(("nan", "inf", "infinite"))
+_FLOAT_NAMES = frozenset(("nan", "inf", "infinite"))
 
 
-_EITHER_WAY = frozenset(("word",))
+_AMBIGUOUS_FORMS = frozenset(("word",))
 """Form of the atoms ``nan`` and ``inf``: both atoms and floats, so it proves neither type."""
 
 
@@ -122,7 +122,7 @@ class ValueType(NamedTuple):
             return self.of_message != other.of_message
         # ``nan`` and ``inf`` are atoms and numbers, so a shared form ``word`` alone does not make two types
         # compatible.
-        return not (self.forms & other.forms) - _EITHER_WAY
+        return not (self.forms & other.forms) - _AMBIGUOUS_FORMS
 
     def takes(self, value: Any) -> bool:
         """Return whether a bound value has the type, without checking the items of lists."""
@@ -134,14 +134,14 @@ class ValueType(NamedTuple):
         return self.term is not _TIME or _may_be_instant(value)
 
 
-def _table(*rows: Tuple[str, str, str]) -> Dict[str, ValueType]:
+def _value_types(*table: Tuple[str, str, str]) -> Dict[str, ValueType]:
     return {
         name: ValueType(atom(name), description, frozenset(forms.split()))
-        for name, description, forms in rows
+        for name, description, forms in table
     }
 
 
-KINDS = _table(
+VALUE_TYPES = _value_types(
     ("any", "anything", "atom quoted word nil text integer float cons stamp compound"),
     ("atom", "an atom", "atom quoted word"),
     ("number", "a number", "integer float word"),
@@ -154,7 +154,7 @@ KINDS = _table(
 )
 """Types that a declaration can name, except messages and ``list(Type)``."""
 
-SLOT_KINDS = _table(
+SLOT_TYPES = _value_types(
     ("list", "a list", "nil cons"),
     ("text", "a text", "quoted"),
     ("stamp", "a stamp [Sec,NSec]", "stamp"),
@@ -163,20 +163,20 @@ SLOT_KINDS = _table(
 )
 """Types of message slots that are not messages themselves."""
 
-_TIME = KINDS["time"].term
+_TIME = VALUE_TYPES["time"].term
 
 
-def slot_kind(slot: Field) -> Optional[ValueType]:
+def slot_value_type(slot: Field) -> Optional[ValueType]:
     """Return the type of the values of a slot, or None if they are messages."""
     if slot.length is not None and not slot.is_bytes:
-        return SLOT_KINDS["list"]
+        return SLOT_TYPES["list"]
     if slot.type == "string" or slot.is_bytes:
-        return SLOT_KINDS["text"]
+        return SLOT_TYPES["text"]
     if slot.definition is not None:
         return None
     if slot.type in ("time", "duration"):
-        return SLOT_KINDS["stamp"]
-    return SLOT_KINDS["bool" if slot.type == "bool" else "number"]
+        return SLOT_TYPES["stamp"]
+    return SLOT_TYPES["bool" if slot.type == "bool" else "number"]
 
 
 def form_of(value: Term) -> str:
@@ -187,7 +187,7 @@ def form_of(value: Term) -> str:
         # A string of a message, which is an atom that includes the quotes.
         if value.name.startswith('"'):
             return "quoted"
-        return "word" if value.name in _WORDS_OF_FLOATS else "atom"
+        return "word" if value.name in _FLOAT_NAMES else "atom"
     if isinstance(value, tuple):
         return "cons" if value[0] is CONS else "compound"
     return _FORMS.get(value.__class__, "")
@@ -196,19 +196,19 @@ def form_of(value: Term) -> str:
 _FORMS: Dict[type, str] = {String: "text", int: "integer", float: "float"}
 
 
-def read_kind(named: Term) -> ValueType:
+def parse_value_type(type_term: Term) -> ValueType:
     """Return the type that a term names.
 
     Raises:
         UsageError: if no such type exists.
     """
-    term, depth = deref(named), 0
+    term, depth = deref(type_term), 0
     # The depth is limited, so that a cyclic or generated term cannot loop here.
     while isinstance(term, tuple) and term[0] is _LIST and depth < _MAX_LIST_DEPTH:
         term, depth = deref(term[1]), depth + 1
-    value_type = _plain_kind(term)
+    value_type = _simple_value_type(term)
     for _ in range(depth):
-        value_type = ValueType((_LIST, value_type.term), "a list", KINDS["list"].forms, value_type)
+        value_type = ValueType((_LIST, value_type.term), "a list", VALUE_TYPES["list"].forms, value_type)
     return value_type
 
 
@@ -216,45 +216,47 @@ _MAX_LIST_DEPTH = 10
 """Levels of ``list(list(...))`` that a type may have."""
 
 
-def _plain_kind(term: Term) -> ValueType:
+def _simple_value_type(term: Term) -> ValueType:
     if not isinstance(term, Atom):
-        raise UsageError(f"a kind is {_known()}")
-    value_type = KINDS.get(term.name)
+        raise UsageError(f"a kind is {_value_type_notations()}")
+    value_type = VALUE_TYPES.get(term.name)
     if value_type is not None:
         return value_type
     if type_name(term.name) is not None:
         return ValueType(term, f"a message {term.name}", frozenset(("compound", "atom")), None, term.name)
-    near = get_close_matches(term.name, KINDS, 1)
+    near = get_close_matches(term.name, VALUE_TYPES, 1)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise UsageError(f"there is no kind {term.name}{hint or f': a kind is {_known()}'}")
+    raise UsageError(f"there is no kind {term.name}{hint or f': a kind is {_value_type_notations()}'}")
 
 
-def _known() -> str:
-    return f"{', '.join(KINDS)}, list(Kind) or the name of a message's term"
+def _value_type_notations() -> str:
+    return f"{', '.join(VALUE_TYPES)}, list(Kind) or the name of a message's term"
 
 
 class ValuePart(NamedTuple):
     """Value with a declared type, and its position: argument ``number`` of ``parent``, or an item of a list."""
 
     value: Term
-    kind: ValueType
+    value_type: ValueType
     parent: CompoundTerm
     number: int
     is_item: bool = False
 
 
-def parts_of_value(parent: CompoundTerm, number: int, kind: ValueType) -> Iterator[ValuePart]:
+def parts_of_value(parent: CompoundTerm, number: int, value_type: ValueType) -> Iterator[ValuePart]:
     """Yield argument ``number`` of a term, which has a declared type, and all items of lists in it."""
-    stack = [ValuePart(deref(parent[number]), kind, parent, number)]
+    stack = [ValuePart(deref(parent[number]), value_type, parent, number)]
     while stack:
         part = stack.pop()
         yield part
         value = part.value
-        if part.kind.items is not None and isinstance(value, tuple) and value[0] is CONS:
+        if part.value_type.items is not None and isinstance(value, tuple) and value[0] is CONS:
             items, _ = list_parts(value)
             # An item has no place of its own in the term: the list and the number of the item identify it.
             for position in range(len(items), 0, -1):
-                stack.append(ValuePart(deref(items[position - 1]), part.kind.items, value, position, True))
+                stack.append(
+                    ValuePart(deref(items[position - 1]), part.value_type.items, value, position, True)
+                )
 
 
 def _may_be_instant(value: Term) -> bool:
@@ -273,22 +275,22 @@ STRICTLY = atom("error")
 """Value of the flag `UNDECLARED` that requires a declaration for every event."""
 
 _EXAMPLE = "temperature(motor:atom, value:number)"
-_BRANCHES = frozenset(
+_ALTERNATIVES = frozenset(
     functor(name, 2) for name in (";", "->", "*->", *names_of_kind(OperatorKind.ALTERNATIVES))
 )
 _EVENT2 = functor("event", 2)
 _REV = functor("rev", 1)
-_EVENT = KINDS["event"]
+_EVENT = VALUE_TYPES["event"]
 
 
 class Argument(NamedTuple):
     """Declared argument of an event: name and type."""
 
     name: str
-    kind: ValueType
+    value_type: ValueType
 
 
-_RETRACTED = Argument("the event", _EVENT)
+_RETRACTED_EVENT = Argument("the event", _EVENT)
 
 
 class Declaration(NamedTuple):
@@ -307,10 +309,15 @@ class Declaration(NamedTuple):
         """The declaration as it is written."""
         if not self.arguments:
             return atom(self.name)
-        return (self.key, *((COLON, atom(argument.name), argument.kind.term) for argument in self.arguments))
+        return (
+            self.key,
+            *((COLON, atom(argument.name), argument.value_type.term) for argument in self.arguments),
+        )
 
 
-def declared_in(parent: CompoundTerm, spot: Spot) -> Iterator[Tuple[Declaration, Optional[Place]]]:
+def parse_declarations(
+    parent: CompoundTerm, place_of: PlaceLookup
+) -> Iterator[Tuple[Declaration, Optional[Place]]]:
     """Yield the declarations in the first argument of a term, several if they are separated by commas, with places.
 
     Raises:
@@ -318,16 +325,16 @@ def declared_in(parent: CompoundTerm, spot: Spot) -> Iterator[Tuple[Declaration,
     """
     stack = [(parent, 1)]
     while stack:
-        around, number = stack.pop()
-        term = deref(around[number])
+        container, number = stack.pop()
+        term = deref(container[number])
         if isinstance(term, tuple) and term[0] is COMMA:
             stack += [(term, 2), (term, 1)]
         else:
-            place = spot(term) if isinstance(term, tuple) else spot(around, number)
-            yield _declaration(term, place, spot), place
+            place = place_of(term) if isinstance(term, tuple) else place_of(container, number)
+            yield _declaration(term, place, place_of), place
 
 
-def _declaration(term: Term, place: Optional[Place], spot: Spot) -> Declaration:
+def _declaration(term: Term, place: Optional[Place], place_of: PlaceLookup) -> Declaration:
     key = _functor(term)
     if key is None:
         raise RuleError(f"a declaration names an event and its arguments, as in {_EXAMPLE}", place)
@@ -338,7 +345,7 @@ def _declaration(term: Term, place: Optional[Place], spot: Spot) -> Declaration:
         raise RuleError(f"{name} has a fixed meaning in rules: choose another name for the event", place)
     arguments: Dict[str, Argument] = {}
     for number, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):
-        argument_place = spot(term, number)
+        argument_place = place_of(term, number)
         pair = deref(part)
         argument_name = deref(pair[1]) if isinstance(pair, tuple) and pair[0] is COLON else None
         if not isinstance(pair, tuple) or not isinstance(argument_name, Atom):
@@ -346,7 +353,7 @@ def _declaration(term: Term, place: Optional[Place], spot: Spot) -> Declaration:
         if argument_name.name in arguments:
             raise RuleError(f"two arguments of {name} are called {argument_name.name}", argument_place)
         try:
-            arguments[argument_name.name] = Argument(argument_name.name, read_kind(pair[2]))
+            arguments[argument_name.name] = Argument(argument_name.name, parse_value_type(pair[2]))
         except UsageError as error:
             raise RuleError(error.message, argument_place) from error
     return Declaration(name, tuple(arguments.values()))
@@ -369,17 +376,17 @@ class Declarations:
         strict: bool = False,
         is_exempt: Callable[[Functor], bool] = lambda key: False,
     ):
-        self._show = show
-        self._declared = {declaration.name: declaration for declaration in declarations}
+        self._term_text = show
+        self._declarations = {declaration.name: declaration for declaration in declarations}
         self.strict = strict
         self._is_exempt = is_exempt
 
     def __bool__(self) -> bool:
-        return self.strict or bool(self._declared)
+        return self.strict or bool(self._declarations)
 
     def get(self, name: str) -> Optional[Declaration]:
         """Return the declaration for events of a name, or None."""
-        return self._declared.get(name)
+        return self._declarations.get(name)
 
     def add(self, declaration: Declaration) -> bool:
         """Add a declaration, and return whether it is new.
@@ -388,93 +395,105 @@ class Declarations:
             UsageError: if the name has a different declaration.
         """
         # A file may be loaded again, and several files may share a declaration: repeating it is not an error.
-        before = self._declared.setdefault(declaration.name, declaration)
-        if before.term != declaration.term:
-            raise UsageError(f"{declaration.name} is declared already, as {self._show(before.term)}")
-        return before is declaration
+        existing = self._declarations.setdefault(declaration.name, declaration)
+        if existing.term != declaration.term:
+            raise UsageError(f"{declaration.name} is declared already, as {self._term_text(existing.term)}")
+        return existing is declaration
 
     def wrong_functor(self, key: Functor) -> str:
         """Return the error for events with a functor, or "" if the functor is as declared."""
-        declaration = self._declared.get(key.name)
+        declaration = self._declarations.get(key.name)
         if declaration is not None:
             if len(declaration.arguments) == key.arity:
                 return ""
-            number = counted(len(declaration.arguments), "argument")
-            return f"{key} does not match its declaration: {self._show(declaration.term)} has {number}"
+            argument_count = counted(len(declaration.arguments), "argument")
+            return f"{key} does not match its declaration: {self._term_text(declaration.term)} has {argument_count}"
         if not self.strict or self._is_exempt(key):
             return ""
         # In strict mode, a misspelt name is more likely than a forgotten declaration.
-        near = get_close_matches(key.name, self._declared, 1)
+        similar = get_close_matches(key.name, self._declarations, 1)
         advice = (
-            f"did you mean {self._show(self._declared[near[0]].term)}?"
-            if near
-            else f"write :- event {_form(key)}."
+            f"did you mean {self._term_text(self._declarations[similar[0]].term)}?"
+            if similar
+            else f"write :- event {_declaration_template(key)}."
         )
         return f"{key} is not declared; {advice}"
 
-    def misfits(self, events: Iterable[EventTerm], spot: Spot, kinds: "VariableKinds") -> Iterator[RuleError]:
+    def declaration_errors(
+        self, events: Iterable[EventTerm], place_of: PlaceLookup, variable_types: "VariableTypes"
+    ) -> Iterator[RuleError]:
         """Yield an error for each misfit between events of one rule or clause and their declarations."""
         reported: Set[Tuple[str, Optional[Place]]] = set()
         for event in events:
             stack = [event]
             while stack:
                 current = stack.pop()
-                for error in self._misfits(current, spot, kinds, stack):
+                for error in self._event_errors(current, place_of, variable_types, stack):
                     if (error.message, error.place) not in reported:
                         reported.add((error.message, error.place))
                         yield error
 
-    def _misfits(
-        self, event: EventTerm, spot: Spot, kinds: "VariableKinds", inner: List[EventTerm]
+    def _event_errors(
+        self,
+        event: EventTerm,
+        place_of: PlaceLookup,
+        variable_types: "VariableTypes",
+        inner_events: List[EventTerm],
     ) -> Iterator[RuleError]:
-        """Yield the errors of one event, and append events that it contains to ``inner``."""
+        """Yield the errors of one event, and append events that it contains to ``inner_events``."""
         term: Any = deref(event.term)
         key = _functor(term)
         if key is None:
             return
         # ``rev(E)`` retracts an event: its argument is checked as an event, not as an argument of an event.
-        fault = "" if key is _REV else self.wrong_functor(key)
-        if fault:
-            place = spot(term) if term.__class__ is tuple else spot(event.parent, event.number)
-            yield RuleError(fault, place)
+        error_text = "" if key is _REV else self.wrong_functor(key)
+        if error_text:
+            place = place_of(term) if term.__class__ is tuple else place_of(event.parent, event.number)
+            yield RuleError(error_text, place)
             return
-        declared = self._declared.get(key.name)
-        arguments = (_RETRACTED,) if key is _REV else () if declared is None else declared.arguments
+        declaration = self._declarations.get(key.name)
+        arguments = (
+            (_RETRACTED_EVENT,) if key is _REV else () if declaration is None else declaration.arguments
+        )
         for position, argument in enumerate(arguments, 1):
-            for part in parts_of_value(term, position, argument.kind):
-                where = f"{argument.name} of {key}"
+            for part in parts_of_value(term, position, argument.value_type):
+                subject = f"{argument.name} of {key}"
                 is_var = part.value.__class__ is Var
                 text = (
-                    kinds.clash(part.value, part.kind, where)
+                    variable_types.clash(part.value, part.value_type, subject)
                     if is_var
-                    else self._type_error(part, where, declared)
+                    else self._type_error(part, subject, declaration)
                 )
                 if text:
-                    yield RuleError(text, spot(part.parent, part.number) or spot(term, position))
-                elif part.kind is _EVENT and not is_var:
-                    inner.append(EventTerm(part.value, part.parent, part.number))
+                    yield RuleError(text, place_of(part.parent, part.number) or place_of(term, position))
+                elif part.value_type is _EVENT and not is_var:
+                    inner_events.append(EventTerm(part.value, part.parent, part.number))
 
-    def _type_error(self, part: ValuePart, where: str, declaration: Optional[Declaration]) -> str:
+    def _type_error(self, part: ValuePart, subject: str, declaration: Optional[Declaration]) -> str:
         """Return the error for a value that does not have its type, or ""."""
-        if part.kind.takes(part.value):
+        if part.value_type.takes(part.value):
             return ""
-        inside = "an item of " if part.is_item else ""
-        form = "" if declaration is None else f"; declared as {self._show(declaration.term)}"
-        return f"{inside}{where} is {part.kind.what}, found {self._show(part.value)}{form}"
+        prefix = "an item of " if part.is_item else ""
+        declared_form = "" if declaration is None else f"; declared as {self._term_text(declaration.term)}"
+        return (
+            f"{prefix}{subject} is {part.value_type.what}, found {self._term_text(part.value)}{declared_form}"
+        )
 
     def refusal(self, term: Term) -> str:
         """Return the reason why an incoming event does not fit its declaration, or ""."""
-        parent = (_HOLDER, term)
+        parent = (_EVENT_WRAPPER, term)
         # Values of one event are bound, so no variable can occur in two places: clashes need no report.
-        for error in self.misfits([EventTerm(deref(term), parent, 1)], _nowhere, VariableKinds({}, False)):
+        for error in self.declaration_errors(
+            [EventTerm(deref(term), parent, 1)], _no_place, VariableTypes({}, False)
+        ):
             return error.message
         return ""
 
 
-_HOLDER = functor("$event", 1)
+_EVENT_WRAPPER = functor("$event", 1)
 
 
-class VariableKinds:
+class VariableTypes:
     """Types of the variables of one rule or clause, collected from all their occurrences.
 
     Args:
@@ -483,24 +502,23 @@ class VariableKinds:
             different branches.
     """
 
-    def __init__(self, names: Mapping[Var, str], told: bool = True):
+    def __init__(self, names: Mapping[Var, str], reports_clashes: bool = True):
         self._names = names
-        self._reports_clashes = told
-        self._known: Dict[Term, Tuple[ValueType, str]] = {}
+        self._reports_clashes = reports_clashes
+        self._value_type_notations: Dict[Term, Tuple[ValueType, str]] = {}
 
-    def clash(self, var: Term, kind: ValueType, where: str) -> str:
+    def clash(self, var: Term, value_type: ValueType, subject: str) -> str:
         """Record a type of a variable, and return an error if another occurrence excludes it, else ""."""
-        known, other_place = self._known.setdefault(var, (kind, where))
+        known_type, known_subject = self._value_type_notations.setdefault(var, (value_type, subject))
         # The narrowest type is kept: a variable that is a number in one event and an integer in another one is an
         # integer, and must be compared as such with the next occurrence.
-        if kind.forms < known.forms:
-            self._known[var] = (kind, where)
-        if not self._reports_clashes or not known.excludes(kind):
+        if value_type.forms < known_type.forms:
+            self._value_type_notations[var] = (value_type, subject)
+        if not self._reports_clashes or not known_type.excludes(value_type):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
-        return (
-            f"{name} is {known.what} ({other_place}) and, here, {kind.what} ({where}): these are never equal"
-        )
+        known_text = f"{known_type.what} ({known_subject})"
+        return f"{name} is {known_text} and, here, {value_type.what} ({subject}): these are never equal"
 
 
 def head_event(parent: CompoundTerm, number: int) -> EventTerm:
@@ -513,25 +531,25 @@ def head_event(parent: CompoundTerm, number: int) -> EventTerm:
     return EventTerm(term, parent, number)
 
 
-def query_goals(head: Term) -> List[Subgoal]:
+def calls_in_query(head: Term) -> List[Subgoal]:
     """Return the calls in the query of a rule head, if the head has one."""
     head = deref(head)
     return list(calls(head, 2)) if head.__class__ is tuple and head[0] in SYNCHRONIZED else []
 
 
-def has_branches(whole: Term) -> bool:
+def has_alternatives(root: Term) -> bool:
     """Return whether a term contains alternatives, only one of which holds at a time."""
-    stack = [whole]
+    stack = [root]
     while stack:
         term = deref(stack.pop())
         if isinstance(term, tuple):
-            if term[0] in _BRANCHES:
+            if term[0] in _ALTERNATIVES:
                 return True
             stack += term[1:]
     return False
 
 
-def made_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
+def events_raised_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
     """Yield the events that goals raise, and the events that start and end declared states."""
     for call in goals:
         term = call.term
@@ -556,10 +574,10 @@ def _functor(term: Term) -> Optional[Functor]:
     return term.functor if isinstance(term, Atom) else None
 
 
-def _form(key: Functor) -> str:
+def _declaration_template(key: Functor) -> str:
     arguments = ", ".join(["name:kind"] * key.arity)
     return f"{key.name}({arguments})" if arguments else key.name
 
 
-def _nowhere(part: Term, number: int = 0) -> Optional[Place]:
+def _no_place(part: Term, number: int = 0) -> Optional[Place]:
     return None

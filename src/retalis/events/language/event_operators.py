@@ -71,7 +71,7 @@ class EventOperator(NamedTuple):
         wrong: explanation if no pair matches.
         between: for an absence, whether it may be between the two sides of a sequence.
         form: the notation, for operators in functional notation only.
-        taken_for: words that are no operators, but are often used in place of this one.
+        confused_with: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
         rows: rows of the table of patterns.
     """
@@ -97,12 +97,12 @@ class EventOperator(NamedTuple):
     wrong: str = "no pair fits"
     between: bool = False
     form: str = ""
-    taken_for: Tuple[str, ...] = ()
+    confused_with: Tuple[str, ...] = ()
     advice: str = ""
     rows: Tuple[OperatorEntry, ...] = ()
 
     @property
-    def meant(self) -> str:
+    def canonical_name(self) -> str:
         """Name of the operator of which this is a name."""
         return self.same_as or self.name
 
@@ -249,7 +249,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         either=False,
         alone=False,
         wrong="none of the first ended before one of the second started",
-        taken_for=("before", "after", "then", "followed_by"),
+        confused_with=("before", "after", "then", "followed_by"),
         advice='to say that one event ends before another starts, write "seq", the earlier one first',
         rows=(OperatorEntry("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
     ),
@@ -390,22 +390,27 @@ OPERATORS: Dict[str, EventOperator] = {
 }
 """Operators between two patterns, by name."""
 
-_RUN_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
+_RUN_OPERATOR_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
 
 SPELLINGS: Dict[Functor, str] = {
     key: operator.name
     for operator in EVENT_OPERATORS
-    if operator.kind not in (OperatorKind.RULE, *_RUN_KINDS)
+    if operator.kind not in (OperatorKind.RULE, *_RUN_OPERATOR_KINDS)
     for key in operator.keys
 }
 """Functor of a term -> the name of the operator that it denotes within a pattern."""
 
-RUNS: Dict[Functor, EventOperator] = {
-    key: operator for operator in EVENT_OPERATORS if operator.kind in _RUN_KINDS for key in operator.keys
+RUN_OPERATORS: Dict[Functor, EventOperator] = {
+    key: operator
+    for operator in EVENT_OPERATORS
+    if operator.kind in _RUN_OPERATOR_KINDS
+    for key in operator.keys
 }
 """Functor of a term -> the operator that it denotes as the right side of a sequence, and only there."""
 
-ARROWS = frozenset(key for operator in EVENT_OPERATORS if operator.meant == "<-" for key in operator.keys)
+ARROWS = frozenset(
+    key for operator in EVENT_OPERATORS if operator.canonical_name == "<-" for key in operator.keys
+)
 """Functors of rules with a head and a pattern."""
 
 NO_EVENTS = {
@@ -422,15 +427,17 @@ FUNCTIONAL_FORMS = tuple(
 """Name, number of arguments and notation of the operators in functional notation only."""
 
 
-def _forms() -> Dict[str, str]:
-    forms: Dict[str, str] = {}
+def _notations() -> Dict[str, str]:
+    notations: Dict[str, str] = {}
     for name, count, form in FUNCTIONAL_FORMS:
-        before = f"{forms[name]}, or {count}" if name in forms else f"takes {counted(count, 'argument')}"
-        forms[name] = f"{before}: {form}"
-    return forms
+        notation = (
+            f"{notations[name]}, or {count}" if name in notations else f"takes {counted(count, 'argument')}"
+        )
+        notations[name] = f"{notation}: {form}"
+    return notations
 
 
-FORMS = _forms()
+NOTATIONS = _notations()
 """Notation of the operators in functional notation only, in words, by name."""
 
 NO_FACTS = frozenset(
@@ -439,19 +446,19 @@ NO_FACTS = frozenset(
 """Functors of facts that were meant as rules, because no fact can have the name."""
 
 
-def names_of_kind(kind: OperatorKind, **facts: bool) -> Tuple[str, ...]:
+def names_of_kind(kind: OperatorKind, **attributes: bool) -> Tuple[str, ...]:
     """Return the names of the operators of a kind, in the order of the table.
 
     Args:
         kind: the kind.
-        **facts: required values of attributes of `EventOperator`.
+        **attributes: required values of attributes of `EventOperator`.
     """
     return tuple(
         [
             operator.name
             for operator in EVENT_OPERATORS
             if operator.kind is kind
-            and all(getattr(operator, fact) == value for fact, value in facts.items())
+            and all(getattr(operator, attribute) == value for attribute, value in attributes.items())
         ]
     )
 
@@ -459,13 +466,15 @@ def names_of_kind(kind: OperatorKind, **facts: bool) -> Tuple[str, ...]:
 EVENT_SYNTAX.register(
     [(operator.priority, operator.type, operator.name) for operator in EVENT_OPERATORS if operator.priority],
     canonical={
-        spelling: operator.meant
+        spelling: operator.canonical_name
         for operator in EVENT_OPERATORS
         if operator.priority
         for spelling in operator.spellings
     },
     signs={sign: operator.name for operator in EVENT_OPERATORS for sign in operator.signs},
-    arrows=frozenset(operator.meant for operator in EVENT_OPERATORS if operator.kind is OperatorKind.RULE),
+    arrows=frozenset(
+        operator.canonical_name for operator in EVENT_OPERATORS if operator.kind is OperatorKind.RULE
+    ),
     goal_right=frozenset(
         functor(operator.name, 2)
         for operator in EVENT_OPERATORS
@@ -481,5 +490,5 @@ EVENT_SYNTAX.register(
         for operator in EVENT_OPERATORS
         if operator.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
     ],
-    advice={word: operator.advice for operator in EVENT_OPERATORS for word in operator.taken_for},
+    advice={word: operator.advice for operator in EVENT_OPERATORS for word in operator.confused_with},
 )

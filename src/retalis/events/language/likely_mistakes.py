@@ -2,10 +2,10 @@
 
 Every term that is not an operator is an event pattern. A comma between two patterns, a comparison without ``where``
 or a misspelt operator therefore makes a rule that compiles and never fires. This module recognises such terms by
-functor (`_WARNINGS`), by number of arguments and by similarity of names.
+functor (`_EVENT_WARNINGS`), by number of arguments and by similarity of names.
 
-`gap_doubt` warns about ``cnot`` after a sequence of three or more parts, which covers only its last gap, and
-constructs the rule that covers all gaps.
+`uncovered_gap_warning` warns about ``cnot`` after a sequence of three or more parts, which covers only its last gap,
+and constructs the rule that covers all gaps.
 """
 
 from difflib import SequenceMatcher, get_close_matches
@@ -19,10 +19,10 @@ from ...prolog.terms.types import CONS, Atom, CompoundTerm, Term, Var, deref, fu
 from .event_operators import (
     ARROWS,
     EVENT_OPERATOR,
-    FORMS,
     FUNCTIONAL_FORMS,
     NO_EVENTS,
-    RUNS,
+    NOTATIONS,
+    RUN_OPERATORS,
     SPELLINGS,
     OperatorKind,
     names_of_kind,
@@ -46,13 +46,13 @@ _COMPARISONS = [
     "@=<",
     "@>=",
 ]
-_AFTER_WHERE = "a condition is written after where"
-_CONDITION = f"this is an event; {_AFTER_WHERE}"
-_ALARM = "an alarm is a head; the event that follows it is its first argument"
-_ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_ABSENCE = f"the absence of an event is written with {_ABSENCES}; this is an event"
+_CONDITION_ADVICE = "a condition is written after where"
+_CONDITION_WARNING = f"this is an event; {_CONDITION_ADVICE}"
+_ALARM_WARNING = "an alarm is a head; the event that follows it is its first argument"
+_ABSENCE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_ABSENCE_WARNING = f"the absence of an event is written with {_ABSENCE_OPERATORS}; this is an event"
 
-_WARNINGS: Dict[Any, str] = {
+_EVENT_WARNINGS: Dict[Any, str] = {
     functor(
         ",", 2
     ): "a comma between patterns makes them a single event; use and or seq (for a condition, where)",
@@ -64,13 +64,13 @@ _WARNINGS: Dict[Any, str] = {
         for name in "+-*/"
     },
     functor("->", 2): "an arrow between patterns makes them a single event; use seq",
-    functor("\\+", 1): _ABSENCE,
-    functor("not", 1): _ABSENCE,
-    functor("exceptionAlarm", 2): _ALARM,
-    functor("exceptionAlarmAbsoluteDatime", 2): _ALARM,
-    **{functor(name, 2): _CONDITION for name in _COMPARISONS},
+    functor("\\+", 1): _ABSENCE_WARNING,
+    functor("not", 1): _ABSENCE_WARNING,
+    functor("exceptionAlarm", 2): _ALARM_WARNING,
+    functor("exceptionAlarmAbsoluteDatime", 2): _ALARM_WARNING,
+    **{functor(name, 2): _CONDITION_WARNING for name in _COMPARISONS},
     **{
-        functor(name, 0): f"{name} is an event here; {_AFTER_WHERE}"
+        functor(name, 0): f"{name} is an event here; {_CONDITION_ADVICE}"
         for name in ("true", "fail", "false", "!")
     },
 }
@@ -82,18 +82,20 @@ _ARITIES = {
 }
 """Numbers of arguments of reserved names that denote no event; with another number they are ordinary events."""
 
-_SPECIAL = {
+_SPECIAL_HEADS = {
     "synchronized": (3, "synchronized(Event, Query, Memories)"),
     "syncronized": (3, "synchronized(Event, Query, Memories)"),
     "exceptionalarm": (2, "exceptionAlarm(Event, Seconds)"),
     "exceptionalarmabsolutedatime": (2, "exceptionAlarmAbsoluteDatime(Event, Datime)"),
 }
-_SPECIAL_NAMES = frozenset(("synchronized", "syncronized", "exceptionAlarm", "exceptionAlarmAbsoluteDatime"))
-_WITH_OPTIONS = frozenset(("synchronized", "syncronized"))
+_SPECIAL_HEAD_NAMES = frozenset(
+    ("synchronized", "syncronized", "exceptionAlarm", "exceptionAlarmAbsoluteDatime")
+)
+_HEADS_WITH_OPTIONS = frozenset(("synchronized", "syncronized"))
 """Heads that can have options after their other arguments."""
 
 _MIN_SIMILARITY = 0.9
-_ORDINARY = "this is an ordinary event"
+_ORDINARY_EVENT = "this is an ordinary event"
 
 _SINGLE_HEAD = "the head of a rule is one event"
 _HEAD_ERRORS = {
@@ -106,10 +108,10 @@ _HEAD_ERRORS = {
 def event_warning(term: Term) -> Optional[str]:
     """Return the warning for an event pattern that was probably intended as something else, or None."""
     if term.__class__ is Atom:
-        return _WARNINGS.get(term.functor)
+        return _EVENT_WARNINGS.get(term.functor)
     if term.__class__ is not tuple:
         return None
-    warning = _WARNINGS.get(term[0])
+    warning = _EVENT_WARNINGS.get(term[0])
     if warning is not None:
         return warning
     # ``[a(X), b(X)]`` is a list of events, not a disjunction or conjunction of them.
@@ -117,10 +119,10 @@ def event_warning(term: Term) -> Optional[str]:
         items = list_items(term)
         if items is not None and all(deref(item).__class__ in (Atom, tuple) for item in items):
             return "a list of patterns is a single event; join them with and, or, or seq"
-    return wrong_arity(term) or _misspelt(term)
+    return wrong_arity(term) or _misspelling_warning(term)
 
 
-def _misspelt(term: Any) -> Optional[str]:
+def _misspelling_warning(term: Any) -> Optional[str]:
     """Return a warning if the name of an event resembles an operator with the same number of arguments, or None."""
     event_name = term[0].name
     for name, count, form in FUNCTIONAL_FORMS:
@@ -129,25 +131,25 @@ def _misspelt(term: Any) -> Optional[str]:
             and SequenceMatcher(None, event_name, name).ratio() >= _MIN_SIMILARITY
         )
         if is_similar and len(term) - 1 == count:
-            return f"{_ORDINARY}; did you mean {form}?"
+            return f"{_ORDINARY_EVENT}; did you mean {form}?"
     return None
 
 
 def wrong_arity(term: Any) -> Optional[str]:
     """Return the warning for a term with a special name but another number of arguments, or None."""
     name, count = term[0].name, len(term) - 1
-    takes = _ARITIES.get(name)
-    if takes is None and name in _SPECIAL_NAMES:
-        takes = _SPECIAL[name][0]
-    if takes is None or takes == count or (count == takes + 1 and name in _WITH_OPTIONS):
+    expected = _ARITIES.get(name)
+    if expected is None and name in _SPECIAL_HEAD_NAMES:
+        expected = _SPECIAL_HEADS[name][0]
+    if expected is None or expected == count or (count == expected + 1 and name in _HEADS_WITH_OPTIONS):
         return None
-    form = FORMS.get(name, f"takes {takes} argument{'s' * (takes != 1)}")
-    return f"{_ORDINARY}; {name} {form}"
+    form = NOTATIONS.get(name, f"takes {expected} argument{'s' * (expected != 1)}")
+    return f"{_ORDINARY_EVENT}; {name} {form}"
 
 
-def near(word: str, words: Iterable[str]) -> str:
+def near(word: str, candidates: Iterable[str]) -> str:
     """Return "; did you mean ...?" with the most similar word, or ""."""
-    matches = get_close_matches(word, list(words), 1)
+    matches = get_close_matches(word, list(candidates), 1)
     return f"; did you mean {matches[0]}?" if matches else ""
 
 
@@ -155,11 +157,11 @@ def bracket_advice(name: str, number: Any) -> str:
     """Return advice on brackets if the number of an operator was parsed with the next operator, else ""."""
     if number.__class__ is not tuple or len(number) != 3 or number[0] not in SPELLINGS:
         return ""
-    first = deref(number[1])
-    if first.__class__ not in (int, float):
+    inner_number = deref(number[1])
+    if inner_number.__class__ not in (int, float):
         return ""
     operator = number[0].name
-    return f": {first} {operator} ... is read as one; write (PATTERN {name} {first}) {operator} ..."
+    return f": {inner_number} {operator} ... is read as one; write (PATTERN {name} {inner_number}) {operator} ..."
 
 
 def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
@@ -176,18 +178,18 @@ def head_warning(head: Any, operator: Optional[str]) -> Optional[str]:
     if operator is not None:
         return f"no pattern can match this event: in patterns {head[0].name} is an operator"
     if len(head) == 3 and head[0].name in _COMPARISONS:
-        return _CONDITION
-    return wrong_arity(head) if head[0].name in _SPECIAL_NAMES else _similar_special_head(head)
+        return _CONDITION_WARNING
+    return wrong_arity(head) if head[0].name in _SPECIAL_HEAD_NAMES else _similar_special_head(head)
 
 
 def _similar_special_head(head: Any) -> Optional[str]:
     """Return a warning if the name of a head resembles that of a special head, or None."""
     folded_name = head[0].name.lower().replace("_", "")
-    for special_name, (arity, form) in _SPECIAL.items():
+    for special_name, (arity, form) in _SPECIAL_HEADS.items():
         if arity != len(head) - 1 or folded_name[:1] != special_name[0]:
             continue
         if SequenceMatcher(None, folded_name, special_name).ratio() >= _MIN_SIMILARITY:
-            return f"{_ORDINARY}; did you mean {form}?"
+            return f"{_ORDINARY_EVENT}; did you mean {form}?"
     return None
 
 
@@ -197,7 +199,9 @@ _MAX_SHOWN_CHARACTERS = 60
 """Maximum length of a part, and of an absent pattern, for which that pattern is shown."""
 
 
-def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, str]) -> Optional[str]:
+def uncovered_gap_warning(
+    term: CompoundTerm, place_of: Callable[..., Any], names: Mapping[Var, str]
+) -> Optional[str]:
     """Return a warning for an absence that covers only the last gap of a longer sequence, or None.
 
     A sequence of three parts is a pair whose left operand is a pair: ``cnot`` covers only the gap between the
@@ -205,26 +209,26 @@ def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, 
 
     Args:
         term: ``(P seq Q) cnot R``, possibly with conditions around the sequence.
-        spot: returns the place of a part of the rule, or None.
+        place_of: returns the place of a part of the rule, or None.
         names: names of variables.
     """
     operator = SPELLINGS[term[0]]
-    wrapped: List[Tuple[str, Term]] = []
+    outer_conditions: List[Tuple[str, Term]] = []
     core: Any = deref(term[1])
     while core.__class__ is tuple and _is_condition(core):
-        wrapped.append((SPELLINGS[core[0]], core[2]))
+        outer_conditions.append((SPELLINGS[core[0]], core[2]))
         core = deref(core[1])
     # Parentheses leave no trace in the term, only in the places of its parts; a rule that was built by a goal has
     # none, so it gets no warning.
-    if core.__class__ is not tuple or spot(core) is None:
+    if core.__class__ is not tuple or place_of(core) is None:
         # A rule that was built as a term has no places at all.
         return None
-    parts = _repetitions(core) or _parts_without_parentheses(core, spot)
+    parts = _repetitions(core) or _parts_without_parentheses(core, place_of)
     if len(parts) < 3:
         return None
-    texts = [_text(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
-    absent = _text(term[2], names)
-    last = _text(parts[-1], names)
+    texts = [_pattern_text(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
+    absent = _pattern_text(term[2], names)
+    last = _pattern_text(parts[-1], names)
     gap = f"the gap before the last part of the sequence, {beginning(last)}"
     message = f"{operator} covers only {gap}: {beginning(absent)} in an earlier gap does not prevent a match"
     is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last, absent))
@@ -232,20 +236,19 @@ def gap_doubt(term: CompoundTerm, spot: Callable[..., Any], names: Mapping[Var, 
     # gaps.
     if is_long or _depends_on_later_parts(deref(term[2]), parts):
         return f"{message}; write a {operator} for each gap that it must not lie in"
-    covered = f"({texts[0]} seq {texts[1]}) {operator} {absent}"
+    covering_text = f"({texts[0]} seq {texts[1]}) {operator} {absent}"
     for text in texts[2:]:
-        covered = f"(({covered}) seq {text}) {operator} {absent}"
-    if wrapped and len(parts) <= _MAX_SHOWN_PARTS:
-        cut = covered[: -len(f" {operator} {absent}")]
-        for name, argument in reversed(wrapped):
-            cut = f"({cut} {name} {_text(argument, names)})"
-        covered = f"{cut} {operator} {absent}"
+        covering_text = f"(({covering_text}) seq {text}) {operator} {absent}"
+    if outer_conditions and len(parts) <= _MAX_SHOWN_PARTS:
+        inner_text = covering_text[: -len(f" {operator} {absent}")]
+        for name, argument in reversed(outer_conditions):
+            inner_text = f"({inner_text} {name} {_pattern_text(argument, names)})"
+        covering_text = f"{inner_text} {operator} {absent}"
     if len(parts) > _MAX_SHOWN_PARTS:
-        covered += f" and so on up to the last of {len(parts)} parts"
-    shown = f"{message}; for none in any gap write {covered}"
-    return (
-        f"{shown}; if only the last gap is meant, write {_last_gap(core, parts, names)} {operator} {absent}"
-    )
+        covering_text += f" and so on up to the last of {len(parts)} parts"
+    advice = f"{message}; for none in any gap write {covering_text}"
+    grouped = _grouped_before_last(core, parts, names)
+    return f"{advice}; if only the last gap is meant, write {grouped} {operator} {absent}"
 
 
 def _is_condition(term: CompoundTerm) -> bool:
@@ -253,28 +256,28 @@ def _is_condition(term: CompoundTerm) -> bool:
     return kind in (OperatorKind.CONDITION, OperatorKind.LIMIT)
 
 
-def _operator_of(term: Any) -> Optional[str]:
+def _operator_name(term: Any) -> Optional[str]:
     return SPELLINGS.get(term[0]) if term.__class__ is tuple else None
 
 
 def _repetitions(core: CompoundTerm) -> List[Term]:
     """Return the parts of ``Q ntimes N``, or an empty list for another pattern."""
-    times = deref(core[2]) if _operator_of(core) == "ntimes" else None
+    times = deref(core[2]) if _operator_name(core) == "ntimes" else None
     return [deref(core[1])] * times if times.__class__ is int else []
 
 
-def _parts_without_parentheses(core: CompoundTerm, spot: Callable[..., Any]) -> List[Term]:
+def _parts_without_parentheses(core: CompoundTerm, place_of: Callable[..., Any]) -> List[Term]:
     """Return the parts of a sequence without parentheses."""
     parts: List[Term] = []
     node: Any = core
-    while _operator_of(node) == "seq" and not _is_goal_or_run(deref(node[2])):
+    while _operator_name(node) == "seq" and not _is_goal_or_run(deref(node[2])):
         parts.append(deref(node[2]))
         # The place of a term is that of its first token. An inner sequence in parentheses begins one character after
         # its outer one.
         operand: Any = deref(node[1])
         if (
-            _operator_of(operand) != "seq"
-            or spot(operand, 1) != spot(node, 1)
+            _operator_name(operand) != "seq"
+            or place_of(operand, 1) != place_of(node, 1)
             or _is_goal_or_run(deref(operand[2]))
         ):
             parts.append(operand)
@@ -285,7 +288,7 @@ def _parts_without_parentheses(core: CompoundTerm, spot: Callable[..., Any]) -> 
 
 def _is_goal_or_run(term: Any) -> bool:
     """Return whether the right operand of a sequence has no gap before it: a goal, or repetitions."""
-    return term.__class__ is tuple and (term[0] in RUNS or term[0].name in ("prolog", "query", "db"))
+    return term.__class__ is tuple and (term[0] in RUN_OPERATORS or term[0].name in ("prolog", "query", "db"))
 
 
 def _depends_on_later_parts(absent: Term, parts: List[Term]) -> bool:
@@ -295,19 +298,19 @@ def _depends_on_later_parts(absent: Term, parts: List[Term]) -> bool:
     return not late.isdisjoint(variables(absent))
 
 
-def _last_gap(core: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
+def _grouped_before_last(core: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
     """Return the text of the sequence with parentheses before its last gap."""
-    last = _text(parts[-1], names)
-    if _operator_of(core) == "ntimes":
+    last = _pattern_text(parts[-1], names)
+    if _operator_name(core) == "ntimes":
         return f"(({last} ntimes {len(parts) - 1}) seq {last})"
     if len(parts) > _MAX_SHOWN_PARTS:
         return f"((...) seq {last})"
-    return f"(({' seq '.join(_text(part, names) for part in parts[:-1])}) seq {last})"
+    return f"(({' seq '.join(_pattern_text(part, names) for part in parts[:-1])}) seq {last})"
 
 
-def _text(term: Term, names: Mapping[Var, str]) -> str:
+def _pattern_text(term: Term, names: Mapping[Var, str]) -> str:
     """Return the text of a pattern as a part of another one."""
     # Variables that occur once have no name; they are shown as ``_``.
-    once = {var: "_" for var in variables(term) if var not in names}
-    text = write_term(term, None, quoted=True, numbervars=True, variable_names={**once, **names})
-    return f"({text})" if _operator_of(deref(term)) is not None else text
+    anonymous = {var: "_" for var in variables(term) if var not in names}
+    text = write_term(term, None, quoted=True, numbervars=True, variable_names={**anonymous, **names})
+    return f"({text})" if _operator_name(deref(term)) is not None else text

@@ -1,7 +1,7 @@
 """Parser of rule bodies: terms to patterns, with static checks.
 
 `PatternReader` descends through the term of a rule body and builds a tree of `pattern_tree` nodes. It dispatches on
-the kind of the operator (`PatternReader._forms`). While it reads, it collects what later checks need: called goals,
+the kind of the operator (`PatternReader._parsers`). While it reads, it collects what later checks need: called goals,
 awaited events, aggregates and windows, each with its term, so that an error can name its place in the source.
 
 Terms that only look like operators stay events (see `is_event`); an event that was probably intended as an operator
@@ -21,7 +21,7 @@ from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
     EVENT_OPERATOR,
-    RUNS,
+    RUN_OPERATORS,
     SPELLINGS,
     EventOperator,
     OperatorKind,
@@ -50,13 +50,13 @@ from .pattern_tree import (
     substitute_variables,
 )
 from .sequence_aggregates import AGGREGATES
-from .stream_parser import is_event, read_shape, read_window, regroup_rate_operator
+from .stream_parser import is_event, parse_rate_operator, parse_window, regroup_rate_operator
 
-Spot = Callable[..., Optional[Place]]
+PlaceLookup = Callable[..., Optional[Place]]
 """Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
-_GOALS_AS_PATTERN = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
-_ABSENCES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_BEFORE = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
+_GOAL_OPERANDS = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
+_ABSENCE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE))
+_ABSENCE_BEFORE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
 _ABSENT = "absent"
 
 
@@ -88,7 +88,7 @@ class PatternReader:
     """
 
     def __init__(
-        self, place: Spot, warn: Callable[[RuleError], None], anonymous: FrozenSet[Var] = frozenset()
+        self, place: PlaceLookup, warn: Callable[[RuleError], None], anonymous: FrozenSet[Var] = frozenset()
     ):
         self.place = place
         self._warn = warn
@@ -118,7 +118,7 @@ class PatternReader:
         # Programs older than an operator may use its name for events; `is_event` tells the two apart by the
         # arguments.
         if name is None or is_event(term):
-            run = None if is_event(term) else RUNS.get(head)
+            run = None if is_event(term) else RUN_OPERATORS.get(head)
             if run is None:
                 return self._event(parent, number)
             subject = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
@@ -126,7 +126,7 @@ class PatternReader:
             if run.kind is OperatorKind.AGGREGATE:
                 message += ", or has a window: aggregate(K, Q, R, last(60))"
             raise self.error(message, term)
-        return self._forms[EVENT_OPERATOR[name].kind](self, name, term)
+        return self._parsers[EVENT_OPERATOR[name].kind](self, name, term)
 
     def _pair(self, name: str, term: CompoundTerm) -> Pattern:
         if name == SEQ:
@@ -134,7 +134,9 @@ class PatternReader:
         return Pair(name, self.operand(term, 1, name), self.operand(term, 2, name))
 
     def _unknown_operator(self, name: str, term: CompoundTerm) -> Pattern:
-        raise self.error(f"there is no operator {name}; use {_ABSENCES} for the absence of an event", term)
+        raise self.error(
+            f"there is no operator {name}; use {_ABSENCE_OPERATORS} for the absence of an event", term
+        )
 
     def _time_limit(self, name: str, term: CompoundTerm) -> Within:
         # The bound is exclusive in the language and inclusive in the network, hence one nanosecond less.
@@ -151,19 +153,19 @@ class PatternReader:
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         """Return the pattern of an operand; see `read`."""
         term = deref(parent[number])
-        if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
+        if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
             raise self.error(f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term)
         return self.read(parent, number)
 
     def _event(self, parent: CompoundTerm, number: int) -> Occurs:
         term = deref(parent[number])
         if term.__class__ not in (tuple, Atom, Var):
-            kind = "a string" if term.__class__ is String else "a number"
-            message = f"an event is an atom or a compound term, not {kind}"
+            class_name = "a string" if term.__class__ is String else "a number"
+            message = f"an event is an atom or a compound term, not {class_name}"
             raise self.error(message, parent, number)
-        doubted = event_warning(term)
-        if doubted is not None:
-            self._warn(self.error(doubted, *((parent, number) if term.__class__ is Atom else (term, 0))))
+        warning = event_warning(term)
+        if warning is not None:
+            self._warn(self.error(warning, *((parent, number) if term.__class__ is Atom else (term, 0))))
         self.events.append(EventTerm(term, parent, number))
         return Occurs(term)
 
@@ -179,34 +181,40 @@ class PatternReader:
         if left_goal is not None:
             return Condition(self.read(term, 2), left_goal, False)
         first = self.read(term, 1)
-        if right.__class__ is tuple and right[0] in RUNS and not is_event(right):
-            run = RUNS[right[0]]
+        if right.__class__ is tuple and right[0] in RUN_OPERATORS and not is_event(right):
+            run = RUN_OPERATORS[right[0]]
             if run.kind is OperatorKind.AGGREGATE:
                 return self._aggregate(first, right, run)
             if run.kind is OperatorKind.DEADLINE:
                 return Awaited(first, self.operand(right, 1, run.name), self.span(run.name, right))
             return Star(first, self.operand(right, 1, run.name))
         if right.__class__ is tuple and right[0].name == _ABSENT:
-            form = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
-            self._warn(self.error(f"this is an ordinary event; {form}", right))
+            notation = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
+            self._warn(self.error(f"this is an ordinary event; {notation}", right))
         return Pair(SEQ, first, self.read(term, 2))
 
     def _goal_operand(self, term: Term) -> Optional[Term]:
-        if term.__class__ is tuple and term[0] in _GOALS_AS_PATTERN:
+        if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
             return self.goal(term, 1, term[0].name)
         return None
 
     def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> Aggregate:
-        kind = deref(term[1])
-        name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
-        arity = len(kind) - 1 if kind.__class__ is tuple else 0
+        function_term = deref(term[1])
+        name = (
+            function_term.name
+            if function_term.__class__ is Atom
+            else function_term[0].name
+            if function_term.__class__ is tuple
+            else ""
+        )
+        arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
         if name not in AGGREGATES or AGGREGATES[name].arity != arity:
             forms = ", ".join(function.form for function in AGGREGATES.values())
             raise self.error(
-                f"there is no such aggregate; the aggregates are {forms}", kind if arity else term
+                f"there is no such aggregate; the aggregates are {forms}", function_term if arity else term
             )
         collected = self.operand(term, 2, operator.name)
-        value = deref(kind[1]) if kind.__class__ is tuple else None
+        value = deref(function_term[1]) if function_term.__class__ is tuple else None
         aggregate = Aggregate(first, name, value, collected, deref(term[3]))
         self.aggregates.append((aggregate, term))
         return aggregate
@@ -226,22 +234,23 @@ class PatternReader:
         return Either(tuple(branches))
 
     def _window(self, name: str, term: CompoundTerm) -> Windowed:
-        window = read_window(self, term)
+        window = parse_window(self, term)
         self.windows.append((window, term))
         return window
 
     def _stream_operator(self, name: str, term: CompoundTerm) -> Pattern:
         regrouped = regroup_rate_operator(term)
-        return read_shape(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
+        return parse_rate_operator(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
 
     def _absence(self, name: str, term: CompoundTerm) -> Absent:
         pattern = self.operand(term, 1, name)
         negated = self.operand(term, 2, name)
-        between = EVENT_OPERATOR[name].between
-        inside = between and _is_sequence(pattern)
-        if between and not inside:
+        is_between = EVENT_OPERATOR[name].between
+        inside = is_between and _is_sequence(pattern)
+        if is_between and not inside:
             message = (
-                f"P {name} R where P is not a sequence means that no R ended before P started (write {_BEFORE}); "
+                f"P {name} R where P is not a sequence means that no R ended before P started "
+                f"(write {_ABSENCE_BEFORE_OPERATORS}); "
                 f"for no R between two events write (P {SEQ} Q) {name} R"
             )
             self._warn(self.error(message, term))
@@ -260,19 +269,19 @@ class PatternReader:
             return pattern
         # Each ``_`` stands for a different value in each repetition, so each repetition gets fresh variables; named
         # variables join the repetitions.
-        own = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
-        fresh = {var: Var() for var in own}
-        self._anonymous |= set(fresh.values())
+        fresh_variables = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
+        renaming = {var: Var() for var in fresh_variables}
+        self._anonymous |= set(renaming.values())
         # The last repetition is kept apart: the node of the first ones then is an ordinary left operand, and a
         # ``cnot`` covers the gap before the last one.
-        last = substitute_variables(pattern, fresh) if fresh else pattern
-        first_ones = Repeated(pattern, times - 1, own)
-        if times > MAX_COMPOSED_REPETITIONS and not first_ones.is_of_single_events():
+        last = substitute_variables(pattern, renaming) if renaming else pattern
+        repeated = Repeated(pattern, times - 1, fresh_variables)
+        if times > MAX_COMPOSED_REPETITIONS and not repeated.repeats_single_events():
             message = (
                 f"{name} takes at most {MAX_COMPOSED_REPETITIONS} repetitions of a pattern of several events"
             )
             raise self.error(message, term, 2)
-        return Pair(SEQ, pattern if times == 2 else first_ones, last)
+        return Pair(SEQ, pattern if times == 2 else repeated, last)
 
     def span(self, name: str, term: CompoundTerm) -> int:
         """Return the second argument of a term, a number of seconds, in nanoseconds.
@@ -280,12 +289,12 @@ class PatternReader:
         Raises:
             RuleError: if the argument is not a positive number.
         """
-        span = deref(term[2])
-        if span.__class__ not in (int, float) or not span > 0 or span == float("inf"):
+        seconds = deref(term[2])
+        if seconds.__class__ not in (int, float) or not seconds > 0 or seconds == float("inf"):
             raise self.error(
-                f"{name} needs a positive number of seconds{bracket_advice(name, span)}", term, 2
+                f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, 2
             )
-        return from_seconds(span)
+        return from_seconds(seconds)
 
     def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
         """Return the goal in argument ``number`` of a term, and record its calls.
@@ -305,7 +314,7 @@ class PatternReader:
         """Return an error at a term, or at one of its arguments."""
         return RuleError(message, self.place(term, number))
 
-    _forms: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
+    _parsers: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
         OperatorKind.PAIR: _pair,
         OperatorKind.ALTERNATIVES: _alternatives,
         OperatorKind.ABSENCE: _absence,
@@ -328,97 +337,98 @@ def _is_sequence(pattern: Pattern) -> bool:
 
 
 def check_aggregate(
-    part: Aggregate,
+    aggregate: Aggregate,
     term: Any,
     pattern: Any,
     names: Mapping[Var, str],
-    spot: Spot,
+    place_of: PlaceLookup,
     warn: Callable[[RuleError], None],
 ) -> None:
     """Check the value and the result of an aggregate.
 
     Args:
-        part: the aggregate.
+        aggregate: the aggregate.
         term: the aggregate as it is written.
         pattern: the pattern of the rule.
         names: names of the variables.
-        spot: returns the places of parts of the term.
+        place_of: returns the places of parts of the term.
         warn: receives probable mistakes that are not errors.
 
     Raises:
         RuleError: if a numeric aggregate gets a value that can never be a number.
     """
-    first, collected = set(bound_by(part.first)), set(bound_by(part.collected))
-    mentioned = [] if part.value is None else variables(part.value)
-    free = [var for var in mentioned if var not in first and var not in collected]
-    numeric = AGGREGATES[part.kind].numeric
+    first, collected = set(bound_by(aggregate.first)), set(bound_by(aggregate.collected))
+    mentioned = [] if aggregate.value is None else variables(aggregate.value)
+    unbound = [var for var in mentioned if var not in first and var not in collected]
+    numeric = AGGREGATES[aggregate.kind].numeric
     if not numeric:
         # An aggregate of terms may collect a variable that another part of the pattern binds later; only a variable
         # that occurs nowhere else stays unbound.
         counts = occurrences([], pattern)
-        free = [var for var in free if counts[var] == 1]
-    if free:
-        name = names.get(free[0], "a variable")
+        unbound = [var for var in unbound if counts[var] == 1]
+    if unbound:
+        name = names.get(unbound[0], "a variable")
         message = (
-            f"{name} never gets a value: neither what {part.kind} collects nor what comes before it binds it"
+            f"{name} never gets a value: "
+            f"neither what {aggregate.kind} collects nor what comes before it binds it"
         )
-        error = RuleError(message, spot(deref(term[1])))
+        error = RuleError(message, place_of(deref(term[1])))
         if numeric:
             raise error
         warn(error)
-    if part.value is not None and numeric and not _may_be_number(part.value):
-        raise RuleError(f"{part.kind} needs numbers or arithmetic expressions", spot(deref(term[1])))
+    if aggregate.value is not None and numeric and not _may_be_numeric(aggregate.value):
+        raise RuleError(f"{aggregate.kind} needs numbers or arithmetic expressions", place_of(deref(term[1])))
     # The result would be unified with each collected value, so only equal ones would be reported.
-    if part.result.__class__ is Var and part.result in (collected | set(mentioned)) - first:
-        name = names.get(part.result, "a variable")
+    if aggregate.result.__class__ is Var and aggregate.result in (collected | set(mentioned)) - first:
+        name = names.get(aggregate.result, "a variable")
         message = (
-            f"{name} is both a collected value and the result of {part.kind}, "
+            f"{name} is both a collected value and the result of {aggregate.kind}, "
             "which fires only where they are equal"
         )
-        warn(RuleError(message, spot(term, 3)))
+        warn(RuleError(message, place_of(term, 3)))
 
 
 def check_window(
-    part: Windowed,
+    windowed: Windowed,
     term: Any,
     rule: Term,
     names: Mapping[Var, str],
-    spot: Spot,
+    place_of: PlaceLookup,
     warn: Callable[[RuleError], None],
 ) -> None:
     """Check the measured values of a window, and warn about values that also partition it.
 
     Args:
-        part: the aggregate over a window.
+        windowed: the aggregate over a window.
         term: the aggregate as it is written.
         rule: the rule as it is written.
         names: names of the variables.
-        spot: returns the places of parts of the term.
+        place_of: returns the places of parts of the term.
         warn: receives the warnings.
 
     Raises:
         RuleError: if a numeric measure gets a value that can never be a number.
     """
-    for kind, value in zip(part.kinds, part.values):
-        if value is not None and MEASURES[kind].numeric and not _may_be_number(value):
+    for kind, value in zip(windowed.kinds, windowed.values):
+        if value is not None and MEASURES[kind].numeric and not _may_be_numeric(value):
             raise RuleError(
-                f"{kind} needs numbers or arithmetic expressions", spot(deref(term[1])) or spot(term)
+                f"{kind} needs numbers or arithmetic expressions", place_of(deref(term[1])) or place_of(term)
             )
-    measured = [value for value in part.values if value is not None]
-    inside = occurrences([*measured, *part.window.goals], part.collected)
-    everywhere = occurrences([rule], None)
+    measured = [value for value in windowed.values if value is not None]
+    inside_counts = occurrences([*measured, *windowed.window.goals], windowed.collected)
+    rule_counts = occurrences([rule], None)
     for var in dict.fromkeys(variable for value in measured for variable in variables(value)):
         # A window has one partition for each binding of the variables that occur outside of it.
-        if everywhere.get(var, 0) > inside[var]:
+        if rule_counts.get(var, 0) > inside_counts[var]:
             name = names.get(var, "a variable")
             message = (
                 f"{name} is measured and also occurs outside of the aggregate, so that there is a window for each of "
                 "its values"
             )
-            warn(RuleError(message, spot(deref(term[1])) or spot(term)))
+            warn(RuleError(message, place_of(deref(term[1])) or place_of(term)))
 
 
-def _may_be_number(value: Term) -> bool:
+def _may_be_numeric(value: Term) -> bool:
     """Return whether a term is an arithmetic expression for some values of its variables."""
     stack = [value]
     while stack:

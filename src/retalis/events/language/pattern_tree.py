@@ -50,7 +50,7 @@ class Repeated(NamedTuple):
     times: int
     own: Tuple[Var, ...]
 
-    def written_out(self) -> "Pattern":
+    def as_sequence(self) -> "Pattern":
         """Return the equivalent sequence of patterns."""
         result: Pattern = self.pattern
         for _ in range(self.times - 1):
@@ -59,12 +59,12 @@ class Repeated(NamedTuple):
             result = Pair(SEQ, result, substitute_variables(self.pattern, fresh) if fresh else self.pattern)
         return result
 
-    def is_of_single_events(self) -> bool:
+    def repeats_single_events(self) -> bool:
         """Return whether each repetition is one event, and each event has at most one match."""
-        parts = walk(self.pattern)
-        if not all(isinstance(part, (Occurs, Either, Condition, Within)) for part in parts):
+        nodes = walk(self.pattern)
+        if not all(isinstance(node, (Occurs, Either, Condition, Within)) for node in nodes):
             return False
-        terms = [part.term for part in parts if isinstance(part, Occurs)]
+        terms = [node.term for node in nodes if isinstance(node, Occurs)]
         keys = {term[0] if term.__class__ is tuple else term for term in terms}
         return len(terms) == 1 or (len(keys) == len(terms) and not any(key.__class__ is Var for key in keys))
 
@@ -252,32 +252,34 @@ MAX_COMPOSED_REPETITIONS = 1_000
 """Maximum for ``ntimes`` of a pattern of several events, which is expanded into a sequence."""
 
 
-def substitute_variables(part: Pattern, fresh: Mapping[Var, Var]) -> Any:
+def substitute_variables(part: Pattern, renaming: Mapping[Var, Var]) -> Any:
     """Return a pattern in which some variables are replaced by others."""
 
-    def renamed(value: Any) -> Any:
+    def rename(value: Any) -> Any:
         if isinstance(value, (*PATTERNS, WindowForm, StepForm)):
-            return value.__class__(*map(renamed, value))
+            return value.__class__(*map(rename, value))
         # Terms are tuples that begin with a functor; any other tuple is a field with several patterns or variables.
         if value.__class__ is tuple and (not value or value[0].__class__ is not Functor):
             # Fields with several values: branches of ``or``, variables of repetitions.
-            return tuple(map(renamed, value))
-        return rebuild(value, lambda var: fresh.get(var, var)) if value.__class__ in (tuple, Var) else value
+            return tuple(map(rename, value))
+        return (
+            rebuild(value, lambda var: renaming.get(var, var)) if value.__class__ in (tuple, Var) else value
+        )
 
-    return renamed(part)
+    return rename(part)
 
 
 def bound_by(pattern: Pattern, negated: bool = False) -> List[Var]:
     """Return the variables that a match may bind, from left to right, optionally with negated patterns."""
     bound: Dict[Var, None] = {}
-    for part in walk(pattern, negated):
-        for term in own_terms(part):
+    for node in walk(pattern, negated):
+        for term in own_terms(node):
             for var in variables(term):
                 bound.setdefault(var)
     return list(bound)
 
 
-def surely_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = False) -> Set[Var]:
+def always_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = False) -> Set[Var]:
     """Return the variables that every match of a pattern binds.
 
     Args:
@@ -286,33 +288,33 @@ def surely_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = Fal
         empty: whether matches of aggregates without any repetition are considered too.
     """
     if isinstance(pattern, Either):
-        branches = [surely_bound_by(branch, conditions, empty) for branch in pattern.branches]
+        branches = [always_bound_by(branch, conditions, empty) for branch in pattern.branches]
         # A match has one branch only, so a variable is bound for certain only if all branches bind it.
         return set.intersection(*branches)
     if isinstance(pattern, Star) or (empty and isinstance(pattern, Aggregate)):
         # Zero repetitions are a match as well, and bind nothing.
-        return surely_bound_by(pattern.first, conditions, empty)
+        return always_bound_by(pattern.first, conditions, empty)
     # A condition binds variables when it is solved, which may be after the match was stored under its key.
     counts = conditions or not isinstance(pattern, Condition)
     bound = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
     for child in children(pattern, False):
-        bound |= surely_bound_by(child, conditions, empty)
+        bound |= always_bound_by(child, conditions, empty)
     return bound
 
 
-def own_terms(part: Pattern) -> List[Term]:
+def own_terms(node: Pattern) -> List[Term]:
     """Return the terms of one node, without those of its children."""
-    if isinstance(part, Occurs):
-        return [part.term]
-    if isinstance(part, (Condition, Action)):
-        return [part.goal]
-    if isinstance(part, Aggregate):
-        return [part.result] if part.value is None else [part.value, part.result]
-    if isinstance(part, Windowed):
-        measured = [value for value in part.values if value is not None]
-        return [*measured, *part.window.looked_at, *part.results]
-    if isinstance(part, Shaped):
-        return [*part.by] if part.value is None else [part.value, *part.by]
+    if isinstance(node, Occurs):
+        return [node.term]
+    if isinstance(node, (Condition, Action)):
+        return [node.goal]
+    if isinstance(node, Aggregate):
+        return [node.result] if node.value is None else [node.value, node.result]
+    if isinstance(node, Windowed):
+        measured = [value for value in node.values if value is not None]
+        return [*measured, *node.window.looked_at, *node.results]
+    if isinstance(node, Shaped):
+        return [*node.by] if node.value is None else [node.value, *node.by]
     return []
 
 
@@ -322,28 +324,28 @@ def walk(pattern: Pattern, negated: bool = False) -> List[Pattern]:
     # No recursion: sequences of thousands of events are nested that deep.
     stack = [pattern]
     while stack:
-        part = stack.pop()
-        nodes.append(part)
-        stack.extend(reversed(children(part, negated)))
+        node = stack.pop()
+        nodes.append(node)
+        stack.extend(reversed(children(node, negated)))
     return nodes
 
 
-def children(part: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
+def children(node: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
     """Return the children of a node, from left to right."""
-    if isinstance(part, Pair):
-        return (part.left, part.right)
-    if isinstance(part, Either):
-        return part.branches
-    if isinstance(part, (Absent, Awaited)):
-        return (part.pattern, part.negated) if negated else (part.pattern,)
-    if isinstance(part, Star):
-        return (part.first, part.repeated)
-    if isinstance(part, Aggregate):
-        return (part.first, part.collected)
-    if isinstance(part, Windowed):
-        return (part.collected,)
-    if isinstance(part, (Repeated, Condition, Within, Action, Shaped)):
-        return (part.pattern,)
+    if isinstance(node, Pair):
+        return (node.left, node.right)
+    if isinstance(node, Either):
+        return node.branches
+    if isinstance(node, (Absent, Awaited)):
+        return (node.pattern, node.negated) if negated else (node.pattern,)
+    if isinstance(node, Star):
+        return (node.first, node.repeated)
+    if isinstance(node, Aggregate):
+        return (node.first, node.collected)
+    if isinstance(node, Windowed):
+        return (node.collected,)
+    if isinstance(node, (Repeated, Condition, Within, Action, Shaped)):
+        return (node.pattern,)
     return ()
 
 
@@ -353,54 +355,54 @@ def same_rule_key(head: Optional[Term], pattern: Pattern) -> Hashable:
 
 
 def _as_term(pattern: Pattern) -> Term:
-    parts: List[Term] = []
-    for part in walk(pattern, True):
-        kind, marks = _discriminator(part)
-        parts.append((functor(kind, 0), *marks, *own_terms(part), *_conditions_of_steps(part)))
-    return (functor("pattern", 0), *parts)
+    terms: List[Term] = []
+    for node in walk(pattern, True):
+        name, numbers = _discriminator(node)
+        terms.append((functor(name, 0), *numbers, *own_terms(node), *_conditions_of_steps(node)))
+    return (functor("pattern", 0), *terms)
 
 
-def _conditions_of_steps(part: Pattern) -> List[Term]:
-    steps = part.window.steps if isinstance(part, Windowed) else ()
+def _conditions_of_steps(node: Pattern) -> List[Term]:
+    steps = node.window.steps if isinstance(node, Windowed) else ()
     # A placeholder keeps the positions of the conditions distinct: a ``where`` is no ``until``.
     none = functor("none", 1)(0)
     return [none if goal is None else goal for step in steps for goal in (step.goal, step.until)]
 
 
-def _discriminator(part: Pattern) -> Tuple[str, Tuple[int, ...]]:
+def _discriminator(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
     """Return a name and numbers that distinguish a node from others with the same terms."""
-    if isinstance(part, Pair):
-        return part.operator, ()
-    if isinstance(part, Aggregate):
-        return part.kind, ()
-    if isinstance(part, Shaped):
-        return part.shape, (part.span,)
-    if isinstance(part, Windowed):
-        settings = " ".join(map(repr, part.settings))
-        kind = f"{part.window.kind} {' '.join(part.kinds)} {settings}"
+    if isinstance(node, Pair):
+        return node.operator, ()
+    if isinstance(node, Aggregate):
+        return node.kind, ()
+    if isinstance(node, Shaped):
+        return node.shape, (node.span,)
+    if isinstance(node, Windowed):
+        settings = " ".join(map(repr, node.settings))
+        name = f"{node.window.kind} {' '.join(node.kinds)} {settings}"
         # Only the plain fields of steps: their conditions are terms, and compared as such.
-        kind += "".join(map(repr, (*(step[:5] for step in part.window.steps), *part.scopes)))
-        return kind, (*part.window[1:4], int(part.window.running), int(part.listed))
-    return type(part).__name__, _numbers(part)
+        name += "".join(map(repr, (*(step[:5] for step in node.window.steps), *node.scopes)))
+        return name, (*node.window[1:4], int(node.window.running), int(node.listed))
+    return type(node).__name__, _numbers(node)
 
 
-def _numbers(part: Pattern) -> Tuple[int, ...]:
-    if isinstance(part, Repeated):
-        return (part.times,)
-    if isinstance(part, Either):
-        return (len(part.branches),)
-    if isinstance(part, Absent):
-        return (int(part.inside),)
-    if isinstance(part, (Within, Awaited)):
-        return (part.span,)
-    if isinstance(part, Condition):
-        return (int(part.timed),)
-    return (int(part.every),) if isinstance(part, Action) else ()
+def _numbers(node: Pattern) -> Tuple[int, ...]:
+    if isinstance(node, Repeated):
+        return (node.times,)
+    if isinstance(node, Either):
+        return (len(node.branches),)
+    if isinstance(node, Absent):
+        return (int(node.inside),)
+    if isinstance(node, (Within, Awaited)):
+        return (node.span,)
+    if isinstance(node, Condition):
+        return (int(node.timed),)
+    return (int(node.every),) if isinstance(node, Action) else ()
 
 
 def _variable_occurrences(term: Term) -> List[Var]:
     """Return all occurrences of variables in a term."""
-    result: List[Var] = []
+    found_variables: List[Var] = []
     stack = [term]
     while stack:
         item = stack.pop()
@@ -409,17 +411,17 @@ def _variable_occurrences(term: Term) -> List[Var]:
         elif item.__class__ is Var:
             # Bound variables are followed, so that two variables that were unified count as one.
             if item.ref is None:
-                result.append(item)
+                found_variables.append(item)
             else:
                 stack.append(item.ref)
-    return result
+    return found_variables
 
 
 def occurrences(terms: List[Term], pattern: Optional[Pattern]) -> Dict[Var, int]:
     """Count the occurrences of each variable in a rule."""
     counts: Dict[Var, int] = {}
-    parts = [] if pattern is None else walk(pattern, True)
-    for term in [*terms, *(term for part in parts for term in own_terms(part))]:
+    nodes = [] if pattern is None else walk(pattern, True)
+    for term in [*terms, *(term for node in nodes for term in own_terms(node))]:
         for var in _variable_occurrences(term):
             counts[var] = counts.get(var, 0) + 1
     return counts
@@ -453,10 +455,10 @@ class RuleDefinition(NamedTuple):
     def unused(self) -> FrozenSet[Var]:
         """Variables with one occurrence, if each position in the rule is matched once."""
         if any(
-            isinstance(part, (Repeated, Star, Aggregate, Windowed))
-            for part in walk(self.pattern, negated=True)
+            isinstance(node, (Repeated, Star, Aggregate, Windowed))
+            for node in walk(self.pattern, negated=True)
         ):
             return frozenset()
         # In repeated nodes, one occurrence in the text joins several events, so its binding matters.
         counts = occurrences([self.term], None)
-        return frozenset(var for var, number in counts.items() if number == 1)
+        return frozenset(var for var, count in counts.items() if count == 1)

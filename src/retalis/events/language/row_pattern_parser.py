@@ -3,7 +3,7 @@
 A row pattern corresponds to MATCH_RECOGNIZE of SQL. A step is a pattern variable with a quantifier: ``high(2, 5)`` is
 ``HIGH{2,5}``, ``reluctant`` makes it reluctant, and its ``where`` goal is the DEFINE condition. ``prev(X)``,
 ``first(Step, X)`` and ``last(Step, X)`` are the navigation functions; the parser replaces each of them by a fresh
-variable and records in a `LookBack` the value to bind it to.
+variable and records in a `RowNavigation` the value to bind it to.
 
 A condition is split at its commas into parts (`conditions`), so that each part can be evaluated as soon as the rows
 that it refers to exist.
@@ -26,25 +26,25 @@ _LATER, _UNTIL, _WHERE = functor("later", 1), functor("until", 1), functor("wher
 _STEPS = functor("steps", 1)
 _GREEDY = "many"
 _RELUCTANT = "reluctant"
-_NAVIGATION = {functor("prev", 1): "prev", functor("first", 1): "first", functor("last", 1): "last"}
-_STEP_NAVIGATION = {functor("first", 2): "first", functor("last", 2): "last"}
-_FORM = "Name, Name(N), Name(N, M), Name(N, many), with reluctant or until(Goal) behind the numbers"
+_NAVIGATIONS = {functor("prev", 1): "prev", functor("first", 1): "first", functor("last", 1): "last"}
+_STEP_NAVIGATIONS = {functor("first", 2): "first", functor("last", 2): "last"}
+_STEP_NOTATION = "Name, Name(N), Name(N, M), Name(N, many), with reluctant or until(Goal) behind the numbers"
 
 
-class LookBack(NamedTuple):
+class RowNavigation(NamedTuple):
     """Navigation of a condition to a value in an earlier row.
 
     Attributes:
         kind: ``prev`` for the preceding row, ``first`` or ``last`` for a row of a step.
         step: number of the step; meaningless for ``prev``; -1 if there is no such step.
         var: variable of the pattern in that row.
-        stands: variable that replaces the navigation in the condition.
+        placeholder: variable that replaces the navigation in the condition.
     """
 
     kind: str
     step: int
     var: Var
-    stands: Var
+    placeholder: Var
 
 
 class StepCondition(NamedTuple):
@@ -52,22 +52,22 @@ class StepCondition(NamedTuple):
 
     Attributes:
         goal: the goal, with a variable in place of each navigation.
-        back: the navigations.
+        navigations: the navigations.
     """
 
     goal: Term
-    back: Tuple[LookBack, ...]
+    navigations: Tuple[RowNavigation, ...]
 
 
-def read_steps(
-    reader: "PatternReader", form: CompoundTerm, given: Set[Var]
+def parse_row_pattern(
+    reader: "PatternReader", form: CompoundTerm, pattern_variables: Set[Var]
 ) -> Tuple[Tuple[StepForm, ...], Tuple[Var, ...]]:
     """Return the steps of a row pattern, and the variables of the pattern that their conditions use.
 
     Args:
         reader: reads goals, and creates errors with places.
         form: the term of the row pattern.
-        given: the variables that the event pattern binds.
+        pattern_variables: the variables that the event pattern binds.
 
     Raises:
         RuleError: if a step is malformed or can never end.
@@ -75,7 +75,7 @@ def read_steps(
     items = list_items(form[1])
     if not items or len(items) > MAX_STEPS:
         raise reader.error(f"steps needs a list of 1 to {MAX_STEPS} steps", form, 1)
-    steps = [_step(reader, deref(step), form) for step in items]
+    steps = [_parse_step(reader, deref(step), form) for step in items]
     names = [step.name for step in steps]
     for name in names:
         # Navigations refer to steps by name.
@@ -84,57 +84,62 @@ def read_steps(
     # A match without any row would hold at every instant.
     if not any(step.least for step in steps):
         raise reader.error("at least one step must have a minimum above 0", form, 1)
-    _check_ends(reader, steps, form)
+    _require_ends(reader, steps, form)
     looked_at: List[Var] = []
     for number, step in enumerate(steps):
         for goal in step.goals:
-            parts = conditions(goal, names, number, given)
-            for back in (back for part in parts for back in part.back):
-                if back.var not in given or back.step < 0:
-                    raise _navigation_error(reader, back, names, form)
-            mentioned = [*variables(goal), *(back.var for part in parts for back in part.back)]
-            looked_at += [var for var in mentioned if var in given]
+            parts = conditions(goal, names, number, pattern_variables)
+            for navigations in (navigations for part in parts for navigations in part.navigations):
+                if navigations.var not in pattern_variables or navigations.step < 0:
+                    raise _navigation_error(reader, navigations, names, form)
+            mentioned = [
+                *variables(goal),
+                *(navigations.var for part in parts for navigations in part.navigations),
+            ]
+            looked_at += [var for var in mentioned if var in pattern_variables]
     return tuple(steps), tuple(dict.fromkeys(looked_at))
 
 
-def _step(reader: "PatternReader", term: Any, form: CompoundTerm) -> StepForm:
+def _parse_step(reader: "PatternReader", term: Any, form: CompoundTerm) -> StepForm:
     """Return the step that a term denotes."""
-    inner, later = term, False
+    unwrapped, later = term, False
     goal: Optional[Term] = None
-    while inner.__class__ is tuple and inner[0] in (_LATER, _WHERE):
-        if inner[0] is _WHERE and goal is None:
-            goal = reader.goal(inner, 2, "where")
-        elif inner[0] is _LATER and not later and deref(inner[1]).__class__ in (Atom, tuple):
+    while unwrapped.__class__ is tuple and unwrapped[0] in (_LATER, _WHERE):
+        if unwrapped[0] is _WHERE and goal is None:
+            goal = reader.goal(unwrapped, 2, "where")
+        elif unwrapped[0] is _LATER and not later and deref(unwrapped[1]).__class__ in (Atom, tuple):
             later = True
         else:
             break
-        inner = deref(inner[1])
-    if inner.__class__ is Atom:
-        return StepForm(inner.name, 1, 1, False, later, goal, None)
-    if inner.__class__ is not tuple or inner[0] in (_WHERE, _UNTIL):
-        raise reader.error(f"a step is {_FORM}; and Step where Goal, later(Step)", form, 1)
-    return _quantified_step(reader, inner, later, goal)
+        unwrapped = deref(unwrapped[1])
+    if unwrapped.__class__ is Atom:
+        return StepForm(unwrapped.name, 1, 1, False, later, goal, None)
+    if unwrapped.__class__ is not tuple or unwrapped[0] in (_WHERE, _UNTIL):
+        raise reader.error(f"a step is {_STEP_NOTATION}; and Step where Goal, later(Step)", form, 1)
+    return _quantified_step(reader, unwrapped, later, goal)
 
 
 def _quantified_step(
     reader: "PatternReader", term: CompoundTerm, later: bool, goal: Optional[Term]
 ) -> StepForm:
     """Return the step that a term with a quantifier denotes."""
-    args: List[Any] = [deref(arg) for arg in term[1:]]
+    arguments: List[Any] = [deref(argument) for argument in term[1:]]
     reluctant, until = False, None
-    option = args[-1]
+    option = arguments[-1]
     if option.__class__ is Atom and option.name == _RELUCTANT:
         reluctant = True
     elif option.__class__ is tuple and option[0] is _UNTIL:
         until = reader.goal(option, 1, "until")
     if reluctant or until is not None:
-        args.pop()
-    minimum: Any = args[0] if args else None
-    maximum: Any = args[-1] if args else None
-    if len(args) == 2 and maximum.__class__ is Atom and maximum.name == _GREEDY:
+        arguments.pop()
+    minimum: Any = arguments[0] if arguments else None
+    maximum: Any = arguments[-1] if arguments else None
+    if len(arguments) == 2 and maximum.__class__ is Atom and maximum.name == _GREEDY:
         maximum = None
-    if not 1 <= len(args) <= 2 or not _are_counts(minimum, maximum):
-        raise reader.error(f"a step is {_FORM}, where N is not larger than M, and M at least 1", term)
+    if not 1 <= len(arguments) <= 2 or not _are_counts(minimum, maximum):
+        raise reader.error(
+            f"a step is {_STEP_NOTATION}, where N is not larger than M, and M at least 1", term
+        )
     return StepForm(term[0].name, minimum, maximum, reluctant, later, goal, until)
 
 
@@ -144,7 +149,7 @@ def _are_counts(minimum: Any, maximum: Any) -> bool:
     return maximum is None or (maximum.__class__ is int and 1 <= maximum >= minimum)
 
 
-def _check_ends(reader: "PatternReader", steps: Sequence[StepForm], form: CompoundTerm) -> None:
+def _require_ends(reader: "PatternReader", steps: Sequence[StepForm], form: CompoundTerm) -> None:
     """Reject a step without an end, which would never complete a match."""
     for number, step in enumerate(steps):
         if step.reluctant or step.until is not None:
@@ -167,14 +172,16 @@ def _check_ends(reader: "PatternReader", steps: Sequence[StepForm], form: Compou
 
 
 def _navigation_error(
-    reader: "PatternReader", back: LookBack, names: Sequence[str], form: CompoundTerm
+    reader: "PatternReader", navigation: RowNavigation, names: Sequence[str], form: CompoundTerm
 ) -> RuleError:
-    if back.step < 0:
+    if navigation.step < 0:
         return reader.error(f"unknown step; the steps are {', '.join(names)}", form, 1)
-    return reader.error(f"{back.kind} needs a variable that the pattern binds", form, 1)
+    return reader.error(f"{navigation.kind} needs a variable that the pattern binds", form, 1)
 
 
-def conditions(goal: Term, names: Sequence[str], step: int, given: Container[Var]) -> List[StepCondition]:
+def conditions(
+    goal: Term, names: Sequence[str], step: int, pattern_variables: Container[Var]
+) -> List[StepCondition]:
     """Return the parts of a condition, each with its navigations.
 
     Conjuncts that share a variable local to the condition form one part, together with the conjuncts between them.
@@ -183,11 +190,13 @@ def conditions(goal: Term, names: Sequence[str], step: int, given: Container[Var
         goal: the condition.
         names: names of the steps.
         step: number of the step that has the condition.
-        given: variables that the event pattern binds; all others are local to the condition.
+        pattern_variables: variables that the event pattern binds; all others are local to the condition.
     """
-    conjuncts = list(_conjuncts(goal))
-    own = [[var for var in variables(conjunct) if var not in given] for conjunct in conjuncts]
-    last = {var: position for position, mentioned in enumerate(own) for var in mentioned}
+    conjuncts = list(_split_conjunction(goal))
+    free_variables = [
+        [var for var in variables(conjunct) if var not in pattern_variables] for conjunct in conjuncts
+    ]
+    last_use = {var: position for position, used in enumerate(free_variables) for var in used}
     parts: List[Term] = []
     end = -1
     for position, conjunct in enumerate(conjuncts):
@@ -196,11 +205,11 @@ def conditions(goal: Term, names: Sequence[str], step: int, given: Container[Var
             parts.append(conjunct)
         else:
             parts[-1] = (COMMA, parts[-1], conjunct)
-        end = max([end, *(last[var] for var in own[position])])
-    return [_with_navigations(conjunct, names, step) for conjunct in parts]
+        end = max([end, *(last_use[var] for var in free_variables[position])])
+    return [_replace_navigations(conjunct, names, step) for conjunct in parts]
 
 
-def _conjuncts(goal: Term) -> Iterator[Term]:
+def _split_conjunction(goal: Term) -> Iterator[Term]:
     stack = [deref(goal)]
     while stack:
         goal_part: Any = stack.pop()
@@ -211,33 +220,33 @@ def _conjuncts(goal: Term) -> Iterator[Term]:
             yield goal_part
 
 
-def _with_navigations(goal: Term, names: Sequence[str], step: int) -> StepCondition:
-    navigations: List[LookBack] = []
+def _replace_navigations(goal: Term, names: Sequence[str], step: int) -> StepCondition:
+    navigations: List[RowNavigation] = []
 
-    def replaced(term: Term) -> Term:
+    def replace(term: Term) -> Term:
         term = deref(term)
         if term.__class__ is not tuple:
             return term
-        back = _navigation(term, names, step)
-        if back is None:
-            return (term[0], *[replaced(arg) for arg in term[1:]])
-        navigations.append(back)
-        return back.stands
+        navigation = _parse_navigation(term, names, step)
+        if navigation is None:
+            return (term[0], *[replace(arg) for arg in term[1:]])
+        navigations.append(navigation)
+        return navigation.placeholder
 
-    return StepCondition(replaced(goal), tuple(navigations))
+    return StepCondition(replace(goal), tuple(navigations))
 
 
-def _navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Optional[LookBack]:
+def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Optional[RowNavigation]:
     """Return the navigation that a term denotes, or None."""
-    kind = _NAVIGATION.get(term[0])
+    kind = _NAVIGATIONS.get(term[0])
     var: Any = deref(term[-1])
     if kind is not None and var.__class__ is Var:
-        return LookBack(kind, step, var, Var())
-    kind = _STEP_NAVIGATION.get(term[0])
+        return RowNavigation(kind, step, var, Var())
+    kind = _STEP_NAVIGATIONS.get(term[0])
     name: Any = deref(term[1])
     if kind is None or name.__class__ is not Atom or var.__class__ is not Var:
         return None
-    return LookBack(kind, names.index(name.name) if name.name in names else -1, var, Var())
+    return RowNavigation(kind, names.index(name.name) if name.name in names else -1, var, Var())
 
 
 def steps_term(steps: Sequence[StepForm]) -> Term:
@@ -247,15 +256,15 @@ def steps_term(steps: Sequence[StepForm]) -> Term:
 
 def step_term(step: StepForm) -> Term:
     """Return the term of a step."""
-    args: List[Term] = [] if step.least == step.most == 1 else [step.least]
+    arguments: List[Term] = [] if step.least == step.most == 1 else [step.least]
     if step.most != step.least:
-        args.append(atom(_GREEDY) if step.most is None else step.most)
-    extra: Optional[Term] = atom(_RELUCTANT) if step.reluctant else None
+        arguments.append(atom(_GREEDY) if step.most is None else step.most)
+    ending: Optional[Term] = atom(_RELUCTANT) if step.reluctant else None
     if step.until is not None:
-        extra = _UNTIL(step.until)
-    if extra is not None:
-        args = [*(args or [1]), extra]
-    term: Term = functor(step.name, len(args))(*args) if args else atom(step.name)
+        ending = _UNTIL(step.until)
+    if ending is not None:
+        arguments = [*(arguments or [1]), ending]
+    term: Term = functor(step.name, len(arguments))(*arguments) if arguments else atom(step.name)
     if step.goal is not None:
         term = _WHERE(term, step.goal)
     return _LATER(term) if step.later else term

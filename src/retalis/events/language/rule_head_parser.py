@@ -21,17 +21,17 @@ from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Va
 from .called_predicates import calls
 from .event_operators import ARROWS, SPELLINGS
 from .likely_mistakes import head_error, head_warning, near
-from .pattern_parser import Spot
+from .pattern_parser import PlaceLookup
 
 RULE = functor("rule:", 2)
 _PROPERTY = functor("property", 2)
-WORDS: Dict[str, Tuple[str, ...]] = {
+WORD_PROPERTIES: Dict[str, Tuple[str, ...]] = {
     "policy": ("recent", "recent_2", "chronological", "chronological_2", "unrestricted"),
     "out_of_order": ("off", "on"),
     "after_match": ("keep", "skip_past_last", "skip_to_next"),
 }
 """Properties whose value is one of several words. If a property is set twice, the last value holds."""
-KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORDS)
+KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORD_PROPERTIES)
 _LABEL_FORM = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
@@ -56,8 +56,8 @@ class Property(NamedTuple):
 
     @property
     def word(self) -> Optional[str]:
-        """The value of a valid property of `WORDS`; None for a number."""
-        return self.value.name if self.name in WORDS and isinstance(self.value, Atom) else None
+        """The value of a valid property of `WORD_PROPERTIES`; None for a number."""
+        return self.value.name if self.name in WORD_PROPERTIES and isinstance(self.value, Atom) else None
 
     @property
     def problem(self) -> Optional[str]:
@@ -65,16 +65,20 @@ class Property(NamedTuple):
         if not self.known:
             names = ", ".join(KNOWN_PROPERTIES)
             return f"there is no property {self.name}; the properties are {names}{near(self.name, KNOWN_PROPERTIES)}"
-        words = WORDS.get(self.name)
+        words = WORD_PROPERTIES.get(self.name)
         if words is not None:
             value = self.value.name if isinstance(self.value, Atom) else ""
-            return None if value in words else f"property {self.name} is {_one_of(words)}{near(value, words)}"
+            return (
+                None
+                if value in words
+                else f"property {self.name} is {_alternatives_text(words)}{near(value, words)}"
+            )
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds, 0 or more"
         return None
 
 
-def _one_of(words: Tuple[str, ...]) -> str:
+def _alternatives_text(words: Tuple[str, ...]) -> str:
     return f"{', '.join(words[:-1])} or {words[-1]}"
 
 
@@ -83,8 +87,8 @@ def is_rule(term: Term) -> bool:
     if term.__class__ is not tuple:
         return False
     if term[0] is RULE or term[0] is COLON:
-        label, rule = labelled(term)
-        return label is not None and is_plain_rule(rule)
+        label, unlabelled = split_label(term)
+        return label is not None and is_plain_rule(unlabelled)
     return is_plain_rule(term)
 
 
@@ -93,7 +97,7 @@ def is_plain_rule(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
 
 
-def labelled(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
+def split_label(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
     """Return label and rule; the label is None if it is missing or malformed."""
     if term[0] is not RULE and term[0] is not COLON:
         return None, term
@@ -107,24 +111,24 @@ def labelled(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
     return label, deref(term[2])
 
 
-def label_error(term: CompoundTerm, spot: Spot) -> Optional[RuleError]:
+def label_error(term: CompoundTerm, place_of: PlaceLookup) -> Optional[RuleError]:
     """Return the error in the label of a rule, or None."""
-    if not is_plain_rule(deref(term[2])) or labelled(term)[0] is not None:
+    if not is_plain_rule(deref(term[2])) or split_label(term)[0] is not None:
         return None
     label = deref(term[1])
     # A variable is a plausible mistake: a label in upper case.
     if label.__class__ is Var:
-        return RuleError(f"{_LABEL_FORM}, not a variable", spot(term, 1))
+        return RuleError(f"{_LABEL_FORM}, not a variable", place_of(term, 1))
     if label.__class__ is tuple and len(label) == 2:
         for item in list_items(label[1]) or ():
             part = deref(item)
             if not _is_property(part):
-                place = spot(part) if part.__class__ is tuple else spot(label)
-                return RuleError(f"expected {_property_meant(part)}; {_LABEL_FORM}", place)
-    return RuleError(_LABEL_FORM, spot(term, 1))
+                place = place_of(part) if part.__class__ is tuple else place_of(label)
+                return RuleError(f"expected {_intended_property(part)}; {_LABEL_FORM}", place)
+    return RuleError(_LABEL_FORM, place_of(term, 1))
 
 
-def _property_meant(part: Term) -> str:
+def _intended_property(part: Term) -> str:
     """Return the property that was probably intended by an invalid item in the list of a label."""
     name: Any = None
     value: Any = None
@@ -133,7 +137,7 @@ def _property_meant(part: Term) -> str:
     # The infix forms that other configuration languages use.
     elif part.__class__ is tuple and len(part) == 3:  # window = 3, window-3
         name, value = getattr(deref(part[1]), "name", None), deref(part[2])
-    if name in WORDS and value.__class__ is Atom:
+    if name in WORD_PROPERTIES and value.__class__ is Atom:
         value = value.name
     elif name not in KNOWN_PROPERTIES or value.__class__ not in (int, float):
         return "property(Name, Value)"
@@ -147,10 +151,10 @@ def _is_property(term: Term) -> bool:
 _ALARM_AFTER = functor("exceptionAlarm", 2)
 _ALARM_AT = functor("exceptionAlarmAbsoluteDatime", 2)
 ALARMS = frozenset((_ALARM_AFTER, _ALARM_AT))
-_LEAP_YEAR = 2000
+_DEFAULT_YEAR = 2000
 
 
-def alarm_of(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
+def resolve_alarm(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Term, int, int]]:
     """Return the event of an alarm, its start and the instant at which it fires; None for any other head.
 
     If the instant lies before the start, the result is None too: as in the original engine, the head then is an
@@ -194,39 +198,43 @@ def require_alarm(head: CompoundTerm) -> None:
     Raises:
         UsageError: if no values of the variables make it valid.
     """
-    when = deref(head[2])
-    if when.__class__ is Var:
+    instant = deref(head[2])
+    if instant.__class__ is Var:
         return
     if head[0] is _ALARM_AFTER:
-        duration(when)
+        duration(instant)
     elif head[0] is _ALARM_AT:
-        filled = _with_default_fields(when)
+        with_defaults = _with_default_fields(instant)
         try:
-            from_any(filled)
+            from_any(with_defaults)
         except UsageError as error:
-            unknown = "no such date and time exists; " if _is_datime(filled) else ""
-            raise UsageError(f"{unknown}{error.message}") from None
+            prefix = "no such date and time exists; " if _is_datime(with_defaults) else ""
+            raise UsageError(f"{prefix}{error.message}") from None
 
 
 def _is_datime(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is DATIME6 or term[0] is DATIME7)
 
 
-def _with_default_fields(when: Term) -> Term:
+def _with_default_fields(instant: Term) -> Term:
     """Return an instant with its variables bound to values that are valid if any values are."""
-    if when.__class__ is not tuple:
-        return when
+    if instant.__class__ is not tuple:
+        return instant
     # A year, month or day of 1 exists in all formats, and 2000 is a leap year: if these values are invalid with the
     # bound fields, all values are.
-    if when[0] is CONS:
-        items = list_items(when)
-        return 1 if items is None else make_list([_bound_or(item, 1) for item in items])
-    if _is_datime(when):
-        return (when[0], _bound_or(when[1], _LEAP_YEAR), *(_bound_or(field, 1) for field in when[2:]))
-    return when
+    if instant[0] is CONS:
+        items = list_items(instant)
+        return 1 if items is None else make_list([_default_if_unbound(item, 1) for item in items])
+    if _is_datime(instant):
+        return (
+            instant[0],
+            _default_if_unbound(instant[1], _DEFAULT_YEAR),
+            *(_default_if_unbound(field, 1) for field in instant[2:]),
+        )
+    return instant
 
 
-def _bound_or(term: Term, value: int) -> Term:
+def _default_if_unbound(term: Term, value: int) -> Term:
     term = deref(term)
     return value if term.__class__ is Var else term
 
@@ -236,12 +244,14 @@ _TIMEOUT = functor("timeout", 1)
 _COLON = functor(":", 2)
 
 
-def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[RuleError], None]) -> None:
+def check_head(
+    head: Term, place_of: PlaceLookup, place: Optional[Place], warn: Callable[[RuleError], None]
+) -> None:
     """Check the head of a rule.
 
     Args:
         head: the head, without its ``do`` goal.
-        spot: returns the places of its parts.
+        place_of: returns the places of its parts.
         place: the place of the head.
         warn: receives probable mistakes that are not errors.
 
@@ -265,25 +275,25 @@ def check_head(head: Term, spot: Spot, place: Optional[Place], warn: Callable[[R
         try:
             require_alarm(head)
         except UsageError as error:
-            raise RuleError(error.message, spot(head, 2)) from None
+            raise RuleError(error.message, place_of(head, 2)) from None
     if head[0] in ALARMS or head[0] in SYNCHRONIZED:
         # The event inside a wrapper is a head as well, with the same rules.
         event = deref(head[1])
-        check_head(event, spot, spot(event) if event.__class__ is tuple else spot(head, 1), warn)
+        check_head(event, place_of, place_of(event) if event.__class__ is tuple else place_of(head, 1), warn)
     if head[0] in SYNCHRONIZED:
-        _check_query(head, spot)
+        _check_query(head, place_of)
 
 
-def _check_query(head: Any, spot: Spot) -> None:
+def _check_query(head: Any, place_of: PlaceLookup) -> None:
     """Check the query of a ``synchronized`` head, and the memories that it waits for."""
     for call in calls(head, 2):
         if call.term.__class__ not in (tuple, Atom, Var):
-            raise RuleError(f"{head[0].name} needs a goal", spot(call.parent, call.number))
+            raise RuleError(f"{head[0].name} needs a goal", place_of(call.parent, call.number))
     items, rest = list_parts(head[3])
     if not (rest is NIL or rest.__class__ is Var) or not all(_may_be_pair(item) for item in items):
-        raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", spot(head, 3))
+        raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", place_of(head, 3))
     if len(head) > 4 and not _may_be_options(deref(head[4])):
-        raise RuleError(f"{head[0].name} takes [timeout(Seconds)] as its options", spot(head, 4))
+        raise RuleError(f"{head[0].name} takes [timeout(Seconds)] as its options", place_of(head, 4))
 
 
 def _may_be_pair(term: Term) -> bool:
@@ -308,7 +318,7 @@ def _may_be_options(term: Term) -> bool:
 TIMER = functor("timer", 2)
 """Goal that sets a timer: the event, and its schedule."""
 
-FORMS = (
+SCHEDULE_NOTATIONS = (
     "every(Seconds)",
     "every(Seconds, from_now)",
     "at(Hour, Minute, Second)",
@@ -319,9 +329,9 @@ MIN_PERIOD_SECONDS = 0.001
 """Minimum period in seconds: with a shorter one, the timer would leave no time for other events."""
 
 MAX_INTERVAL_SECONDS = 10**9
-_DAY = 86_400 * SECOND
+_DAY_NANOSECONDS = 86_400 * SECOND
 _FROM_NOW = atom("from_now")
-_EVERY, _EVERY_FROM = functor("every", 1), functor("every", 2)
+_EVERY, _EVERY_FROM_NOW = functor("every", 1), functor("every", 2)
 _TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER = functor("at", 3), functor("at", 1), functor("after", 1)
 
 
@@ -357,38 +367,38 @@ class Schedule(NamedTuple):
         return now + self.period - (now - self.phase) % self.period
 
 
-def schedule_of(term: Term) -> Schedule:
+def parse_schedule(term: Term) -> Schedule:
     """Return the schedule that a term denotes.
 
     Raises:
         UsageError: if the term is not a valid schedule.
     """
-    when: Any = deref(term)
-    kind = when[0] if when.__class__ is tuple else None
-    if kind is _EVERY:
-        return Schedule(when, _seconds(when, MIN_PERIOD_SECONDS), True, phase=0)
+    schedule: Any = deref(term)
+    key = schedule[0] if schedule.__class__ is tuple else None
+    if key is _EVERY:
+        return Schedule(schedule, _interval(schedule, MIN_PERIOD_SECONDS), True, phase=0)
     # Without ``from_now``, periods are aligned to multiples since 1970, so all nodes fire at the same instants.
-    if kind is _EVERY_FROM and deref(when[2]) is _FROM_NOW:
-        return Schedule(when, _seconds(when, MIN_PERIOD_SECONDS), True)
-    if kind is _TIMER_AFTER:
-        return Schedule(when, _seconds(when), False)
-    if kind is _TIME_OF_DAY:
-        return Schedule(when, _DAY, True, phase=_time_of_day(when))
-    if kind is _TIMER_AT:
-        return Schedule(when, 0, False, instant=int(from_any(when[1])))
-    raise UsageError(f"expected {', '.join(FORMS[:-1])} or {FORMS[-1]}")
+    if key is _EVERY_FROM_NOW and deref(schedule[2]) is _FROM_NOW:
+        return Schedule(schedule, _interval(schedule, MIN_PERIOD_SECONDS), True)
+    if key is _TIMER_AFTER:
+        return Schedule(schedule, _interval(schedule), False)
+    if key is _TIME_OF_DAY:
+        return Schedule(schedule, _DAY_NANOSECONDS, True, phase=_parse_time_of_day(schedule))
+    if key is _TIMER_AT:
+        return Schedule(schedule, 0, False, instant=int(from_any(schedule[1])))
+    raise UsageError(f"expected {', '.join(SCHEDULE_NOTATIONS[:-1])} or {SCHEDULE_NOTATIONS[-1]}")
 
 
-def schedule_fault(term: Term) -> Optional[str]:
+def schedule_error(term: Term) -> Optional[str]:
     """Return the reason why a schedule is invalid for all values of its variables, or None."""
-    when: Any = deref(term)
-    if when.__class__ is Var:
+    schedule: Any = deref(term)
+    if schedule.__class__ is Var:
         return None
     # A rule may bind the variables of a schedule to valid numbers; it is checked again when the timer is set.
-    if when.__class__ is tuple and when[0] in _KINDS and not is_ground(when):
+    if schedule.__class__ is tuple and schedule[0] in _SCHEDULES and not is_ground(schedule):
         return None
     try:
-        schedule_of(when)
+        parse_schedule(schedule)
     except UsageError as error:
         return error.message
     return None
@@ -399,28 +409,28 @@ def sets_timer(term: Term) -> bool:
     goal: Any = deref(term)
     if goal.__class__ is not tuple or goal[0] is not TIMER:
         return False
-    when = deref(goal[2])
-    return when.__class__ is Var or (when.__class__ is tuple and when[0] in _KINDS)
+    schedule = deref(goal[2])
+    return schedule.__class__ is Var or (schedule.__class__ is tuple and schedule[0] in _SCHEDULES)
 
 
-_KINDS = frozenset((_EVERY, _EVERY_FROM, _TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER))
+_SCHEDULES = frozenset((_EVERY, _EVERY_FROM_NOW, _TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER))
 
 
-def _seconds(when: CompoundTerm, least: float = 0.0) -> int:
-    seconds: Any = deref(when[1])
-    if seconds.__class__ in (int, float) and least <= seconds <= MAX_INTERVAL_SECONDS and seconds > 0:
+def _interval(schedule: CompoundTerm, minimum: float = 0.0) -> int:
+    seconds: Any = deref(schedule[1])
+    if seconds.__class__ in (int, float) and minimum <= seconds <= MAX_INTERVAL_SECONDS and seconds > 0:
         return from_seconds(seconds)
-    wanted = f"of at least {least}" if least else "above 0"
-    raise UsageError(f"{when[0].name} needs a number of seconds {wanted}, {MAX_INTERVAL_SECONDS} at most")
+    bound = f"of at least {minimum}" if minimum else "above 0"
+    raise UsageError(f"{schedule[0].name} needs a number of seconds {bound}, {MAX_INTERVAL_SECONDS} at most")
 
 
-def _time_of_day(when: CompoundTerm) -> int:
+def _parse_time_of_day(schedule: CompoundTerm) -> int:
     hour: Any
     minute: Any
     second: Any
-    hour, minute, second = [deref(field) for field in when[1:]]
-    whole = hour.__class__ is int and minute.__class__ is int and second.__class__ in (int, float)
-    if whole and 0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 60:
+    hour, minute, second = [deref(field) for field in schedule[1:]]
+    has_valid_types = hour.__class__ is int and minute.__class__ is int and second.__class__ in (int, float)
+    if has_valid_types and 0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 60:
         instant: int = (hour * 60 + minute) * 60 * SECOND + from_seconds(second)
         return instant
     raise UsageError("at needs an hour from 0 to 23, a minute from 0 to 59 and a second below 60")
@@ -437,7 +447,7 @@ def makes_event(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] in NEW_EVENT or sets_timer(term))
 
 
-def made_by(head: Optional[Term]) -> Optional[Term]:
+def event_raised_by(head: Optional[Term]) -> Optional[Term]:
     """Return the event that a rule with some head raises, immediately or later."""
     if head is None:
         return None

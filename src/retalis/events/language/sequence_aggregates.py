@@ -46,15 +46,15 @@ class AggregateKind(NamedTuple):
         return self.check is not None
 
 
-def _identity(state: Term) -> Term:
+def _state_result(state: Term) -> Term:
     return state
 
 
-def _least(state: Any, value: Any) -> Any:
+def _minimum(state: Any, value: Any) -> Any:
     return value if state is None or value < state else state
 
 
-def _greatest(state: Any, value: Any) -> Any:
+def _maximum(state: Any, value: Any) -> Any:
     return value if state is None or value > state else state
 
 
@@ -79,7 +79,7 @@ def _average(state: Tuple[float, int]) -> Term:
     return total / count
 
 
-def _list_of_state(state: Any) -> Term:
+def _list_result(state: Any) -> Term:
     """Return the list of a state, which is nested pairs, newest value outermost: adding takes constant time."""
     items = []
     while state:
@@ -92,10 +92,10 @@ def _list_of_state(state: Any) -> Term:
 AGGREGATES: Dict[str, AggregateKind] = {
     kind.name: kind
     for kind in (
-        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _identity, None),
-        AggregateKind("sum", 1, 0, 0, _sum, _identity, check_finite),
-        AggregateKind("min", 1, None, None, _least, _identity, check_ordered),
-        AggregateKind("max", 1, None, None, _greatest, _identity, check_ordered),
+        AggregateKind("count", 0, 0, 0, lambda state, value: state + 1, _state_result, None),
+        AggregateKind("sum", 1, 0, 0, _sum, _state_result, check_finite),
+        AggregateKind("min", 1, None, None, _minimum, _state_result, check_ordered),
+        AggregateKind("max", 1, None, None, _maximum, _state_result, check_ordered),
         AggregateKind(
             "avg",
             1,
@@ -105,7 +105,7 @@ AGGREGATES: Dict[str, AggregateKind] = {
             _average,
             check_finite,
         ),
-        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _list_of_state, None),
+        AggregateKind("list", 1, (), NIL, lambda state, value: (state, value), _list_result, None),
     )
 }
 """Aggregate functions by name."""
@@ -143,8 +143,8 @@ class Collector:
             if self.start == (0, 0):
                 if state.__class__ is not tuple or len(state) != 2:
                     return False
-                state, number = state
-                if number.__class__ is not int or number < 0:
+                state, count = state
+                if count.__class__ is not int or count < 0:
                     return False
             if state is not self.start:
                 self.kind.check(state, self.name)

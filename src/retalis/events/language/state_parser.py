@@ -19,7 +19,7 @@ STATE = frozenset((functor("state", 3), functor("state", 4)))
 HOLDS = frozenset((functor("holds", 1), functor("holds", 2), functor("holds_at", 2)))
 """Goals that query whether the state in their first argument holds."""
 
-FORM = "state(S, from(Event), until(Event)) or state(S, from(Event), until(Event), Options)"
+STATE_NOTATION = "state(S, from(Event), until(Event)) or state(S, from(Event), until(Event), Options)"
 DEFAULT_MAX_PAST = 1000
 """Default maximum for ended intervals that can be queried."""
 
@@ -27,8 +27,8 @@ DEFAULT_MAX_OPEN = 10_000
 """Default maximum for states that hold at the same time."""
 
 _FROM, _UNTIL = functor("from", 1), functor("until", 1)
-_LIMITS = {"past": (0, 1_000_000), "open": (1, 1_000_000)}
-_OPTIONS = "the options are within(Seconds), past(Number) and open(Number)"
+_OPTION_RANGES = {"past": (0, 1_000_000), "open": (1, 1_000_000)}
+_OPTION_NOTATIONS = "the options are within(Seconds), past(Number) and open(Number)"
 
 
 class StateForm(NamedTuple):
@@ -60,7 +60,7 @@ class StateForm(NamedTuple):
     @property
     def functor(self) -> Functor:
         """The functor of the state."""
-        return _key(self.state)
+        return _event_functor(self.state)
 
     @property
     def key(self) -> Hashable:
@@ -78,36 +78,36 @@ def declares_state(term: Term) -> bool:
     return begins.__class__ is tuple and begins[0] is _FROM
 
 
-def state_form(term: Term) -> StateForm:
+def parse_state_declaration(term: Term) -> StateForm:
     """Return the state that a term declares.
 
     Raises:
         UsageError: if the declaration is malformed.
     """
     goal: Any = deref(term)
-    state = _event(goal[1], "a state")
-    begins, ends = _event_in(goal[2], _FROM), _event_in(goal[3], _UNTIL)
+    state = _require_event(goal[1], "a state")
+    begins, ends = _wrapped_event(goal[2], _FROM), _wrapped_event(goal[3], _UNTIL)
     # The end of a state raises an event of its name, which would start or end the state again without end.
-    if _key(state) in (_key(begins), _key(ends)):
+    if _event_functor(state) in (_event_functor(begins), _event_functor(ends)):
         raise UsageError("a state cannot begin or end with events of its own name")
     # Instances of a state are told apart by their bound arguments from the start on.
     if not set(variables(state)) <= set(variables(begins)):
         raise UsageError("each variable of the state must occur in from(...), which binds it")
-    return StateForm(goal, state, begins, ends, **(_options(goal[4]) if len(goal) == 5 else {}))
+    return StateForm(goal, state, begins, ends, **(_parse_options(goal[4]) if len(goal) == 5 else {}))
 
 
-def _event_in(term: Term, wrapper: Functor) -> Term:
+def _wrapped_event(term: Term, wrapper: Functor) -> Term:
     part: Any = deref(term)
     if part.__class__ is not tuple or part[0] is not wrapper:
-        raise UsageError(f"expected {FORM}")
-    return _event(part[1], f"the argument of {wrapper.name}(...)")
+        raise UsageError(f"expected {STATE_NOTATION}")
+    return _require_event(part[1], f"the argument of {wrapper.name}(...)")
 
 
-def _event(term: Term, subject: str) -> Term:
+def _require_event(term: Term, subject: str) -> Term:
     event: Term = deref(term)
     if event.__class__ is not tuple and not isinstance(event, Atom):
         raise UsageError(f"{subject} is an event: an atom or a compound term")
-    key = _key(event)
+    key = _event_functor(event)
     # Patterns are compiled for rules only; a declared state listens to single events.
     if key in SPELLINGS or key is COMMA:
         raise UsageError(
@@ -116,15 +116,15 @@ def _event(term: Term, subject: str) -> Term:
     return event
 
 
-def _key(event: Term) -> Functor:
+def _event_functor(event: Term) -> Functor:
     key: Functor = event[0] if event.__class__ is tuple else event.functor  # type: ignore[union-attr]
     return key
 
 
-def _options(term: Term) -> Dict[str, Any]:
+def _parse_options(term: Term) -> Dict[str, Any]:
     items: Optional[List[Term]] = list_items(term)
     if items is None:
-        raise UsageError(f"expected a list of options; {_OPTIONS}")
+        raise UsageError(f"expected a list of options; {_OPTION_NOTATIONS}")
     options: Dict[str, Any] = {}
     for item in items:
         option: Any = deref(item)
@@ -134,17 +134,17 @@ def _options(term: Term) -> Dict[str, Any]:
             if value.__class__ not in (int, float) or not 0 < value <= 1e9:
                 raise UsageError("within(Seconds) needs a number of seconds above 0")
             options[name] = from_seconds(value)
-        elif name in _LIMITS:
-            low, high = _LIMITS[name]
+        elif name in _OPTION_RANGES:
+            low, high = _OPTION_RANGES[name]
             if value.__class__ is not int or not low <= value <= high:
                 raise UsageError(f"{name}(Number) needs an integer from {low} to {high}")
             options[name] = value
         else:
-            raise UsageError(_OPTIONS)
+            raise UsageError(_OPTION_NOTATIONS)
     return options
 
 
-def asked_state(term: Term) -> Optional[Functor]:
+def queried_state(term: Term) -> Optional[Functor]:
     """Return the functor of the state that a goal queries, or None if it is not fixed."""
     goal: Any = deref(term)
     if goal.__class__ is not tuple or goal[0] not in HOLDS:
@@ -152,4 +152,4 @@ def asked_state(term: Term) -> Optional[Functor]:
     state: Any = deref(goal[1])
     if state.__class__ is Var or (state.__class__ is not tuple and not isinstance(state, Atom)):
         return None
-    return _key(state)
+    return _event_functor(state)

@@ -20,7 +20,7 @@ from ..streams.accumulators import MEASURES
 from .event_operators import SPELLINGS
 from .likely_mistakes import bracket_advice, near
 from .pattern_tree import Occurs, Pattern, Shaped, Windowed, WindowForm, bound_by
-from .row_pattern_parser import read_steps, steps_term
+from .row_pattern_parser import parse_row_pattern, steps_term
 
 if TYPE_CHECKING:
     from .pattern_parser import PatternReader
@@ -34,7 +34,7 @@ MAX_WINDOW_ITEMS = 1_000_000
 """Maximum size of a window of a number of events."""
 
 
-class FormReader(Protocol):
+class OperandReader(Protocol):
     """Reader of patterns: `PatternReader` for rules, `_SingleEvent` for subscriptions."""
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
@@ -47,7 +47,7 @@ class FormReader(Protocol):
         """Return an error at a term, or at one of its arguments."""
 
 
-class ShapeForm(NamedTuple):
+class RateOperatorNotation(NamedTuple):
     """Notation of a rate operator.
 
     Attributes:
@@ -59,22 +59,22 @@ class ShapeForm(NamedTuple):
     timed: bool
 
 
-SHAPES: Dict[str, ShapeForm] = {
-    "throttle": ShapeForm("throttle(Seconds) or throttle(Seconds, Key)", True),
-    "burst": ShapeForm("burst(Seconds) or burst(Seconds, Key)", True),
-    "debounce": ShapeForm("debounce(Seconds) or debounce(Seconds, Key)", True),
-    "change": ShapeForm("change(Value) or change(Value, Key)", False),
+RATE_OPERATORS: Dict[str, RateOperatorNotation] = {
+    "throttle": RateOperatorNotation("throttle(Seconds) or throttle(Seconds, Key)", True),
+    "burst": RateOperatorNotation("burst(Seconds) or burst(Seconds, Key)", True),
+    "debounce": RateOperatorNotation("debounce(Seconds) or debounce(Seconds, Key)", True),
+    "change": RateOperatorNotation("change(Value) or change(Value, Key)", False),
 }
 """Rate operators, by name."""
 
-_WINDOWS = (
+_WINDOW_NOTATIONS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
     "every(N, events), running(every(...)), or steps([Step, ...])"
 )
 
 
 _WINDOW_NAMES = frozenset(("last", "every", "running", "steps"))
-_OF_STEP = "of"
+_STEP_RESTRICTION = "of"
 
 
 def is_event(term: CompoundTerm) -> bool:
@@ -86,12 +86,18 @@ def is_event(term: CompoundTerm) -> bool:
         return deref(term[2]).__class__ not in (int, float)
     if term[0] is not _AGGREGATE_FUNCTOR:
         return False
-    kind, window = deref(term[1]), deref(term[4])
-    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
-    measured = name in MEASURES or name == _OF_STEP or list_items(kind) is not None
+    function, window = deref(term[1]), deref(term[4])
+    name = (
+        function.name
+        if function.__class__ is Atom
+        else function[0].name
+        if function.__class__ is tuple
+        else ""
+    )
+    is_aggregate = name in MEASURES or name == _STEP_RESTRICTION or list_items(function) is not None
     # Both the kind and the window must look foreign: a misspelt kind with a proper window is reported as an error,
     # instead of being taken for an event that never occurs.
-    return not measured and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
+    return not is_aggregate and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
 
 
 def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
@@ -99,223 +105,250 @@ def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
 
     A rate operator is not a pattern, so an operator to the right of it applies to all of ``P with S``.
     """
-    path: List[CompoundTerm] = []
-    shape = deref(term[2])
+    outer_operations: List[CompoundTerm] = []
+    operator = deref(term[2])
     # ``with`` binds more loosely than the operators that may follow, so they are parsed as part of its right operand.
-    while shape.__class__ is tuple and shape[0] in SPELLINGS:
-        path.append(shape)
-        shape = deref(shape[1])
-    if not path or shape.__class__ is not tuple or shape[0].name not in SHAPES:
+    while operator.__class__ is tuple and operator[0] in SPELLINGS:
+        outer_operations.append(operator)
+        operator = deref(operator[1])
+    if not outer_operations or operator.__class__ is not tuple or operator[0].name not in RATE_OPERATORS:
         return None
-    regrouped: CompoundTerm = (term[0], term[1], shape)
-    for operation in reversed(path):
+    regrouped: CompoundTerm = (term[0], term[1], operator)
+    for operation in reversed(outer_operations):
         regrouped = (operation[0], regrouped, *operation[2:])
     return regrouped
 
 
-def read_shape(reader: FormReader, term: CompoundTerm) -> Shaped:
+def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> Shaped:
     """Return the pattern ``P with S``.
 
     Raises:
         RuleError: if the rate operator is malformed, or uses a variable that P does not bind.
     """
     pattern = reader.operand(term, 1, "with")
-    shape: Any = deref(term[2])
-    name = shape[0].name if shape.__class__ is tuple else ""
-    if name not in SHAPES or len(shape) not in (2, 3):
-        forms = "; ".join(key.form for key in SHAPES.values())
-        error_at = (shape,) if shape.__class__ is tuple else (term, 2)
-        raise reader.error(f"with needs one of {forms}{near(name, SHAPES)}", *error_at)
+    operator: Any = deref(term[2])
+    name = operator[0].name if operator.__class__ is tuple else ""
+    if name not in RATE_OPERATORS or len(operator) not in (2, 3):
+        notations = "; ".join(part.form for part in RATE_OPERATORS.values())
+        error_position = (operator,) if operator.__class__ is tuple else (term, 2)
+        raise reader.error(f"with needs one of {notations}{near(name, RATE_OPERATORS)}", *error_position)
     span, value = 0, None
-    if SHAPES[name].timed:
-        span = _seconds(reader, name, shape, 1)
+    if RATE_OPERATORS[name].timed:
+        span = _parse_seconds(reader, name, operator, 1)
     else:
-        value = deref(shape[1])
-    by: Tuple[Term, ...] = ()
-    if len(shape) == 3:
-        items = list_items(shape[2])
+        value = deref(operator[1])
+    keys: Tuple[Term, ...] = ()
+    if len(operator) == 3:
+        items = list_items(operator[2])
         # A key is one term or a list of terms.
-        by = tuple(items if items is not None else [deref(shape[2])])
-    given = set(bound_by(pattern))
-    for number, used_term in ((1, value), *((2, key) for key in by)):
-        if used_term is not None and any(var not in given for var in variables(used_term)):
-            raise reader.error(f"{name} uses a variable that no event of its pattern binds", shape, number)
-    return Shaped(pattern, name, span, value, by)
+        keys = tuple(items if items is not None else [deref(operator[2])])
+    pattern_variables = set(bound_by(pattern))
+    for number, used in ((1, value), *((2, part) for part in keys)):
+        if used is not None and any(var not in pattern_variables for var in variables(used)):
+            raise reader.error(f"{name} uses a variable that no event of its pattern binds", operator, number)
+    return Shaped(pattern, name, span, value, keys)
 
 
-def read_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
+def parse_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
     """Return the pattern ``aggregate(K, Q, R, W)``.
 
     Raises:
         RuleError: if a measure or the window is malformed, or a measured variable is not bound by Q.
     """
-    kind = deref(term[1])
+    functions = deref(term[1])
     # One measure, or a list of measures over the same window.
-    several = list_items(kind)
-    if several is not None and not several:
+    function_list = list_items(functions)
+    if function_list is not None and not function_list:
         raise reader.error("an aggregate needs at least one kind", term, 1)
-    kinds = [kind] if several is None else [deref(measure) for measure in several]
-    restricted = [_restricted_measure(measure) for measure in kinds]
-    measures = [_measure(reader, measure, term) for _, measure in restricted]
+    function_terms = [functions] if function_list is None else [deref(measure) for measure in function_list]
+    restricted_measures = [_split_step_restriction(measure) for measure in function_terms]
+    measures = [_parse_measure(reader, measure, term) for _, measure in restricted_measures]
     collected = reader.operand(term, 2, "aggregate")
-    given = set(bound_by(collected))
-    for (_, measure), (_, _, value) in zip(restricted, measures):
-        if value is not None and any(var not in given for var in variables(value)):
+    pattern_variables = set(bound_by(collected))
+    for (_, measure), (_, _, value) in zip(restricted_measures, measures):
+        if value is not None and any(var not in pattern_variables for var in variables(value)):
             raise reader.error("a measured value has a variable that no event in the window binds", measure)
     # For a list of measures, the result is a list of the same length, or a variable for the whole list.
-    items = list_items(term[3]) if several is not None else None
-    if items is not None and len(items) != len(kinds):
-        raise reader.error(f"{len(kinds)} aggregates have {len(kinds)} results, not {len(items)}", term, 3)
-    results = tuple([deref(term[3])] if items is None else [deref(measure) for measure in items])
-    window = _window(reader, deref(term[4]), term, given)
-    scopes = _scopes(reader, [step for step, _ in restricted], window, term)
+    result_terms = list_items(term[3]) if function_list is not None else None
+    if result_terms is not None and len(result_terms) != len(function_terms):
+        raise reader.error(
+            f"{len(function_terms)} aggregates have {len(function_terms)} results, not {len(result_terms)}",
+            term,
+            3,
+        )
+    results = tuple(
+        [deref(term[3])] if result_terms is None else [deref(measure) for measure in result_terms]
+    )
+    window = _parse_window_term(reader, deref(term[4]), term, pattern_variables)
+    scopes = _step_numbers(reader, [step for step, _ in restricted_measures], window, term)
     # The rate is computed between the first and the last event of a window.
     if "rate" in [name for name, _, _ in measures] and window.kind == "batch" and window.most == 1:
         raise reader.error("rate needs a window of at least two events", term, 4)
     names, settings, values = zip(*measures)
-    listed = several is not None and items is None
-    return Windowed(collected, names, settings, values, results, listed, window, scopes)
+    is_listed = function_list is not None and result_terms is None
+    return Windowed(collected, names, settings, values, results, is_listed, window, scopes)
 
 
-def _restricted_measure(kind: Any) -> Tuple[Any, Any]:
+def _split_step_restriction(measure: Any) -> Tuple[Any, Any]:
     """Return the step that a measure is restricted to, or None, and the measure."""
-    if kind.__class__ is tuple and kind[0].name == _OF_STEP and len(kind) == 3:
-        return deref(kind[1]), deref(kind[2])
-    return None, kind
+    if measure.__class__ is tuple and measure[0].name == _STEP_RESTRICTION and len(measure) == 3:
+        return deref(measure[1]), deref(measure[2])
+    return None, measure
 
 
-def _scopes(
+def _step_numbers(
     reader: "PatternReader", steps: Sequence[Any], window: WindowForm, term: CompoundTerm
 ) -> Tuple[Optional[int], ...]:
     """Return for each measure the number of the step that it is restricted to, or None."""
-    step_names = [atom(step_name.name) for step_name in window.steps]
+    names = [atom(window_step.name) for window_step in window.steps]
     for step in steps:
-        if step is not None and step not in step_names:
-            hint = (
-                f"; there are {', '.join(step_name.name for step_name in step_names)}" if step_names else ""
-            )
+        if step is not None and step not in names:
+            hint = f"; there are {', '.join(window_step.name for window_step in names)}" if names else ""
             message = f"of(Step, Kind) needs the name of a step of a window of steps{hint}"
             raise reader.error(message, term, 1)
-    return tuple([None if step is None else step_names.index(step) for step in steps])
+    return tuple([None if step is None else names.index(step) for step in steps])
 
 
-def _measure(reader: "PatternReader", kind: Any, term: CompoundTerm) -> Tuple[str, Any, Optional[Term]]:
+def _parse_measure(
+    reader: "PatternReader", function: Any, term: CompoundTerm
+) -> Tuple[str, Any, Optional[Term]]:
     """Return the name of a measure, its setting, and the measured term."""
-    name = kind.name if kind.__class__ is Atom else kind[0].name if kind.__class__ is tuple else ""
-    args: Sequence[Term] = kind[1:] if kind.__class__ is tuple else ()
-    error_at = (kind,) if kind.__class__ is tuple else (term, 1)
+    name = (
+        function.name
+        if function.__class__ is Atom
+        else function[0].name
+        if function.__class__ is tuple
+        else ""
+    )
+    arguments: Sequence[Term] = function[1:] if function.__class__ is tuple else ()
+    error_position = (function,) if function.__class__ is tuple else (term, 1)
     measure = MEASURES.get(name)
-    if measure is None or len(args) != measure.settings + measure.takes:
-        forms = ", ".join(arg.form for arg in MEASURES.values())
+    if measure is None or len(arguments) != measure.settings + measure.takes:
+        notations = ", ".join(argument.form for argument in MEASURES.values())
         raise reader.error(
-            f"there is no such aggregate; the aggregates are {forms}{near(name, MEASURES)}", *error_at
+            f"there is no such aggregate; the aggregates are {notations}{near(name, MEASURES)}",
+            *error_position,
         )
-    settings = [deref(arg) for arg in args[: measure.settings]]
+    settings = [deref(argument) for argument in arguments[: measure.settings]]
     setting: Any = None
     if name == "quantile":
         setting = settings[0]
         if setting.__class__ not in (int, float) or not 0 <= setting <= 1:
-            raise reader.error("quantile needs a number from 0 to 1", *error_at)
+            raise reader.error("quantile needs a number from 0 to 1", *error_position)
     elif settings:
         setting = tuple(settings)
-        if not all(arg.__class__ is Atom for arg in settings):
-            raise reader.error(f"{measure.form} needs the names of three predicates", *error_at)
-    return name, setting, deref(args[-1]) if measure.takes else None
+        if not all(argument.__class__ is Atom for argument in settings):
+            raise reader.error(f"{measure.form} needs the names of three predicates", *error_position)
+    return name, setting, deref(arguments[-1]) if measure.takes else None
 
 
-def _window(reader: "PatternReader", form: Any, term: CompoundTerm, given: Set[Var]) -> WindowForm:
-    """Return the window that a term denotes; ``given`` are the variables that the pattern binds."""
-    name = form[0].name if form.__class__ is tuple else ""
-    if name == "steps" and len(form) == 2:
-        steps, looked_at = read_steps(reader, form, given)
+def _parse_window_term(
+    reader: "PatternReader", window: Any, term: CompoundTerm, pattern_variables: Set[Var]
+) -> WindowForm:
+    """Return the window that a term denotes; ``pattern_variables`` are the variables that the pattern binds."""
+    name = window[0].name if window.__class__ is tuple else ""
+    if name == "steps" and len(window) == 2:
+        steps, looked_at = parse_row_pattern(reader, window, pattern_variables)
         return WindowForm("steps", steps=steps, looked_at=looked_at)
-    if name == "running" and len(form) == 2:
-        inner = _window(reader, deref(form[1]), term, given)
+    if name == "running" and len(window) == 2:
+        tumbling = _parse_window_term(reader, deref(window[1]), term, pattern_variables)
         # Sliding windows and row patterns emit at each match in any case, and hopping windows overlap.
-        if inner.kind not in ("every", "first", "batch") or inner.span != inner.step:
+        if tumbling.kind not in ("every", "first", "batch") or tumbling.span != tumbling.step:
             raise reader.error(
-                "running needs every(Seconds), every(Seconds, first) or every(N, events)", form
+                "running needs every(Seconds), every(Seconds, first) or every(N, events)", window
             )
-        return inner._replace(running=True)
-    second: Any = deref(form[2]) if form.__class__ is tuple and len(form) == 3 else None
-    word = second.name if second.__class__ is Atom else ""
-    if name not in ("last", "every") or len(form) not in (2, 3):
-        word = "wrong"
-    elif word == "events":
-        most = deref(form[1])
-        if most.__class__ is not int or not 1 <= most <= MAX_WINDOW_ITEMS:
-            raise reader.error(f"{name} needs a number of events from 1 to {MAX_WINDOW_ITEMS}", form, 1)
-        return WindowForm("newest" if name == "last" else "batch", most=most)
-    elif len(form) == 2:
-        span = _seconds(reader, name, form, 1)
-        return WindowForm(name, span, span) if name == "last" else _hopping(reader, form, span, span)
-    elif name == "every" and word == "first":
-        span = _seconds(reader, name, form, 1)
+        return tumbling._replace(running=True)
+    second: Any = deref(window[2]) if window.__class__ is tuple and len(window) == 3 else None
+    option = second.name if second.__class__ is Atom else ""
+    if name not in ("last", "every") or len(window) not in (2, 3):
+        option = "wrong"
+    elif option == "events":
+        size = deref(window[1])
+        if size.__class__ is not int or not 1 <= size <= MAX_WINDOW_ITEMS:
+            raise reader.error(f"{name} needs a number of events from 1 to {MAX_WINDOW_ITEMS}", window, 1)
+        return WindowForm("newest" if name == "last" else "batch", most=size)
+    elif len(window) == 2:
+        span = _parse_seconds(reader, name, window, 1)
+        return WindowForm(name, span, span) if name == "last" else _hopping_window(reader, window, span, span)
+    elif name == "every" and option == "first":
+        span = _parse_seconds(reader, name, window, 1)
         return WindowForm("first", span, span)
     elif name == "last" and second.__class__ is tuple and second[0].name == "every" and len(second) == 2:
-        return _hopping(reader, form, _seconds(reader, name, form, 1), _seconds(reader, "every", second, 1))
-    raise reader.error(f"a window is {_WINDOWS}", *((form,) if form.__class__ is tuple else (term, 4)))
+        return _hopping_window(
+            reader,
+            window,
+            _parse_seconds(reader, name, window, 1),
+            _parse_seconds(reader, "every", second, 1),
+        )
+    raise reader.error(
+        f"a window is {_WINDOW_NOTATIONS}", *((window,) if window.__class__ is tuple else (term, 4))
+    )
 
 
-def _hopping(reader: "PatternReader", form: CompoundTerm, span: int, step: int) -> WindowForm:
+def _hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowForm:
     """Return windows that the clock closes, at regular times."""
     # One event that arrives late can close all windows that it is too new for, so their number must be bounded.
     if step < MIN_STEP_NANOSECONDS or span > MAX_WINDOWS * step:
         message = f"every needs 0.001 seconds at least, and last no more than {MAX_WINDOWS} times those of its every"
-        raise reader.error(message, form)
+        raise reader.error(message, window)
     return WindowForm("every", span, step)
 
 
-def _seconds(reader: FormReader, name: str, term: CompoundTerm, number: int) -> int:
-    span = deref(term[number])
-    if span.__class__ not in (int, float) or not span > 0 or span == float("inf") or not from_seconds(span):
+def _parse_seconds(reader: OperandReader, name: str, term: CompoundTerm, number: int) -> int:
+    seconds = deref(term[number])
+    if (
+        seconds.__class__ not in (int, float)
+        or not seconds > 0
+        or seconds == float("inf")
+        or not from_seconds(seconds)
+    ):
         raise reader.error(
-            f"{name} needs a positive number of seconds{bracket_advice(name, span)}", term, number
+            f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, number
         )
-    return from_seconds(span)
+    return from_seconds(seconds)
 
 
-def shape_term(part: Shaped) -> Term:
+def rate_operator_term(shaped: Shaped) -> Term:
     """Return the term of a rate operator."""
-    first = timestamps.to_seconds(part.span) if part.value is None else part.value
-    if not part.by:
-        return functor(part.shape, 1)(first)
-    by = part.by[0] if len(part.by) == 1 else make_list(part.by)
-    return functor(part.shape, 2)(first, by)
+    first = timestamps.to_seconds(shaped.span) if shaped.value is None else shaped.value
+    if not shaped.by:
+        return functor(shaped.shape, 1)(first)
+    keys = shaped.by[0] if len(shaped.by) == 1 else make_list(shaped.by)
+    return functor(shaped.shape, 2)(first, keys)
 
 
-def window_term(form: WindowForm) -> Term:
+def window_term(window: WindowForm) -> Term:
     """Return the term of a window."""
-    if form.kind == "steps":
-        return steps_term(form.steps)
-    every_one, every_two = functor("every", 1), functor("every", 2)
-    span = timestamps.to_seconds(form.span)
-    if form.kind == "last":
+    if window.kind == "steps":
+        return steps_term(window.steps)
+    every, every_with_option = functor("every", 1), functor("every", 2)
+    span = timestamps.to_seconds(window.span)
+    if window.kind == "last":
         return functor("last", 1)(span)
-    if form.kind == "newest":
-        return functor("last", 2)(form.most, atom("events"))
-    if form.kind == "batch":
-        term = every_two(form.most, atom("events"))
-    elif form.kind == "first":
-        term = every_two(span, atom("first"))
-    elif form.span == form.step:
-        term = every_one(span)
+    if window.kind == "newest":
+        return functor("last", 2)(window.most, atom("events"))
+    if window.kind == "batch":
+        term = every_with_option(window.most, atom("events"))
+    elif window.kind == "first":
+        term = every_with_option(span, atom("first"))
+    elif window.span == window.step:
+        term = every(span)
     else:
-        term = functor("last", 2)(span, every_one(timestamps.to_seconds(form.step)))
-    return functor("running", 1)(term) if form.running else term
+        term = functor("last", 2)(span, every(timestamps.to_seconds(window.step)))
+    return functor("running", 1)(term) if window.running else term
 
 
-_NOT_SINGLE_ERROR = "a subscription takes single events: write a rule that raises an event for the pattern"
+_SINGLE_EVENT_ERROR = "a subscription takes single events: write a rule that raises an event for the pattern"
 _TRAILING_OPERATOR_ERROR = "a subscription takes P with S without further operators"
 
 
-def subscribed_event(term: Term) -> Term:
+def subscription_event(term: Term) -> Term:
     """Return the event pattern of a subscription: P of ``P with S``, otherwise the whole term."""
     pattern: Any = deref(term)
-    return deref(pattern[1]) if _operator(pattern) == "with" else pattern
+    return deref(pattern[1]) if _operator_name(pattern) == "with" else pattern
 
 
-def subscribed_shape(term: Term) -> Optional[Shaped]:
+def subscription_rate_operator(term: Term) -> Optional[Shaped]:
     """Return the rate operator of a subscription, or None.
 
     Raises:
@@ -323,37 +356,37 @@ def subscribed_shape(term: Term) -> Optional[Shaped]:
     """
     pattern: Any = deref(term)
     try:
-        if _operator(pattern) == "with":
+        if _operator_name(pattern) == "with":
             if regroup_rate_operator(pattern) is not None:
                 raise UsageError(_TRAILING_OPERATOR_ERROR)
-            return read_shape(_SingleEvent(), pattern)
+            return parse_rate_operator(_SingleEvent(), pattern)
     except RuleError as error:
         raise UsageError(error.message) from None
     operand = pattern
     # The operator that follows a rate operator is the outermost one: it is found by descending to the left.
-    while _operator(operand):
+    while _operator_name(operand):
         operand = deref(operand[1])
-        if _operator(operand) == "with":
+        if _operator_name(operand) == "with":
             raise UsageError(_TRAILING_OPERATOR_ERROR)
     return None
 
 
-def _operator(term: Any) -> str:
+def _operator_name(term: Any) -> str:
     return SPELLINGS.get(term[0], "") if term.__class__ is tuple else ""
 
 
 class _SingleEvent:
-    """Reader for the pattern of a subscription, which is a single event; see `FormReader`."""
+    """Reader for the pattern of a subscription, which is a single event; see `OperandReader`."""
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         event = deref(parent[number])
-        if event.__class__ not in (tuple, Atom, Var) or _operator(event):
-            raise self.error(_NOT_SINGLE_ERROR, event)
+        if event.__class__ not in (tuple, Atom, Var) or _operator_name(event):
+            raise self.error(_SINGLE_EVENT_ERROR, event)
         return Occurs(event)
 
     def span(self, name: str, term: CompoundTerm) -> int:
         # Only patterns of several events have a duration.
-        raise self.error(_NOT_SINGLE_ERROR, term)
+        raise self.error(_SINGLE_EVENT_ERROR, term)
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
         return RuleError(message)

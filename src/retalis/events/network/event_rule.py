@@ -30,7 +30,7 @@ from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_join import SPARE
 from ..fused.fused_single_event import Continuation, firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition
-from ..language.rule_head_parser import alarm_of
+from ..language.rule_head_parser import resolve_alarm
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import VISITED_SLICE, ExpirationQueue, StartExpirationQueue, remove_stale_entries
 from ..matches.match_buffer import MatchBuffer
@@ -622,7 +622,7 @@ class EventRule:
             head = deref(head)
         try:
             if head.__class__ is tuple and head[0].name in _ALARM_FUNCTORS:
-                alarm = alarm_of(head, start, end)
+                alarm = resolve_alarm(head, start, end)
                 network.look_at_alarm(self, head, alarm)
                 if alarm is not None:
                     network.set_alarm(self, *alarm, token)

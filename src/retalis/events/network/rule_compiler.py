@@ -36,9 +36,9 @@ from ..language.pattern_tree import (
     Shaped,
     Star,
     Windowed,
+    always_bound_by,
     bound_by,
     occurrences,
-    surely_bound_by,
 )
 from ..language.sequence_aggregates import Collector
 from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
@@ -193,7 +193,7 @@ class RuleCompiler(StreamCompiler):
 
     def _build_repeat(self, core: Repeated, context: VarSet, limit: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
-        if core.is_of_single_events():
+        if core.repeats_single_events():
             # If the pattern has deferred conditions, the nodes built so far are discarded, and the sequence is
             # built instead.
             before = len(self.nodes)
@@ -204,7 +204,7 @@ class RuleCompiler(StreamCompiler):
                 node = self._add(repeating, None, limit)
                 return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[before:]
-        return self._build(core.written_out(), context, limit)
+        return self._build(core.as_sequence(), context, limit)
 
     def _bound(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
@@ -256,7 +256,7 @@ class RuleCompiler(StreamCompiler):
         parted: List[TestedCondition] = []
         # A variable that only some branches bind counts as unbound: the condition must then wait for the left
         # operand.
-        known = surely_bound_by(core, False, True)
+        known = always_bound_by(core, False, True)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
             needs = (mentioned & context) - known
@@ -325,7 +325,7 @@ class RuleCompiler(StreamCompiler):
         sure: Set[Var] = set()
         # Only then: the analysis visits the whole left operand.
         if below or wrapping.absent is not None:
-            sure = surely_bound_by(core, False, True)
+            sure = always_bound_by(core, False, True)
         ready, deferred = split_ready(below, sure, context) if below else ([], [])
         conditions, put_off = self._split(wrapping.conditions, core, context)
         negated: Optional[NegatedPattern] = None
@@ -403,7 +403,7 @@ class RuleCompiler(StreamCompiler):
         below = self._build(core.pattern, context, limit)
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
-        sure = surely_bound_by(core.pattern, False, True)
+        sure = always_bound_by(core.pattern, False, True)
         needs = negated.needs(inner_context, set(below.node.vars)) | negated.needs(context, sure)
         # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
         if not needs:
@@ -439,7 +439,7 @@ class RuleCompiler(StreamCompiler):
         for value in measured:
             node.open([var for var in variables(value) if var in outside])
         items = RepetitionItems(outside)
-        sure = surely_bound_by(core.first, False, True) | surely_bound_by(pattern, False, True)
+        sure = always_bound_by(core.first, False, True) | always_bound_by(pattern, False, True)
         # Conditions on a repetition that use variables of the context are tested above, on the list of all
         # repetitions.
         ready, further = split_ready(repeated.deferred, sure, context)

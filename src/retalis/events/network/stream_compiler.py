@@ -31,8 +31,8 @@ from ..language.pattern_tree import (
     StepForm,
     Windowed,
     WindowForm,
+    always_bound_by,
     bound_by,
-    surely_bound_by,
 )
 from ..language.row_pattern_parser import conditions
 from ..matches.match_buffer import key_function
@@ -86,17 +86,25 @@ def compile_row_pattern(form: WindowForm, before: int, holding: GivenGoal) -> Ro
         tests = []
         for condition in conditions(goal, names, position, places):
             own = [var for var in variables(condition.goal) if var in places]
-            holds = holding(condition.goal, [*own, *(back.stands for back in condition.back)], called)
+            holds = holding(
+                condition.goal,
+                [*own, *(navigation.placeholder for navigation in condition.navigations)],
+                called,
+            )
             # Each navigation (PREV, LAST of a step) is registered once for the whole pattern, and conditions refer
             # to it by number.
-            back = [
+            navigations = [
                 marks.setdefault(
-                    StepNavigation(back.kind, -1 if back.kind == "prev" else back.step), len(marks)
+                    StepNavigation(navigation.kind, -1 if navigation.kind == "prev" else navigation.step),
+                    len(marks),
                 )
-                for back in condition.back
+                for navigation in condition.navigations
             ]
-            values = [places[var] for var in own], [places[back.var] for back in condition.back]
-            tests.append(StepTest(tuple(back), partial(_holds, holds, *values)))
+            values = (
+                [places[var] for var in own],
+                [places[navigation.var] for navigation in condition.navigations],
+            )
+            tests.append(StepTest(tuple(navigations), partial(_holds, holds, *values)))
         return tuple(tests)
 
     def step(position: int, step_form: StepForm) -> RowPatternVariable:
@@ -440,7 +448,7 @@ class StreamCompiler:
         below = self._build(core.pattern, context, UNLIMITED)
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
-        sure = surely_bound_by(core.pattern, False, True)
+        sure = always_bound_by(core.pattern, False, True)
         names = below.node.vars
         # The timeout has no left operand whose variables could become known later.
         if negated.needs(inner_context, set(names)) | negated.needs(context, sure):

@@ -14,7 +14,7 @@ from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import LimitError
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms.types import Atom, Term, Var, atom, deref, functor
-from ..language.called_predicates import Unknown
+from ..language.called_predicates import PredicateCall
 from ..language.rule_head_parser import Property
 from .event_file_checker import (
     DIRECTIVES,
@@ -62,7 +62,7 @@ class Consultation:
         self._directives = directives
         self._use = use
 
-    def load(self, file: Consulted, note_calls: Callable[[List[Unknown]], None]) -> None:
+    def load(self, file: Consulted, note_calls: Callable[[List[PredicateCall]], None]) -> None:
         """Consult a file.
 
         Raises:
@@ -132,7 +132,7 @@ class _PrologFile:
         rules: "RuleBase",
         directives: Directives,
         use: Use,
-        note_calls: Callable[[List[Unknown]], None],
+        note_calls: Callable[[List[PredicateCall]], None],
     ):
         self._rules = rules
         self._logic = rules.logic

@@ -33,11 +33,11 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
-from ..language.called_predicates import Subgoal, Unknown, calls
-from ..language.event_declarations import Declarations, head_event, made_by_goals, query_goals
+from ..language.called_predicates import PredicateCall, Subgoal, calls
+from ..language.event_declarations import Declarations, calls_in_query, events_raised_by_goals, head_event
 from ..language.event_operators import ARROWS, NO_FACTS, SPELLINGS
-from ..language.likely_mistakes import gap_doubt
-from ..language.pattern_parser import PatternReader, Spot, check_aggregate, check_window
+from ..language.likely_mistakes import uncovered_gap_warning
+from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window
 from ..language.pattern_tree import Action, Pattern, RuleDefinition, bound_by, occurrences
 from ..language.rule_head_parser import (
     ALARMS,
@@ -49,8 +49,8 @@ from ..language.rule_head_parser import (
     is_plain_rule,
     is_rule,
     label_error,
-    labelled,
     sets_timer,
+    split_label,
 )
 from ..language.state_parser import HOLDS, STATE, declares_state
 from .file_directives import FileDeclarations, Goals, goals_of
@@ -124,8 +124,8 @@ class FileChecker:
         self.steps: List[FileEntry] = []
         self.rules: List[RuleDefinition] = []
         self.inner: List[RuleDefinition] = []
-        self.calls: List[Unknown] = []
-        self.untimed: List[Unknown] = []
+        self.calls: List[PredicateCall] = []
+        self.untimed: List[PredicateCall] = []
         self._names: Dict[Var, str] = {}
 
     def read(self, read: ReadTerm, place: Optional[Place] = None) -> None:
@@ -134,13 +134,13 @@ class FileChecker:
         self.term(read.term, read.place_of, place or read.place)
         self._names = {}
 
-    def term(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
-        """Check a term; ``spot`` returns the position of a part, ``place`` is the position of the term."""
+    def term(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
+        """Check a term; ``place_of`` returns the position of a part, ``place`` is the position of the term."""
         term = deref(term)
         # The numbers of problems before the check identify those of this term.
         counts = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
         try:
-            self._classify(term, spot, place)
+            self._classify(term, place_of, place)
         except RetalisError as error:
             self.errors.append(error if error.place else RuleError(error.message, place))
         # A term of 1,000 nested operators exceeds the recursion limit of the checks; this is an error of the file.
@@ -152,16 +152,18 @@ class FileChecker:
                 for position in range(previous_count, len(problems)):
                     problems[position] = RuleError(f"{self._show(term)}: {problems[position].message}")
 
-    def _classify(self, term: Any, spot: Spot, place: Optional[Place]) -> None:
+    def _classify(self, term: Any, place_of: PlaceLookup, place: Optional[Place]) -> None:
         head = term[0] if term.__class__ is tuple else None
         if is_rule(term):
-            self._add_rule(term, spot, place)
+            self._add_rule(term, place_of, place)
         elif head in DIRECTIVES:
-            self._add_directive(term, spot, place)
+            self._add_directive(term, place_of, place)
         elif head in _LOAD_KINDS:
             self._add_use_steps(term, place)
         elif head is PROPERTY_FACT:
-            self._add_property(Property(deref(term[1]), _name(term[2]), deref(term[3])), term, spot, place)
+            self._add_property(
+                Property(deref(term[1]), _name(term[2]), deref(term[3])), term, place_of, place
+            )
             self.steps.append(FileEntry("clause", term, place))
         else:
             # ETALIS programs use these names; the clause is added under both names, since goals may call either.
@@ -169,36 +171,36 @@ class FileChecker:
                 self.steps.append(FileEntry("clause", (_RENAMED[head], *term[1:]), place))
             elif head in _UNWRAPPED:
                 self.steps.append(FileEntry("clause", deref(term[1]), place))
-            self._warn_of_likely_rule(term, spot, place)
+            self._warn_of_likely_rule(term, place_of, place)
             if head is _CLAUSE:
-                self._declared.fit(made_by_goals(calls(term, 2)), term, self._names, spot, place)
+                self._declared.fit(events_raised_by_goals(calls(term, 2)), term, self._names, place_of, place)
             self.steps.append(FileEntry("clause", term, place))
 
-    def _add_directive(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_directive(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
         # Such a rule would be a goal that is called once, which is never intended.
-        goal, goal_place = deref(term[1]), spot(term, 1) or place
+        goal, goal_place = deref(term[1]), place_of(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", goal_place)
         if goal.__class__ is tuple and goal[0] in _INITIALIZATION:
-            self._add_initialization(goal, spot, goal_place)
+            self._add_initialization(goal, place_of, goal_place)
             return
         if goal.__class__ is tuple and goal[0] in _LOAD_KINDS:
             self._add_use_steps(goal, goal_place)
             return
-        goals = goals_of(term, spot)
-        self._declared.fit(made_by_goals(calls(term, 1)), term, self._names, spot, place)
+        goals = goals_of(term, place_of)
+        self._declared.fit(events_raised_by_goals(calls(term, 1)), term, self._names, place_of, place)
         self.steps.append(FileEntry("directive", goal, goal_place, goals))
-        self._declared.take(goals, spot)
+        self._declared.take(goals, place_of)
 
     def _add_use_steps(self, goal: CompoundTerm, place: Optional[Place]) -> None:
         """Process a directive that loads a file, with clauses for predicates that it renames."""
         self.steps.append(FileEntry(_LOAD_KINDS[goal[0]], deref(goal[1]), place))
         self.steps += [FileEntry("clause", clause, place) for clause in renaming(*goal[1:])]
 
-    def _add_initialization(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_initialization(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Process ``initialization/1,2``: the goal is called after loading or at the time that the term states."""
         call_time = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER_LOAD
-        goals = goals_of(term, spot)
+        goals = goals_of(term, place_of)
         if call_time is _MAIN:
             self._warn(
                 "initialization(Goal, main) is not called: nothing here is started as a program of its own",
@@ -213,13 +215,13 @@ class FileChecker:
                 "initialization/2 takes now, after_load, restore, restore_state, program or main", place
             )
 
-    def _warn_of_likely_rule(self, term: Term, spot: Spot, place: Optional[Place]) -> None:
+    def _warn_of_likely_rule(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Warn about a clause that was probably meant as an event rule."""
         if term.__class__ is not tuple:
             return
         head = term[0]
         if head is RULE or head is COLON:
-            error = label_error(term, lambda part, number=0: spot(part, number) or place)
+            error = label_error(term, lambda part, number=0: place_of(part, number) or place)
             if error is not None:
                 raise error
             if head is RULE or _holds_label(deref(term[2])):
@@ -227,51 +229,55 @@ class FileChecker:
                     "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
                 )
         elif head in NO_FACTS:
-            self._warn("this is a fact; an event rule has <- between head and pattern", spot(term) or place)
+            self._warn(
+                "this is a fact; an event rule has <- between head and pattern", place_of(term) or place
+            )
         elif head is _DASH and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
             self._warn(
                 "this is a fact of -/2; an event rule has <- between head and pattern, a clause :- before its body",
-                spot(term) or place,
+                place_of(term) or place,
             )
         elif head is _CLAUSE:
             body = deref(term[2])
             if body.__class__ is tuple and SPELLINGS.get(body[0]) is not None and body[0].name.isidentifier():
                 advice = "the arrow of an event rule is <-"
-                self.calls.append(Unknown(body[0], spot(body) or place, "", advice))
+                self.calls.append(PredicateCall(body[0], place_of(body) or place, "", advice))
 
     def _warn(self, message: str, place: Optional[Place]) -> None:
         self.warnings.append(RuleError(message, place))
 
-    def _add_property(self, prop: Property, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
+    def _add_property(
+        self, prop: Property, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]
+    ) -> None:
         """Process a property from a term whose last arguments are its name and value."""
         problem, value_position = prop.problem, len(term) - 1
         if problem is None:
             self.steps.append(FileEntry("property", prop, place))
         elif prop.known:
-            raise RuleError(problem, spot(term, value_position) or place)
+            raise RuleError(problem, place_of(term, value_position) or place)
         else:
-            self._warn(problem, spot(term, value_position - 1) or place)
+            self._warn(problem, place_of(term, value_position - 1) or place)
 
-    def _add_rule(self, term: CompoundTerm, spot: Spot, place: Optional[Place]) -> None:
-        label, rule = labelled(term)
+    def _add_rule(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
+        label, rule = split_label(term)
         if label is not None and label.__class__ is tuple:
             name = label[0].name
             for item in list_items(label[1]) or ():
-                property_term: Any = deref(item)  # the label was looked at by `labelled`
+                property_term: Any = deref(item)  # `split_label` has checked the label
                 self._add_property(
                     Property(atom(name), _name(property_term[1]), deref(property_term[2])),
                     property_term,
-                    spot,
+                    place_of,
                     place,
                 )
             label = atom(name)
-        self.rules.append(self.definition(rule, label, spot, place))
+        self.rules.append(self.definition(rule, label, place_of, place))
 
     def definition(
         self,
         rule: Any,
         label: Optional[Term],
-        spot: Spot,
+        place_of: PlaceLookup,
         place: Optional[Place],
         names: Optional[Dict[Var, str]] = None,
     ) -> RuleDefinition:
@@ -286,7 +292,7 @@ class FileChecker:
         single_variables = (var for var, number in occurrences([rule], None).items() if number == 1)
         anonymous = frozenset(var for var in single_variables if var not in self._names)
         reader = PatternReader(
-            lambda part, number=0: spot(part, number) or place, self.warnings.append, anonymous
+            lambda part, number=0: place_of(part, number) or place, self.warnings.append, anonymous
         )
         # A rule P do G has no head.
         if rule[0] not in ARROWS:
@@ -297,39 +303,39 @@ class FileChecker:
             if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
                 goal = reader.goal(head, 2, "do")
                 head = deref(head[1])
-            head_place = spot(head) if head.__class__ is tuple else spot(rule, 1)
+            head_place = place_of(head) if head.__class__ is tuple else place_of(rule, 1)
             check_head(
                 head,
-                lambda part, number=0: spot(part, number) or place,
+                lambda part, number=0: place_of(part, number) or place,
                 head_place or place,
                 self.warnings.append,
             )
-            for call in query_goals(head):
-                self._note_call(call, spot, place)
-            self._warn_of_pattern(rule, spot)
+            for call in calls_in_query(head):
+                self._note_call(call, place_of, place)
+            self._warn_of_pattern(rule, place_of)
             pattern = reader.read(rule, 2)
             if goal is not None:
                 pattern = Action(pattern, goal, False)
             definition = RuleDefinition(rule, head, pattern, label, place, self._names)
             self._check_head_variables(head, pattern, head_place or place)
-        self._check_goals(reader.goals, pattern, spot, place)
+        self._check_goals(reader.goals, pattern, place_of, place)
         # Predicates of `check` have no time, so their use elsewhere is an error unless the program defines them
         # itself.
         for call in reader.untimed:
             assert call.term.__class__ is tuple
-            self.untimed.append(Unknown(call.term[0], spot(call.term) or place))
-        self._warn_of_parts(reader, pattern, spot, place)
+            self.untimed.append(PredicateCall(call.term[0], place_of(call.term) or place))
+        self._warn_of_parts(reader, pattern, place_of, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
-        emitted = made_by_goals((*reader.goals, *query_goals(definition.head or TRUE)))
-        self._declared.fit(chain(heads, reader.events, emitted), rule, self._names, spot, place)
+        emitted = events_raised_by_goals((*reader.goals, *calls_in_query(definition.head or TRUE)))
+        self._declared.fit(chain(heads, reader.events, emitted), rule, self._names, place_of, place)
         for window, part in reader.windows:
             check_window(window, part, rule, self._names, reader.place, self.warnings.append)
         for nested in reader.inner:
-            self.inner.append(self.definition(nested, None, spot, spot(nested) or place))
+            self.inner.append(self.definition(nested, None, place_of, place_of(nested) or place))
         return definition
 
     def _warn_of_parts(
-        self, reader: PatternReader, pattern: Pattern, spot: Spot, place: Optional[Place]
+        self, reader: PatternReader, pattern: Pattern, place_of: PlaceLookup, place: Optional[Place]
     ) -> None:
         """Warn about likely mistakes in aggregates and absences."""
         for aggregate, aggregate_term in reader.aggregates:
@@ -337,22 +343,22 @@ class FileChecker:
                 aggregate, aggregate_term, pattern, self._names, reader.place, self.warnings.append
             )
         for absence in reader.absences:
-            doubted = gap_doubt(absence, spot, self._names)
+            doubted = uncovered_gap_warning(absence, place_of, self._names)
             if doubted is not None:
-                self._warn(doubted, spot(absence) or place)
+                self._warn(doubted, place_of(absence) or place)
 
-    def _warn_of_pattern(self, rule: CompoundTerm, spot: Spot) -> None:
+    def _warn_of_pattern(self, rule: CompoundTerm, place_of: PlaceLookup) -> None:
         """Warn about an unbracketed rule inside a pattern (two arrows in a row), and about a variable as pattern."""
-        inner, begin = deref(rule[2]), spot(rule, 2)
+        inner, begin = deref(rule[2]), place_of(rule, 2)
         if inner.__class__ is Var:
             name = self._names.get(inner, "_")
             # The variable matches the rule's own events, so the rule triggers itself without end.
             self._warn(f"{name} is any event, those of this rule included: it fires for itself", begin)
         if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
-            self._warn("this rule is inside the pattern of another; put it in brackets", spot(inner))
+            self._warn("this rule is inside the pattern of another; put it in brackets", place_of(inner))
 
     def _check_goals(
-        self, goals: List[Subgoal], pattern: Pattern, spot: Spot, place: Optional[Place]
+        self, goals: List[Subgoal], pattern: Pattern, place_of: PlaceLookup, place: Optional[Place]
     ) -> None:
         """Check and record the goals of a rule; unknown predicates may be defined later in the file."""
         counts = occurrences([], pattern)
@@ -361,18 +367,20 @@ class FileChecker:
             # All occurrences of the variable are calls, so nothing can bind it to a goal.
             if term.__class__ is Var and counts[term] == sum(subgoal.term is term for subgoal in goals):
                 name = self._names.get(term, "this variable")
-                raise RuleError(f"{name} never gets a goal to call", spot(call.parent, call.number) or place)
-            self._note_call(call, spot, place)
+                raise RuleError(
+                    f"{name} never gets a goal to call", place_of(call.parent, call.number) or place
+                )
+            self._note_call(call, place_of, place)
 
-    def _note_call(self, call: Subgoal, spot: Spot, place: Optional[Place]) -> None:
+    def _note_call(self, call: Subgoal, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Record the predicate that a goal of a rule calls."""
         term = call.term
         module = call.parent[1] if call.parent[0] is COLON else None
         if term.__class__ is tuple:
-            self.calls.append(Unknown(term[0], spot(term) or place, "", _advice(term), module))
+            self.calls.append(PredicateCall(term[0], place_of(term) or place, "", _advice(term), module))
         elif term.__class__ is Atom:
-            goal_place = spot(call.parent, call.number) or place
-            self.calls.append(Unknown(term.functor, goal_place, module=module))
+            goal_place = place_of(call.parent, call.number) or place
+            self.calls.append(PredicateCall(term.functor, goal_place, module=module))
 
     def _check_head_variables(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:
         bound_variables = {*bound_by(pattern), *_variables_bound_by_query(head)}

@@ -29,7 +29,7 @@ from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.types import Term, deref
-from ..language.called_predicates import Unknown, unknown_calls
+from ..language.called_predicates import PredicateCall, undefined_call_warnings
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import Property
 from ..network.event_rule import EventRule
@@ -118,7 +118,7 @@ class CheckedProgram(NamedTuple):
 
     steps: "List[Union[FileEntry, Consulted, CheckedProgram]]"
     rules: List[EventRule]
-    calls: List[Unknown]
+    calls: List[PredicateCall]
     folder: Optional[Path] = None
     path: Optional[Path] = None
 
@@ -151,13 +151,13 @@ class EventFileLoader:
         """Files that are taking effect, outermost first."""
         self._rollbacks: List[Union[LoadSavepoint, LoadRollback]] = []
         """Undo information of the load in progress; entries after the first two belong to nested loads."""
-        self._deferred_calls: Optional[List[Unknown]] = None
+        self._deferred_calls: Optional[List[PredicateCall]] = None
         self._modules = rules.logic.database.modules
         self._modules.on_begin = self._files.note_module
         self._files.on_same_module = self._modules.on_clash
         rules.logic.files = self._files
 
-    def note_calls(self, unknown: List[Unknown]) -> None:
+    def note_calls(self, unknown: List[PredicateCall]) -> None:
         """Warn about unknown predicates, at the end of the load in progress or now."""
         if self._active_files:
             self._active_files[0].calls.extend(unknown)
@@ -434,11 +434,11 @@ class EventFileLoader:
             self._active_files.pop()
         self._warn_of_unknown(checked.calls)
 
-    def _warn_of_unknown(self, unknown: List[Unknown]) -> None:
+    def _warn_of_unknown(self, unknown: List[PredicateCall]) -> None:
         if self._deferred_calls is not None:
             self._deferred_calls.extend(unknown)
             return
-        for warning in unknown_calls(self._rules.logic, unknown, self._rules.terms):
+        for warning in undefined_call_warnings(self._rules.logic, unknown, self._rules.terms):
             self._rules.on_warning(warning)
 
     def _process_in_module(self, checked: CheckedProgram) -> None:

@@ -13,11 +13,11 @@ from ..language.event_declarations import (
     STRICTLY,
     UNDECLARED,
     Declarations,
-    VariableKinds,
-    declared_in,
-    has_branches,
+    VariableTypes,
+    has_alternatives,
+    parse_declarations,
 )
-from ..language.pattern_parser import EventTerm, Spot
+from ..language.pattern_parser import EventTerm, PlaceLookup
 
 _MARKER = functor("$goal", 1)
 _CALLABLE = (tuple, Atom, Var)
@@ -25,7 +25,7 @@ _CALLABLE = (tuple, Atom, Var)
 Goals = List[Tuple[Term, Optional[Place]]]
 
 
-def goals_of(directive: Term, spot: Spot) -> Goals:
+def goals_of(directive: Term, place_of: PlaceLookup) -> Goals:
     """Return the goals of a directive that are called in sequence, each with its position."""
     goals: Goals = []
     stack: List[Tuple[Any, int]] = [(directive, 1)]
@@ -35,7 +35,7 @@ def goals_of(directive: Term, spot: Spot) -> Goals:
         if goal.__class__ is tuple and goal[0] is COMMA:
             stack += [(goal, 2), (goal, 1)]
         else:
-            goals.append((goal, spot(parent, number)))
+            goals.append((goal, place_of(parent, number)))
     return goals
 
 
@@ -117,7 +117,7 @@ class FileDeclarations:
         self._declarations = declared
         self._errors = errors
 
-    def take(self, goals: Goals, spot: Spot) -> None:
+    def take(self, goals: Goals, place_of: PlaceLookup) -> None:
         """Apply the declarations of a directive to the rest of the file.
 
         Raises:
@@ -129,7 +129,7 @@ class FileDeclarations:
             if declarations is None or goal.__class__ is not tuple:
                 continue
             if goal[0] is DECLARE_EVENT:
-                for declaration, place in declared_in(goal, spot):
+                for declaration, place in parse_declarations(goal, place_of):
                     try:
                         declarations.add(declaration)
                     except UsageError as error:
@@ -142,13 +142,13 @@ class FileDeclarations:
         events: Iterable[EventTerm],
         term: CompoundTerm,
         names: Mapping[Var, str],
-        spot: Spot,
+        place_of: PlaceLookup,
         place: Optional[Place],
     ) -> None:
         """Check events in a rule, clause or directive, with its variables, against the declarations."""
         if self._declarations:
-            kinds = VariableKinds(names, told=not has_branches(term))
-            for error in self._declarations.misfits(
-                events, lambda part, number=0: spot(part, number) or place, kinds
+            variable_types = VariableTypes(names, reports_clashes=not has_alternatives(term))
+            for error in self._declarations.declaration_errors(
+                events, lambda part, number=0: place_of(part, number) or place, variable_types
             ):
                 self._errors.append(error)

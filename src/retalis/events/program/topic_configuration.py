@@ -23,7 +23,7 @@ from ...foundation.errors import (
     undecodable,
 )
 from ...foundation.ros_names import plain_type, topic_fault, type_fault
-from ..language.event_declarations import event_fault
+from ..language.event_declarations import event_name_error
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
@@ -282,7 +282,7 @@ class _TopicReader:
         if event is None or any(entry.topic == topic for entry in self.found["subscribe_to"]):
             # Of several entries for a topic the first one counts.
             return
-        fault = event_fault(event.strip())
+        fault = event_name_error(event.strip())
         if fault is None:
             self.events.append(TopicEvent(topic, event.strip()))
         else:

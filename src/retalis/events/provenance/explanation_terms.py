@@ -43,7 +43,7 @@ from ..language.pattern_tree import (
     Windowed,
     Within,
 )
-from ..language.stream_parser import shape_term, window_term
+from ..language.stream_parser import rate_operator_term, window_term
 from ..matches.partial_matches import Found, PartialMatch, TrackedMatch
 from ..matches.shared_run_buffer import repetitions
 from .event_log import Occurrence
@@ -265,7 +265,7 @@ def _describe_stream(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Te
         return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))
     first = describe(pattern.pattern, parts[0], show)
     if isinstance(pattern, Shaped):
-        return functor("withf", 2)(first, copy(shape_term(pattern)))
+        return functor("withf", 2)(first, copy(rate_operator_term(pattern)))
     return functor("absentf", 3)(first, copy(_as_term(pattern.negated)), timestamps.to_seconds(pattern.span))
 
 
@@ -314,7 +314,7 @@ def _stream_parts(
         window = _Quoted(window_term(pattern.window))
         return "windowf", [_Quoted(_kinds(pattern)), pattern.collected, window]
     if isinstance(pattern, Shaped):
-        return "withf", [pattern.pattern, _Quoted(resolve(shape_term(pattern)))]
+        return "withf", [pattern.pattern, _Quoted(resolve(rate_operator_term(pattern)))]
     return "absentf", [
         pattern.pattern,
         _Quoted(_as_term(pattern.negated)),
@@ -324,7 +324,7 @@ def _stream_parts(
 
 def _expanded(part: Repeated) -> Pattern:
     """Return the equivalent sequence of repetitions, up to a maximum length."""
-    return part._replace(times=min(part.times, _MAX_SHOWN_REPETITIONS)).written_out()
+    return part._replace(times=min(part.times, _MAX_SHOWN_REPETITIONS)).as_sequence()
 
 
 class _Quoted:

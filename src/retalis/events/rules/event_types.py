@@ -14,7 +14,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.syntax.operators import DECLARE_EVENT
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import Functor, Term, deref, functor
-from ..language.event_declarations import STRICTLY, UNDECLARED, Declaration, Declarations, declared_in
+from ..language.event_declarations import STRICTLY, UNDECLARED, Declaration, Declarations, parse_declarations
 from ..program.event_file_checker import nowhere
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class EventTypes:
         declarations = self.now()
         goal = (DECLARE_EVENT, deref(declared))
         try:
-            for declaration, _ in declared_in(goal, nowhere):
+            for declaration, _ in parse_declarations(goal, nowhere):
                 self.in_use = True
                 if declarations.add(declaration):
                     self._logic.add_clause((_DECLARED, declaration.term))
@@ -128,7 +128,7 @@ class EventTypes:
 def _read(clause: Clause) -> List[Declaration]:
     assert isinstance(clause.head, tuple)
     try:
-        return [declaration for declaration, _ in declared_in(clause.head, nowhere)]
+        return [declaration for declaration, _ in parse_declarations(clause.head, nowhere)]
     # Asserted by the program under the hidden name, and not a declaration.
     except RuleError:
         return []

@@ -20,7 +20,7 @@ from ...prolog.terms.types import Functor, Term, Trail, atom, deref
 from ...prolog.terms.unification import unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
-from ..language.called_predicates import called_by
+from ..language.called_predicates import calls_in_goals
 from ..language.event_declarations import UNDECLARED
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import Property, is_absolute, is_rule
@@ -70,7 +70,7 @@ class RuleIndex:
         _remove_from_group(self._by_key, rule.definition.key, rule)
         return True
 
-    def labelled(self, label: Term) -> List[EventRule]:
+    def split_label(self, label: Term) -> List[EventRule]:
         """Return the rules with a label."""
         return list(self._by_label.get(term_key(label), ()))
 
@@ -252,7 +252,7 @@ class RuleBase:
         if is_rule(term):
             rules = self._rules_equal_to(term)[:1]
         else:
-            rules = self._table.labelled(term)
+            rules = self._table.split_label(term)
         for rule in rules:
             self.remove(rule)
         return bool(rules)
@@ -336,7 +336,7 @@ class RuleBase:
 
     def note_conditions(self, conditions: Term, caller: str) -> None:
         """Warn of unknown predicates in the conditions of a memory or subscription."""
-        self.loader.note_calls(called_by(conditions, caller))
+        self.loader.note_calls(calls_in_goals(conditions, caller))
 
     def terms(self) -> List[Term]:
         """Return the terms of all rules and the bodies of all clauses of the program."""
@@ -369,7 +369,7 @@ class RuleBase:
             properties[:] = [other for other in properties if other.name != prop.name]
         if prop not in properties:
             properties.append(prop)
-        for rule in self._table.labelled(prop.label):
+        for rule in self._table.split_label(prop.label):
             self._configure(rule)
 
     def all_properties(self) -> Dict[Hashable, List[Property]]:

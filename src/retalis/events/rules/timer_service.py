@@ -38,7 +38,7 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, WholeSeconds, shown
 from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
-from ..language.rule_head_parser import TIMER, Schedule, schedule_of
+from ..language.rule_head_parser import TIMER, Schedule, parse_schedule
 from ..network.goal_evaluation import TimedNode
 from ..provenance.event_log import Occurrence
 
@@ -305,7 +305,7 @@ class Timers:
             UsageError: if the schedule is invalid.
             PrologError: if there are too many timers.
         """
-        timer = ProgramTimer(copy(event), schedule_of(copy(when)))
+        timer = ProgramTimer(copy(event), parse_schedule(copy(when)))
         existing = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
         now = self._goal_time()
         if existing is None:
@@ -517,7 +517,7 @@ class Timers:
         """Restore timers and their alarms from data."""
         self.left_out = left_out
         for event, schedule_term, instant, set_for, order in kept:
-            timer = ProgramTimer(event, schedule_of(schedule_term))
+            timer = ProgramTimer(event, parse_schedule(schedule_term))
             timer.instant, timer.set_for = instant, set_for
             self._all.add(timer)
             self._program.clock.put_back(set_for, order, TimerAlarm(self, timer, set_for))
