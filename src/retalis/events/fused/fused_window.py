@@ -190,6 +190,8 @@ def _window_source(window: FusedWindow, limited: bool, metered: bool) -> str:
         *(measure.result for measure in measures),
     ]
     body: List[Statement] = [
+        # A pattern that matches all events of its functor passes no values; see `Continuation.fused`.
+        Block("if values is None:", ["values = term[1:]"]),
         "stream = node.stream",
         "queue = stream.queue",
         *_key_statements(window.groups),

@@ -402,7 +402,7 @@ class StreamNode(NetworkNode):
         # Without fusion an event takes twice the time.
         if fused is not None and not self.rule.mode.revised:
             action = fused_window(fused, self.span, self, arrive, complete, too_large)
-        self.children[0].bind_alone(Continuation(action))
+        self.children[0].bind_alone(Continuation(action, fused=action is not arrive))
 
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:
         """Set the action for results, and the options; the operator's state remains."""
