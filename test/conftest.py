@@ -14,7 +14,7 @@ import pytest
 
 import retalis.events.language.event_operators  # noqa: F401 -- adds its operators to those of Prolog
 from retalis import Definitions
-from retalis.foundation.interpreter_compatibility import PYPY
+from retalis.foundation.cpython_and_pypy import PYPY
 
 FAST = "not slow"
 MOST = 8

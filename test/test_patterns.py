@@ -17,7 +17,7 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 import pytest
 from source import FILES
 
-from retalis.foundation.interpreter_compatibility import PYPY
+from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.syntax import tokenizer
 
 SIZE = 100_000
@@ -151,7 +151,7 @@ CASES: Dict[str, Case] = {
     "[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]": Case(
         "search", "one look at each character", ("",), ("a", "\n", "ü")
     ),
-    # messages/ros2_types.py
+    # messages/ros2_to_ros1.py
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+"
     r"(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$": Case(
         "match",

@@ -12,7 +12,7 @@ def main() -> int:
     gc.disable()
     from .cli.command_line import import_commands  # noqa: PLC0415
     from .cli.command_line import main as command_line  # noqa: PLC0415
-    from .foundation.interpreter_compatibility import stop_collecting  # noqa: PLC0415
+    from .foundation.cpython_and_pypy import stop_collecting  # noqa: PLC0415
 
     import_commands(sys.argv[1:])
     stop_collecting()  # modules stay: later collections, and those at the exit, do not visit them

@@ -16,7 +16,7 @@ from retalis import Limits, Operators, Settings
 from retalis.cli.console import Console
 from retalis.cli.stderr_report import Report
 from retalis.cli.toplevel_io import Lines, Terminal, bindings, completions
-from retalis.foundation.interpreter_compatibility import PYPY
+from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.syntax.term_reader import read_term
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"

@@ -31,7 +31,7 @@ HELD = {
     ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
     ("ros/internal_topics.py", "self._seen"): (1000, 1 << 20),
     ("ros/text_topics.py", "self._names"): (1000, 1 << 20),
-    ("events/rules/event_predicates.py", "self._seconds"): (64, 64 << 10),
+    ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/listener_index.py", "self._plans"): (10_000, 16 << 20),
     ("prolog/syntax/event_text.py", "self._builders"): (512, 8_192_000),
     ("prolog/syntax/event_text.py", "self._wholes"): (512, 8 << 20),

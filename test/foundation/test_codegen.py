@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from retalis.foundation import codegen
-from retalis.foundation.interpreter_compatibility import PYPY
+from retalis.foundation.cpython_and_pypy import PYPY
 
 AT_ONCE = not PYPY and getattr(sys, "_is_gil_enabled", lambda: True)()
 """Whether functions are freed as soon as nothing holds them; threads without a lock leave them to the collector."""

@@ -6,7 +6,7 @@ import pytest
 
 from fuzz.campaign import Campaign
 from fuzz.kinds import NAMES
-from retalis.foundation.interpreter_compatibility import PYPY
+from retalis.foundation.cpython_and_pypy import PYPY
 
 pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")
 

@@ -5,7 +5,7 @@ import pytest
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
 from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, Stamp, WholeSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
-from retalis.serialization.state_sections import pack, unpack
+from retalis.serialization.state_file_format import pack, unpack
 
 RULES = """
 p(X, Y) <- a(X) seq b(Y).

@@ -22,7 +22,7 @@ from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
-from ..events.rules.event_predicates import event_of
+from ..events.rules.event_input_predicates import event_of
 from ..explanation.explain import explain, record_origins
 from ..foundation.errors import (
     Place,

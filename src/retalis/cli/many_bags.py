@@ -31,7 +31,7 @@ from ..playback.bag_locations import (
     remove_parts,
     result_file,
 )
-from ..playback.run_recorder import RunTable
+from ..playback.run_records import RunTable
 from ..playback.worker_pool import Unfinished, in_processes, on_cluster
 from .bag_run import play, print_line
 from .option_values import from_one

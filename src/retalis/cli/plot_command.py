@@ -6,7 +6,7 @@ from typing import Callable
 
 from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..foundation.errors import UsageError
-from ..playback.run_recorder import RunRecorder
+from ..playback.run_records import RunRecorder
 from ..visualization.timeline import PICTURES, Timeline, TimelineBuilder, draw_timeline, page, read_run
 from .bag_command import add_source
 from .bag_run import bags_of, playback_of, share_of

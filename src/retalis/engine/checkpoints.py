@@ -28,7 +28,7 @@ from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.memory_state import NewRecords, keep_records, new_records
 from ..serialization.schema import anything, dict_of, text
-from ..serialization.state_sections import (
+from ..serialization.state_file_format import (
     FORMAT,
     LAYOUT,
     SECTIONS,
@@ -37,7 +37,7 @@ from ..serialization.state_sections import (
     read_records,
     read_section,
 )
-from .deployed_items import Deployment
+from .deployments import Deployment
 from .engine import Engine
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, checked

@@ -24,7 +24,7 @@ from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
 from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, OWN_EVENTS, SUBSCRIBE, KnowledgeBase
 from ..events.program.topic_configuration import Topics, TopicType
-from ..events.rules.event_predicates import define_new_event
+from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..messages.named_slots import SlotNames
@@ -41,8 +41,8 @@ from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import copy, variables
 from ..prolog.terms.timestamps import WholeSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
-from ..serialization.state_sections import pack, read_records, unpack
-from .deployed_items import Deployment
+from ..serialization.state_file_format import pack, read_records, unpack
+from .deployments import Deployment
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, checked, clock_for, coded, decoded
 from .engine_status import DEFAULT_LISTED, EngineView, Status, StatusReader

@@ -27,8 +27,8 @@ from ..serialization.memory_state import (
     restore_subscriptions,
 )
 from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
-from ..serialization.state_sections import SECTIONS, read_section
-from .deployed_items import restore_deployments, save_deployments
+from ..serialization.state_file_format import SECTIONS, read_section
+from .deployments import restore_deployments, save_deployments
 from .event_input import TopicRequest
 from .runtime.clock import StreamClock
 

@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.language.event_declarations import event_name_error
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
-from ..events.rules.event_predicates import InputReader
+from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.event_types import EventTypes
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..foundation.ros_names import plain_type, topic_fault, type_fault

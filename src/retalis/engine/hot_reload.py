@@ -27,7 +27,7 @@ from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import atom
-from .deployed_items import NOTHING, Clauses, Deployment, clause_key, current_deployment, paired
+from .deployments import NOTHING, Clauses, Deployment, clause_key, current_deployment, paired
 from .engine_settings import Settings
 from .program_loader import REQUEST
 from .runtime.clock import Clock, StreamClock

@@ -7,7 +7,7 @@ computed again at once, and threads that race compute the same entry twice at wo
 
 from typing import Callable, Dict, TypeVar
 
-from .interpreter_compatibility import text_size
+from .cpython_and_pypy import text_size
 
 Key = TypeVar("Key")
 Value = TypeVar("Value")

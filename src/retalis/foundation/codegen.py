@@ -12,8 +12,8 @@ from itertools import count
 from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple, Sequence, Tuple, Union
 
 from .bounded_caches import Cache
+from .cpython_and_pypy import confine
 from .errors import shortened
-from .interpreter_compatibility import confine
 
 _BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)

@@ -15,8 +15,8 @@ from typing import Any, Callable, List
 
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
+from ..foundation.cpython_and_pypy import text_size
 from ..foundation.errors import MessageError
-from ..foundation.interpreter_compatibility import text_size
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .field_values import MAX_EAGER_ELEMENTS, array_maker, raw_bytes, text_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field

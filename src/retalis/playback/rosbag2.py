@@ -30,7 +30,7 @@ from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, 
 
 from ..foundation.errors import MessageError, beginning, counted, shortened
 from ..foundation.ros_names import plain_type, topic_fault
-from ..messages.ros2_types import Ros2Type, ros2_type
+from ..messages.ros2_to_ros1 import Ros2Type, ros2_type
 from ..messages.type_registry import Installed
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, reason, unpack, zstd_reader
 from .rosbag1 import BagError, PathLike, Record, Topic

@@ -17,7 +17,7 @@ from typing import Any, Callable, Dict, List, Tuple
 
 import msgpack
 
-from ..events.network.pattern_analysis import ITEM_FUNCTOR_NAME
+from ..events.network.deferred_conditions import ITEM_FUNCTOR_NAME
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import Stamp, WholeSeconds
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor

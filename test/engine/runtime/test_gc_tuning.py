@@ -6,7 +6,7 @@ import pytest
 
 from retalis import Engine, collect_when_idle, limit_gc_pauses, restore_gc
 from retalis.events.matches.interval_index import gc_paused
-from retalis.foundation.interpreter_compatibility import PYPY, YoungCollector
+from retalis.foundation.cpython_and_pypy import PYPY, YoungCollector
 
 pytestmark = pytest.mark.skipif(PYPY, reason="PyPy collects in small steps: nothing is set there")
 

@@ -7,7 +7,7 @@ import pytest
 
 from retalis import PrologError, RetalisError, UsageError
 from retalis.events.program.file_sandbox import FileSandbox, check_name
-from retalis.foundation.interpreter_compatibility import O_PATH
+from retalis.foundation.cpython_and_pypy import O_PATH
 
 
 @pytest.fixture

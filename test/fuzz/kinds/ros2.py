@@ -3,7 +3,7 @@
 import struct
 
 from retalis import Definitions
-from retalis.messages.ros2_types import ros2_type
+from retalis.messages.ros2_to_ros1 import ros2_type
 from retalis.messages.text_decoder import text_writer
 from retalis.prolog.syntax.event_text import to_text as text_of
 

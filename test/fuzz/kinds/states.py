@@ -3,7 +3,7 @@
 from retalis import Engine, Functor, RetalisError, String, UsageError, Var, atom, functor
 from retalis.prolog.terms.timestamps import WholeSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
-from retalis.serialization.state_sections import pack, unpack
+from retalis.serialization.state_file_format import pack, unpack
 
 from ..mutate import NUMBERS, changed_bytes
 from ..watch import Finding

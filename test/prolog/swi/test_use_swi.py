@@ -9,7 +9,7 @@ import pytest
 from source import ROOT
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
-from retalis.foundation.interpreter_compatibility import PYPY
+from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.swi import libswipl
 
 ALLOWED = Settings(allow_swi=True)

@@ -4,7 +4,7 @@ import gc
 from typing import TYPE_CHECKING
 from weakref import WeakSet
 
-from ...foundation.interpreter_compatibility import YoungCollector
+from ...foundation.cpython_and_pypy import YoungCollector
 
 if TYPE_CHECKING:
     from ..engine_status import StatusReader

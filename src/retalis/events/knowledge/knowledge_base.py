@@ -19,7 +19,7 @@ from .interpolation import MemoryGaps, TransformChains
 from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_registry import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
 from .pending_queries import GIVEN_UP, MissingMemories, PendingQueries
-from .record_index import define_matching
+from .record_lookup import define_matching
 from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
 

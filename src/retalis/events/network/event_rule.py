@@ -6,7 +6,7 @@ leaves its buffer when
 
 * it is consumed or replaced (`consumption_policy`),
 * its retention time ends, or it ended before the window of garbage control (`EventRule.tick`),
-* it is skipped after a match (`after_match_skip`),
+* it is skipped after a match (`rule_match_skip`),
 * a sweep finds that it is ruled out (`RuledOutSweep`), or
 * the rule has too many matches: then the oldest one is dropped and reported.
 
@@ -36,10 +36,10 @@ from ..matches.expiration import VISITED_SLICE, ExpirationQueue, StartExpiration
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
-from .after_match_skip import AfterMatchSkip, skip_state_for
 from .pattern_nodes import EventNode
 from .retention import smaller_bound
 from .rule_compiler import RuleCompiler
+from .rule_match_skip import AfterMatchSkip, skip_state_for
 from .stream_node import StreamNode
 
 if TYPE_CHECKING:

@@ -55,8 +55,8 @@ from ..matches.partial_matches import (
 )
 from ..matches.revived_matches import RetainedMatches, earlier_partners, is_revived, is_valid
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
+from .deferred_conditions import RepetitionItems, append_item
 from .goal_evaluation import Buffer, Test
-from .pattern_analysis import RepetitionItems, append_item
 from .pattern_nodes import IdentityFunction, NetworkNode, computed_values_getter
 
 if TYPE_CHECKING:

@@ -41,10 +41,7 @@ from ..language.pattern_tree import (
     occurrences,
 )
 from ..language.sequence_aggregates import Collector
-from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
-from .join_node import JoinNode
-from .kleene_node import KleeneNode
-from .pattern_analysis import (
+from .deferred_conditions import (
     BuiltPattern,
     DeferredConditions,
     NegatedPattern,
@@ -64,6 +61,9 @@ from .pattern_analysis import (
     split_ready,
     unwrap,
 )
+from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
+from .join_node import JoinNode
+from .kleene_node import KleeneNode
 from .pattern_nodes import (
     ActionNode,
     BindNode,

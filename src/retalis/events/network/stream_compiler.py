@@ -56,8 +56,8 @@ from ..streams.windows import (
     SlidingTimeWindow,
     TumblingCountWindow,
 )
+from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, negation_buffer_for
 from .goal_evaluation import Evaluate, Evaluators, Folding, Holding
-from .pattern_analysis import BuiltPattern, NegatedPattern, VarSet, negation_buffer_for
 from .pattern_nodes import MatchKeys
 from .retention import UNLIMITED, Retention
 from .stream_node import Result, StreamNode, StreamNodeSpec

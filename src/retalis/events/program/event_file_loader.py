@@ -33,7 +33,6 @@ from ..language.called_predicates import PredicateCall, undefined_call_warnings
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import Property
 from ..network.event_rule import EventRule
-from .consult import Consultation, Consulted
 from .event_file_checker import (
     DIRECTIVES,
     TOO_DEEP,
@@ -47,8 +46,9 @@ from .event_file_checker import (
 )
 from .file_directives import Directives
 from .file_kind import apply_reader_settings, is_event_file
+from .prolog_file_loader import Consultation, Consulted
 from .source_files import LIBRARY, SourceFiles, require_library
-from .source_preprocessing import ConditionalCompilation, TermExpansion
+from .term_expansion import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase

@@ -14,8 +14,8 @@ import stat
 from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
+from ...foundation.cpython_and_pypy import O_PATH
 from ...foundation.errors import RetalisError, UsageError, shortened, undecodable
-from ...foundation.interpreter_compatibility import O_PATH
 from ...prolog.machine.errors import (
     domain_error,
     existence_error,

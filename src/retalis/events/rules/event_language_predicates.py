@@ -19,7 +19,7 @@ from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, funct
 from ...prolog.terms.unification import undo
 from ..provenance.event_log import solutions
 from .event_flags import FLAGS
-from .event_predicates import EVENT2, define_firing, items_of, path_of
+from .event_input_predicates import EVENT2, define_firing, items_of, path_of
 from .timer_service import define_timers
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from time import monotonic
 from typing import Dict, Hashable, Optional, Set
 
 from ...foundation.cancellation import watched_by
-from ...foundation.interpreter_compatibility import PYPY
+from ...foundation.cpython_and_pypy import PYPY
 from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
 from ..database.control_constructs import add_arguments, check_body
 from ..machine.arithmetic import evaluate

@@ -23,8 +23,8 @@ run, without a nested loop.
 from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Protocol, Tuple
 
 from ...foundation.cancellation import watched_by
+from ...foundation.cpython_and_pypy import SEEN_AT, releasing, seen_elsewhere
 from ...foundation.errors import RetalisError, TermTooLarge
-from ...foundation.interpreter_compatibility import SEEN_AT, releasing, seen_elsewhere
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify

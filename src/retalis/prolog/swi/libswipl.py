@@ -35,8 +35,8 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple
 from weakref import ref
 
+from ...foundation.cpython_and_pypy import PYPY
 from ...foundation.errors import UsageError
-from ...foundation.interpreter_compatibility import PYPY
 from ..machine.resource_limits import Left, resident_bytes
 
 if TYPE_CHECKING:

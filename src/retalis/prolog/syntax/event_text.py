@@ -28,8 +28,8 @@ from typing import Any, Callable, Dict, List, Match, NamedTuple, Optional, Patte
 
 from ...foundation import codegen
 from ...foundation.bounded_caches import Cache
+from ...foundation.cpython_and_pypy import text_size
 from ...foundation.errors import SyntaxFault
-from ...foundation.interpreter_compatibility import text_size
 from ..terms.list_terms import make_list
 from ..terms.timestamps import SECOND, datime
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Functor, String, Term, Var, atom, deref, serial

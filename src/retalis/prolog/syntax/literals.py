@@ -15,7 +15,7 @@ from typing import Callable, Dict, Match
 
 from ...foundation.bounded_caches import Texts
 from ...foundation.cancellation import look
-from ...foundation.interpreter_compatibility import LONG_DECIMALS
+from ...foundation.cpython_and_pypy import LONG_DECIMALS
 
 _PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 """Names that need no quotes: words, symbol characters, and solo atoms."""

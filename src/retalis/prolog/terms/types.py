@@ -30,7 +30,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
 
-from ...foundation.interpreter_compatibility import remove_dead
+from ...foundation.cpython_and_pypy import remove_dead
 
 
 class Bound(Protocol):

@@ -2,7 +2,7 @@ import pytest
 from reachability import count_entries
 
 from retalis import Operators, RetalisError, functor
-from retalis.events.rules.event_predicates import InputReader, event_of
+from retalis.events.rules.event_input_predicates import InputReader, event_of
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.terms.term_traversal import freeze
 from retalis.prolog.terms.timestamps import SECOND, WholeSeconds

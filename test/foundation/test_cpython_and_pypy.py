@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis.foundation.interpreter_compatibility import (
+from retalis.foundation.cpython_and_pypy import (
     PYPY,
     confine,
     releasing,
@@ -21,7 +21,7 @@ from retalis.foundation.interpreter_compatibility import (
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "retalis"
 
-ONE_PLACE = PACKAGE / "foundation" / "interpreter_compatibility.py"
+ONE_PLACE = PACKAGE / "foundation" / "cpython_and_pypy.py"
 
 ELSEWHERE = {"PyDLL": "prolog/swi/libswipl.py"}
 """What stands where it is used: that file says what PyPy has no way for."""
@@ -163,7 +163,7 @@ def test_code_finds_no_other_functions(source, seen):
 def test_nothing_is_collected_once_a_process_is_about_to_exit():
     source = """
 import gc
-from retalis.foundation.interpreter_compatibility import stop_collecting
+from retalis.foundation.cpython_and_pypy import stop_collecting
 cycle = []
 cycle.append(cycle)
 del cycle
