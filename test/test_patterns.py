@@ -218,6 +218,7 @@ CASES: Dict[str, Case] = {
     r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*": Case(
         "match", "two runs", ("", "a/"), ("a", "1", "/", "a/")
     ),
+    r"[a-z][a-z0-9_+]*": Case("findall", "one run", ("", "a"), ("a", "_", "1")),
     r"[A-Za-z/~][A-Za-z0-9_/]*": Case("match", "one run", ("", "~"), ("a", "/", "_")),
     r"[^A-Za-z0-9_/~]": Case("search", "one look at each character", ("",), ("a", "!")),
     # messages/type_definition.py: one line each

@@ -306,7 +306,7 @@ _DECIDED = functor("?=", 2)
 
 def _undecided(key: Functor) -> PrologError:
     """Return the error for a call that depends on an unbound variable, with a hint to SWI-Prolog."""
-    reason = "goals cannot wait for a variable to be bound: load them into SWI-Prolog, see docs/how-to/swi-prolog.md"
+    reason = "goals cannot wait for a variable to be bound: load them with use_swi/1, see docs/how-to/swi-prolog.md"
     return error(atom("instantiation_error"), (CONTEXT, indicator(key), atom(reason)))
 
 
