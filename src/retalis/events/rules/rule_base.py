@@ -70,7 +70,7 @@ class RuleIndex:
         _remove_from_group(self._by_key, rule.definition.key, rule)
         return True
 
-    def split_label(self, label: Term) -> List[EventRule]:
+    def with_label(self, label: Term) -> List[EventRule]:
         """Return the rules with a label."""
         return list(self._by_label.get(term_key(label), ()))
 
@@ -252,7 +252,7 @@ class RuleBase:
         if is_rule(term):
             rules = self._rules_equal_to(term)[:1]
         else:
-            rules = self._table.split_label(term)
+            rules = self._table.with_label(term)
         for rule in rules:
             self.remove(rule)
         return bool(rules)
@@ -369,7 +369,7 @@ class RuleBase:
             properties[:] = [other for other in properties if other.name != prop.name]
         if prop not in properties:
             properties.append(prop)
-        for rule in self._table.split_label(prop.label):
+        for rule in self._table.with_label(prop.label):
             self._configure(rule)
 
     def all_properties(self) -> Dict[Hashable, List[Property]]:
