@@ -26,7 +26,7 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy
-from ..prolog.terms.types import Atom, Term, Trail, Var, atom, deref, functor
+from ..prolog.terms.types import Atom, Term, Trail, Var, atom, deref, functor, functor_name
 from ..prolog.terms.unification import undo, unify
 from .why_not import Part, TimeFormat, WhyNot, own_names, show_term
 
@@ -398,10 +398,10 @@ class _Explainer:
 
     def _find_same_name(self, term: Term) -> List[ExplanationLine]:
         """Return events of the same name that happened."""
-        name = _get_name(term)
+        name = functor_name(deref(term))
         texts: Dict[str, None] = {}
         for occurrence in self._occurrences:
-            if _get_name(occurrence.term) == name:
+            if functor_name(deref(occurrence.term)) == name:
                 texts.setdefault(self._format_event(occurrence))
         if not texts:
             return []
@@ -496,10 +496,3 @@ def _is_instance(term: Term, pattern: Term) -> bool:
 
 def _is_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:
     return bool((occurrence.start, occurrence.end) == interval)
-
-
-def _get_name(term: Term) -> str:
-    term = deref(term)
-    if term.__class__ is tuple:
-        return str(term[0].name)
-    return term.name if isinstance(term, Atom) else ""

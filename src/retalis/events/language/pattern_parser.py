@@ -15,7 +15,7 @@ from ...foundation.errors import Place, RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
-from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor
+from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor, functor_name
 from ..streams.accumulators import MEASURES
 from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
@@ -200,13 +200,7 @@ class PatternReader:
 
     def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> Aggregate:
         function_term = deref(term[1])
-        name = (
-            function_term.name
-            if function_term.__class__ is Atom
-            else function_term[0].name
-            if function_term.__class__ is tuple
-            else ""
-        )
+        name = functor_name(function_term)
         arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
         if name not in AGGREGATES or AGGREGATES[name].arity != arity:
             forms = ", ".join(function.form for function in AGGREGATES.values())

@@ -15,7 +15,7 @@ from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
-from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor
+from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
 from ..streams.accumulators import MEASURES
 from .event_operators import SPELLINGS
 from .likely_mistakes import bracket_advice, near
@@ -87,13 +87,7 @@ def is_event(term: CompoundTerm) -> bool:
     if term[0] is not _AGGREGATE_FUNCTOR:
         return False
     function, window = deref(term[1]), deref(term[4])
-    name = (
-        function.name
-        if function.__class__ is Atom
-        else function[0].name
-        if function.__class__ is tuple
-        else ""
-    )
+    name = functor_name(function)
     is_aggregate = name in MEASURES or name == _STEP_RESTRICTION or list_items(function) is not None
     # Both the kind and the window must look foreign: a misspelt kind with a proper window is reported as an error,
     # instead of being taken for an event that never occurs.
@@ -213,13 +207,7 @@ def _parse_measure(
     reader: "PatternReader", function: Any, term: CompoundTerm
 ) -> Tuple[str, Any, Optional[Term]]:
     """Return the name of a measure, its setting, and the measured term."""
-    name = (
-        function.name
-        if function.__class__ is Atom
-        else function[0].name
-        if function.__class__ is tuple
-        else ""
-    )
+    name = functor_name(function)
     arguments: Sequence[Term] = function[1:] if function.__class__ is tuple else ()
     error_position = (function,) if function.__class__ is tuple else (term, 1)
     measure = MEASURES.get(name)

@@ -16,7 +16,7 @@ from ..machine.errors import (
 from ..machine.machine import Machine
 from ..terms.list_terms import list_items, list_parts
 from ..terms.term_traversal import is_ground, resolve
-from ..terms.types import NIL, Atom, CompoundTerm, String, Term, Var, atom, deref, functor
+from ..terms.types import NIL, Atom, CompoundTerm, String, Term, Var, atom, deref, functor, functor_name
 from ..terms.unification import compare
 from .argument_checks import integer, items
 from .builtin_registry import deterministic
@@ -112,13 +112,7 @@ def holds(type_term: Term, term: Term) -> Optional[bool]:
     Raises:
         PrologError: if an argument of the type is invalid.
     """
-    name = (
-        type_term.name
-        if type_term.__class__ is Atom
-        else type_term[0].name
-        if type_term.__class__ is tuple
-        else ""
-    )
+    name = functor_name(type_term)
     if type_term.__class__ is tuple:
         return _has_parametric_type(name, type_term, term)
     # The tests take a dereferenced term.
@@ -146,13 +140,7 @@ def check(type_term: Term, term: Term) -> Optional[PrologError]:
     type_term, term = deref(type_term), deref(term)
     if type_term.__class__ is Var:
         return instantiation_error()
-    name = (
-        type_term.name
-        if type_term.__class__ is Atom
-        else type_term[0].name
-        if type_term.__class__ is tuple
-        else ""
-    )
+    name = functor_name(type_term)
     # `chars` and `codes` are checked as lists of a type, so that the error names the wrong item.
     item_type = _ITEM_TYPES.get(name) if type_term.__class__ is Atom else None
     if item_type is not None:

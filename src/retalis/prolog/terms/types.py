@@ -353,6 +353,17 @@ SLASH = functor("/", 2)
 COLON = functor(":", 2)
 
 
+def functor_name(term: Term) -> str:
+    """Return the name of an atom or of the functor of a dereferenced compound term; an empty text for other terms.
+
+    >>> functor_name(atom("a")), functor_name((MINUS, 1, 2)), functor_name(1)
+    ('a', '-', '')
+    """
+    if term.__class__ is Atom:
+        return term.name
+    return term[0].name if term.__class__ is tuple else ""
+
+
 def deref(term: Term) -> Term:
     """Follow bound variables and build lazy terms. The result is neither lazy nor a bound variable.
 
