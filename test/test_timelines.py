@@ -1,26 +1,15 @@
 """The timelines of the language reference are drawn from the examples on its pages, and are up to date."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
+from doc_pages import load_script
 
 pytestmark = pytest.mark.docs
 
-SCRIPT = Path(__file__).resolve().parent.parent / "docs" / "timelines.py"
 MAX_BYTES = 20_000
 WITHOUT_OPERATORS = {"index", "predicates", "declared-events", "provenance", "revision"}
 """Pages without a picture: they define no operator, or events that have no place on a timeline."""
 
-
-def load_script():
-    spec = importlib.util.spec_from_file_location("timelines", str(SCRIPT))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-timelines = load_script()
+timelines = load_script("timelines")
 PAGES = sorted(timelines.PAGES.glob("*.md"))
 EXAMPLES = [example for page in PAGES for example in timelines.examples(page)]
 

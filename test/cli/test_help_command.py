@@ -5,14 +5,16 @@ import shlex
 from pathlib import Path
 
 import pytest
+from doc_pages import load_script
 
 from retalis import Engine
 from retalis.cli import situations
 from retalis.cli.command_line import COMMANDS, main
-from retalis.cli.situations import SITUATIONS, find_situations, page_text, stem, suggest_words
+from retalis.cli.situations import SITUATIONS, find_situations, stem, suggest_words
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 ALL = [situation for section in SITUATIONS.values() for situation in section]
+page_text = load_script("situations").page_text
 ELSEWHERE = {"source", "roslaunch"}
 """Commands of ROS in examples."""
 

@@ -664,32 +664,3 @@ def suggest_words(text: str) -> List[str]:
         else:
             near += get_close_matches(word, known, n=3, cutoff=0.7)
     return list(dict.fromkeys(near))[:MAX_SUGGESTIONS]
-
-
-def page_text() -> str:
-    """Return the text of ``docs/reference/situations.md``."""
-    count = sum(map(len, SITUATIONS.values()))
-    lines = [
-        "# I want ... take ...",
-        "",
-        "For people who know the situation and not the operator: find it in words, and follow the link. "
-        "On the command line, `retalis help WORD` searches the same list.",
-        "",
-        f"<!-- The {count} situations are in src/retalis/cli/situations.py; docs/situations.py writes this page. -->",
-    ]
-    for title, section in SITUATIONS.items():
-        lines += ["", f"## {title}", "", "| I want to ... | take | example |", "| --- | --- | --- |"]
-        for situation in section:
-            page = situation.page
-            path = page[len("reference/") :] if page.startswith("reference/") else f"../{page}"
-            lines.append(f"| {situation.wish} | [{_code(situation.take)}]({path}) | `{situation.example}` |")
-    lines += [
-        "",
-        "**See also**: [the event language](language/index.md), [how-to guides](../how-to/index.md).",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _code(take: str) -> str:
-    """Return a text in code font, unless it is plain words."""
-    return take if take.startswith(("a ", "an ")) else f"`{take}`"
