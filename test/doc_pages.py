@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import io
+import os
 import re
 import shlex
 import subprocess
@@ -18,6 +19,9 @@ ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(
     r"(?:^<!-- (?P<name>\S+) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE
 )
+SEARCH_PATH = os.pathsep.join([str(ROOT / "src"), *filter(None, sys.path)])
+"""Search path of the commands: packages such as rosbags may lie in a folder that only the tests' own path has."""
+
 WORDS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.executable]}
 
 
@@ -30,7 +34,7 @@ def run_commands(text, folder):
             done = subprocess.run(
                 [*WORDS[first], *arguments],
                 cwd=str(folder),
-                env={"PYTHONPATH": str(ROOT / "src"), "PATH": "/usr/bin:/bin"},
+                env={"PYTHONPATH": SEARCH_PATH, "PATH": "/usr/bin:/bin"},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,
