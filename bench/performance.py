@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> None:
     for name, command in commands(options).items():
         if name in options.only:
             where = ["--json", str(options.figures / f"{name}.json")]
-            if name != "node":  # matplotlib need not be there for ROS's own Python
-                where += ["--plot", str(DOCS / "images" / f"performance-{name}.png")]
+            if name == "engine":
+                where += ["--plot", str(DOCS / "images" / "performance-engine.png")]
             subprocess.run([*command, *where], check=True)
             if name == "node":
                 from performance_plots import draw_node
