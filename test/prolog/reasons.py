@@ -1,4 +1,4 @@
-"""Classes of differences from SWI-Prolog by goal and answers; docs/explanation/conformity.md explains them."""
+"""Classes of differences from SWI-Prolog by goal and answers; docs/explanation/compatibility.md explains them."""
 
 import re
 from typing import Callable, List, NamedTuple, Optional
@@ -10,7 +10,7 @@ class Reason(NamedTuple):
     """A class of differences.
 
     Attributes:
-        name: what docs/explanation/conformity.md calls it.
+        name: what docs/explanation/compatibility.md calls it.
         applies: tells from goal, answer here and SWI-Prolog's answer whether it is of this class.
     """
 

@@ -28,7 +28,7 @@ def recorded():
 
 
 def test_reasons_are_on_the_page():
-    page = (FOLDER.parents[1] / "docs" / "explanation" / "conformity.md").read_text(encoding="utf-8")
+    page = (FOLDER.parents[1] / "docs" / "explanation" / "compatibility.md").read_text(encoding="utf-8")
     names = [found.name for found in differential.REASONS]
     assert [name for name in names if f"| {name} |" not in page] == []
     assert set(differing().values()) <= set(names)
