@@ -17,7 +17,7 @@ def faults(engine):
         if not holds:
             found.append(text)
 
-    machine, dispatcher, runner = (
+    machine, dispatcher, executor = (
         engine.logic.machine,
         engine.dispatcher,
         engine.executor,
@@ -31,8 +31,8 @@ def faults(engine):
     check(not budget.used and not budget.closed and budget.goal is None, "the budget of an entry is left")
     check(WATCH.ask is None, "somebody is asked about long work")
     check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")
-    check(runner.thread is None and runner.callback is None, "the runner is at work")
-    check(not len(runner) and not runner.callers, "something waits to be done")
+    check(executor.thread is None and executor.running_callback is None, "the executor is at work")
+    check(not len(executor) and not executor.callers, "something waits to be done")
     check(engine.rules.files.state()[1:] == (0, False), "a file is being loaded")
     check(engine.logic.new_goals is None, "goals are being prepared")
     check(not engine.rules.loader.is_loading, "a load is under way")
@@ -42,14 +42,16 @@ def faults(engine):
     for rule in engine.rules.rules:
         found += _of_rule(rule)
     found += _of_predicates(engine.logic)
-    check(others_are_served(runner), "the lock is not given back")  # the last: who comes in may mend the rest
+    check(
+        others_are_served(executor), "the lock is not given back"
+    )  # the last: who comes in may mend the rest
     return found
 
 
-def others_are_served(runner):
+def others_are_served(executor):
     """Tell whether the work of another thread is done at once."""
     done = []
-    OTHER.submit(runner.post, done.append, 1).result()
+    OTHER.submit(executor.post, done.append, 1).result()
     return bool(done)
 
 

@@ -53,7 +53,7 @@ from .runtime.clock import Clock, StreamClock
 from .runtime.gc_tuning import count_records_of
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import EngineRecovery, SerialExecutor
-from .runtime.watchdog import watch
+from .runtime.watchdog import start_watchdog
 
 
 class OnOutput(Protocol):
@@ -195,7 +195,7 @@ class Engine:
             settings.queue, self._report_drop, reports.error, recovery, settings.patience
         )
         budget.count_for(self.executor)
-        self.watchdog = watch(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
+        self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
         self.event_input = EventInput(self.logic, self.dispatcher, self.clock, followed, self._start_anew)
         # Bound once, which saves an attribute access per event.
@@ -814,14 +814,14 @@ class Engine:
     def _call_back(self, callback_name: str, callback: Callable[..., object], *arguments: object) -> None:
         # The executor names this callback in the error of a thread that waits for it; see `patience`.
         executor = self.executor
-        outer_callback = executor.callback
-        executor.callback = (callback_name,)
+        outer_callback = executor.running_callback
+        executor.running_callback = (callback_name,)
         try:
             callback(*arguments)
         except Exception as error:
             # An error in a callback must not prevent the remaining consequences of the event.
             self.reports.error(error)
-        executor.callback = outer_callback
+        executor.running_callback = outer_callback
 
     def _report_drop(self, dropped: int) -> None:
         self.reports.warning(

@@ -19,7 +19,7 @@ from ..prolog.terms.types import Term, Var, deref
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor
-from .runtime.watchdog import Watchdog, at_work
+from .runtime.watchdog import Watchdog, describe_work
 
 DEFAULT_LISTED = 100
 """Default limit for the listed rules, memories, subscriptions and queries."""
@@ -359,11 +359,11 @@ class StatusReader:
     # `ends` is longer than `size` until the next removal of old records, which happens in blocks.
     def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.
-        running = self._view.watchdog.held(time.monotonic())
+        running = self._view.watchdog.running_entry(time.monotonic())
         if running is None:
             return None
         entry, seconds = running
-        work = at_work(self._view.logic, self._view.dispatcher, entry)
+        work = describe_work(self._view.logic, self._view.dispatcher, entry)
         place = "" if work.place is None else str(work.place)
         return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 

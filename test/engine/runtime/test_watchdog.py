@@ -7,12 +7,12 @@ import pytest
 
 from retalis import Engine, Limits, Settings, atom, functor
 from retalis.engine.runtime import watchdog as _watchdog
-from retalis.engine.runtime.watchdog import AtWork, Watchdog, at_work
+from retalis.engine.runtime.watchdog import RunningWork, Watchdog, describe_work
 from retalis.prolog.machine.resource_limits import Budget, LimitError
 
 
 class Turn:
-    """What a runner tells a watchdog."""
+    """What an executor tells a watchdog."""
 
     def __init__(self):
         self.thread = self.entry = None
@@ -20,7 +20,7 @@ class Turn:
     def begin(self, *entry):
         self.thread, self.entry = threading.get_ident(), entry
 
-    def follow(self, work):
+    def call_next(self, work):
         pass
 
 
@@ -44,33 +44,33 @@ def watched(turn):
 def test_what_runs_for_long_is_warned_of_ever_more_seldom(turn, watched):
     turn.begin("a")
     for instant in (0.0, 0.5, 1.1, 1.3, 1.9, 2.2, 3.0, 4.5, 5.0):
-        watched.look(instant)
+        watched.sample(instant)
     assert watched.warned == [(1.1, ("a",)), (2.2, ("a",)), (4.5, ("a",))]
 
 
 def test_what_came_meanwhile_is_not_taken_for_what_was_there(turn, watched):
     for instant in range(20):
         turn.begin("a")
-        watched.look(float(instant))
+        watched.sample(float(instant))
         if instant % 3 == 0:
             turn.thread = None
-            watched.look(instant + 0.5)
+            watched.sample(instant + 0.5)
     assert watched.warned == []
     assert not watched.budget.closed
 
 
 def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(turn, watched):
     turn.begin("a")
-    watched.look(0.0)
-    watched.look(9.9)
+    watched.sample(0.0)
+    watched.sample(9.9)
     assert not watched.budget.closed
-    watched.look(10.0)
+    watched.sample(10.0)
     with pytest.raises(LimitError, match="seconds") as caught:
         watched.budget.admit()
     assert not caught.value.final
-    watched.look(15.0)
+    watched.sample(15.0)
     watched.budget.admit()
-    watched.look(20.0)
+    watched.sample(20.0)
     with pytest.raises(LimitError, match="seconds") as caught:
         watched.budget.admit()
     assert caught.value.final
@@ -78,26 +78,26 @@ def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(t
 
 def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(turn, watched):
     turn.begin("a")
-    watched.look(0.0)
-    watched.look(10.1)
+    watched.sample(0.0)
+    watched.sample(10.1)
     turn.begin("b")
     watched.budget.admit()
     assert not watched.budget.closed
 
 
 def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
-    assert watched.held(0.0) is None
+    assert watched.running_entry(0.0) is None
     for first, name in ((1.0, "a"), (10.0, "b")):
         turn.begin(name)
-        assert watched.held(first) == ((name,), 0.0)
-        assert watched.held(first + 0.5) == ((name,), 0.5)
+        assert watched.running_entry(first) == ((name,), 0.0)
+        assert watched.running_entry(first + 0.5) == ((name,), 0.5)
         for passed in (0.9, 1.0, 1.5, 2.0):
-            watched.look(first + passed)
-        assert watched.held(first + 3.0) == ((name,), 3.0)
+            watched.sample(first + passed)
+        assert watched.running_entry(first + 3.0) == ((name,), 3.0)
         assert watched.warned == [(1.0, (name,)), (2.0, (name,))]
         watched.warned.clear()
     turn.thread = None
-    assert watched.held(14.0) is None
+    assert watched.running_entry(14.0) is None
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
 def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patience, seconds, pause):
     budget = Budget()
     budget.allow(Limits(seconds=seconds))
-    assert Watchdog(turn, budget, patience, lambda ran, entry: None).pause() == pytest.approx(pause)
+    assert Watchdog(turn, budget, patience, lambda ran, entry: None).sample_interval() == pytest.approx(pause)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patien
 )
 def test_what_came_in_is_named_in_short(entry, named):
     engine = Engine()
-    assert at_work(engine.logic, engine.dispatcher, entry) == AtWork(named, "", "", None)
+    assert describe_work(engine.logic, engine.dispatcher, entry) == RunningWork(named, "", "", None)
 
 
 def test_no_limit_and_no_patience_is_none(turn):
@@ -139,7 +139,7 @@ def test_no_limit_and_no_patience_is_none(turn):
     dog = Watchdog(turn, budget, None, lambda seconds, entry: pytest.fail("warned"))
     turn.begin("a")
     for instant in (0.0, 1e3, 1e6):
-        dog.look(instant)
+        dog.sample(instant)
     assert not budget.closed
 
 
@@ -150,7 +150,7 @@ def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
 
     def slow(machine, number):
         now[0] += 3.0
-        dog.look(now[0])
+        dog.sample(now[0])
         return True
 
     engine.logic.define("slow", 1, slow)
@@ -177,8 +177,8 @@ def test_rule_goal_and_event_are_named(rules, goals, named, caplog):
     dog = engine.watchdog
 
     def hold(machine):
-        dog.look(0.0)
-        dog.look(1.5)
+        dog.sample(0.0)
+        dog.sample(1.5)
         return True
 
     engine.logic.define("hold", 0, hold)
@@ -197,7 +197,7 @@ def test_goals_at_the_start_and_questions_are_named(caplog, tmp_path):
 
     def hold(machine, number):
         for _ in range(5):
-            dog.look(now[0])
+            dog.sample(now[0])
             now[0] += 1.5
         return True
 
@@ -226,8 +226,8 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     monkeypatch.setattr(_watchdog, "_slow_work_warning", changed_meanwhile)
 
     def hold(machine):
-        dog.look(0.0)
-        dog.look(1.5)
+        dog.sample(0.0)
+        dog.sample(1.5)
         return budget.closed
 
     engine.logic.define("hold", 0, hold)

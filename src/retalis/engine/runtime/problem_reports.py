@@ -79,10 +79,16 @@ class Reports:
         ...     reports.warning("the battery is low")
         >>> reports.sum_up()
         """
-        for kind in list(self._problems.values()):
-            if kind.times > kind.told:
-                kind.told = kind.times
-                log.log(kind.level, "%d times in all: %s", kind.times, kind.first, extra={COUNTED: True})
+        for problem in list(self._problems.values()):
+            if problem.count > problem.logged_count:
+                problem.logged_count = problem.count
+                log.log(
+                    problem.level,
+                    "%d times in all: %s",
+                    problem.count,
+                    problem.first_line,
+                    extra={COUNTED: True},
+                )
         if self._evicted_count:
             log.warning("%d more problems were not shown", self._evicted_count, extra={COUNTED: True})
             self._evicted_count = 0
@@ -90,21 +96,21 @@ class Reports:
     def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
         key = hash(key)
         text = printable(beginning(text, MAX_MESSAGE_CHARACTERS))
-        kind = self._problems.get(key)
-        if kind is None:
+        problem = self._problems.get(key)
+        if problem is None:
             if len(self._problems) >= _MAX_PROBLEMS:
                 self._evicted_count += sum(
-                    known.times - known.told for known in list(self._problems.values())
+                    evicted.count - evicted.logged_count for evicted in list(self._problems.values())
                 )
                 self._problems.clear()
-            kind = self._problems[key] = _RecurringProblem(level, text[:SHOWN].split("\n", 1)[0])
-        kind.times = times = kind.times + 1
-        is_new = len(kind.texts) < texts and hash(text) not in kind.texts
+            problem = self._problems[key] = _RecurringProblem(level, text[:SHOWN].split("\n", 1)[0])
+        problem.count = times = problem.count + 1
+        is_new = len(problem.texts) < texts and hash(text) not in problem.texts
         if is_new:
-            kind.texts.add(hash(text))
+            problem.texts.add(hash(text))
         elif times & (times - 1) or once or self.once:
             return
-        kind.told = times
+        problem.logged_count = times
         shown = text if is_new else f"{text}\n({times} times so far)"
         log.log(level, "%s", shown, extra={COUNTED: True})
 
@@ -112,11 +118,11 @@ class Reports:
 class _RecurringProblem:
     """A recurring problem: its count, the count at the last log entry, and its first line."""
 
-    __slots__ = ("first", "level", "texts", "times", "told")
+    __slots__ = ("first_line", "level", "texts", "count", "logged_count")
 
-    def __init__(self, level: int, first: str):
+    def __init__(self, level: int, first_line: str):
         self.level = level
-        self.first = first
-        self.times = 0
-        self.told = 0
+        self.first_line = first_line
+        self.count = 0
+        self.logged_count = 0
         self.texts: Set[int] = set()

@@ -40,14 +40,14 @@ class Request:
         self._work = work
         self.entry = (work,) if entry is None else entry
         self._ticket = [None]  # popped once: by the thread that runs the call, or by the one that abandons it
-        self._woken = threading.Event()
+        self._state_changed = threading.Event()
         self._result: object = None
         self.error: Optional[BaseException] = None
-        self.over = self.follows = False
+        self.is_finished = self.is_follow_up = False
 
     def __call__(self) -> None:
         """Do the work, unless another thread has claimed it."""
-        if not self.take():
+        if not self.claim():
             return
         try:
             self._result = self._work()
@@ -57,9 +57,9 @@ class Request:
             self.error = error
             raise
         finally:
-            self.end()
+            self.finish()
 
-    def take(self) -> bool:
+    def claim(self) -> bool:
         """Claim the call. Return False if another thread has claimed it."""
         try:
             self._ticket.pop()
@@ -67,31 +67,31 @@ class Request:
             return False
         return True
 
-    def end(self) -> None:
+    def finish(self) -> None:
         """Mark the call as done."""
-        self.over = True
-        self._woken.set()
+        self.is_finished = True
+        self._state_changed.set()
 
     @property
-    def begun(self) -> bool:
+    def is_running(self) -> bool:
         """True while the work is in progress."""
-        return not self._ticket and not self.over
+        return not self._ticket and not self.is_finished
 
     def abandon(self) -> None:
         """Mark a call as done whose work was ended by an interrupt."""
-        if self.begun:
+        if self.is_running:
             self.error = self.error or KeyboardInterrupt()
-            self.end()
+            self.finish()
 
     def wake(self) -> None:
         """Wake the waiting caller, so that it checks the state again."""
-        self._woken.set()
+        self._state_changed.set()
 
     def wait(self, seconds: float) -> bool:
         """Wait until the call is done or `wake` is called. Return False after the timeout."""
-        woken = self._woken.wait(seconds)
-        self._woken.clear()
-        return woken or self.over
+        was_signalled = self._state_changed.wait(seconds)
+        self._state_changed.clear()
+        return was_signalled or self.is_finished
 
     def result(self) -> Any:
         """Return the result of the work, or raise its error."""
@@ -101,10 +101,10 @@ class Request:
 
 
 _Result = TypeVar("_Result")
-_One = TypeVar("_One")
-_Two = TypeVar("_Two")
+_First = TypeVar("_First")
+_Second = TypeVar("_Second")
 
-_this_thread = threading.get_ident
+_thread_id = threading.get_ident
 
 
 FULL_QUEUE_WAIT_SECONDS = 1.0
@@ -117,12 +117,12 @@ class Recovery:
     def state(self) -> object:
         """Return the current state, for `restore`."""
 
-    def restore(self, state: object, mend_all: bool) -> None:
+    def restore(self, state: object, rebuild: bool) -> None:
         """Return to a state, or to the idle state if it is None.
 
         Args:
             state: from `state`, or None.
-            mend_all: whether derived data may be inconsistent and must be rebuilt.
+            rebuild: whether derived data may be inconsistent and must be rebuilt.
         """
 
 
@@ -135,7 +135,7 @@ class SerialExecutor:
         on_drop: called with the number of dropped entries.
         on_error: called with an exception that a unit of work raised.
         recovery: returns to a consistent state after an interrupt.
-        patience: seconds for which a call from another thread waits for one callback.
+        callback_timeout: seconds for which a call from another thread waits for one callback.
 
     Attributes:
         callback: the running callback, as a new tuple with its name each time; None if none runs.
@@ -149,7 +149,7 @@ class SerialExecutor:
         on_drop: Callable[[int], None],
         on_error: Callable[[Exception], None],
         recovery: Optional[Recovery] = None,
-        patience: float = 10.0,
+        callback_timeout: float = 10.0,
     ):
         self._size = size
         self._queue: Deque[Tuple[Callable[..., object], Tuple[object, ...]]] = deque()
@@ -157,13 +157,13 @@ class SerialExecutor:
         self._lock = threading.RLock()
         self._running: Optional[int] = None
         """The working thread. If it is set although the lock is free, the last work was interrupted."""
-        self._patient = True
+        self._waits_for_room = True
         """True if `post` waits for room in the queue; False after a timeout until the queue has been empty."""
         self._on_drop = on_drop
         self._on_error = on_error
         self._recovery = Recovery() if recovery is None else recovery
-        self._patience = patience
-        self.callback: Optional[Tuple[str]] = None
+        self._callback_timeout = callback_timeout
+        self.running_callback: Optional[Tuple[str]] = None
         self.entry: object = None
         self.dropped = 0
         _EXECUTORS.add(self)
@@ -183,8 +183,8 @@ class SerialExecutor:
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
         """Do work now if the executor is idle, otherwise queue it."""
-        me = _this_thread()
-        if self._running == me and self._is_inside():
+        this_thread = _thread_id()
+        if self._running == this_thread and self._is_nested():
             self._append(work, arguments)
             return
         try:
@@ -192,44 +192,46 @@ class SerialExecutor:
                 if self._running is not None:
                     self._restore(True)
                 self.entry = arguments
-                self._running = me
+                self._running = this_thread
                 work(*arguments)
                 self._running = None
                 self._lock.release()
             else:
                 self._append(work, arguments)
             if self._queue or self._calls:
-                self._drain()
+                self._process_if_free()
         except Exception as error:  # a failing event must not affect the others
-            self._end(error, self._on_error)
+            self._handle_failed_work(error, self._on_error)
         except BaseException:
-            self._give_up()
+            self._return_to_idle()
             raise
 
-    def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
+    def post_each(
+        self, work: Callable[[_First, _Second], object], entries: Iterable[Tuple[_First, _Second]]
+    ) -> None:
         """Post each pair of arguments, under one acquisition of the lock while no other thread posts or calls.
 
         Work of other threads is done between two entries. ``entries`` is advanced while the lock is held: it must not
         use the executor, and an error that it raises ends this method.
         """
-        me = _this_thread()
+        this_thread = _thread_id()
         remaining = iter(entries)
-        if self._running == me and self._is_inside():
+        if self._running == this_thread and self._is_nested():
             for first, second in remaining:
                 self._append(work, (first, second))
             return
         try:
-            while self._post_some(work, remaining):
+            while self._post_under_lock(work, remaining):
                 pass
         except Exception as error:  # raised by the iterator: all entries before it are done
-            self._end(error, lambda error: None)
+            self._handle_failed_work(error, lambda error: None)
             raise
         except BaseException:
-            self._give_up()
+            self._return_to_idle()
             raise
 
-    def _post_some(
-        self, work: Callable[[_One, _Two], object], remaining: Iterator[Tuple[_One, _Two]]
+    def _post_under_lock(
+        self, work: Callable[[_First, _Second], object], remaining: Iterator[Tuple[_First, _Second]]
     ) -> bool:
         """Do entries until another thread posts or calls, or queue one if another thread works.
 
@@ -242,24 +244,24 @@ class SerialExecutor:
             if entry is not None:
                 first, second = entry
                 self._append(work, (first, second))
-            self._drain()
+            self._process_if_free()
             return entry is not None
         if self._running is not None:
             self._restore(True)
-        self._running = _this_thread()
-        more = False
+        self._running = _thread_id()
+        entries_remain = False
         for first, second in remaining:
             self.entry = first, second  # a new tuple for each entry: the limits compare by identity
             try:
                 work(first, second)
             except Exception as error:  # a failing event must not affect the others
-                self._handle_error(error)
+                self._handle_entry_error(error)
             if queue or calls:
-                more = True
+                entries_remain = True
                 break
             self.entry = None  # the iterator runs outside of any entry
-        self._leave()
-        return more
+        self._release()
+        return entries_remain
 
     def call(self, work: Callable[[], _Result], entry: object = None) -> _Result:
         """Do work after the current entry and before queued ones, and return its result.
@@ -271,42 +273,42 @@ class SerialExecutor:
             entry: its identity for the limits; by default a new one.
 
         Raises:
-            UsageError: if another thread stays in one callback for longer than ``patience``, because that callback
-                may wait for this thread.
+            UsageError: if another thread stays in one callback for longer than ``callback_timeout``, because that
+                callback may wait for this thread.
         """
-        me = _this_thread()
-        if self._running == me and self._is_inside():
-            return self._call_inside(work)
+        this_thread = _thread_id()
+        if self._running == this_thread and self._is_nested():
+            return self._call_nested(work)
         try:
             if self._calls or not self._lock.acquire(False):
-                return self._call_later(work, entry)
+                return self._wait_for_call(work, entry)
             if self._running is not None:
                 self._restore(True)
             self.entry = (work,) if entry is None else entry
-            self._running = me
+            self._running = this_thread
             result = work()
-            self._leave()
+            self._release()
             return result
         except Exception as error:
-            self._end(error, lambda error: None)
+            self._handle_failed_work(error, lambda error: None)
             raise
         except BaseException:
-            self._give_up()
+            self._return_to_idle()
             raise
 
-    def _end(self, error: Exception, report: Callable[[Exception], None]) -> None:
+    def _handle_failed_work(self, error: Exception, report: Callable[[Exception], None]) -> None:
         """Return to the idle state after an error of this thread's work, and work off the queue."""
         # A second `try` inside the calling methods would have a gap between both, in which an interrupt is lost.
         try:
-            if self._running == _this_thread():
+            if self._running == _thread_id():
                 self._restore(is_unexpected(error))
                 report(error)
-                self._leave()
+                self._release()
         except BaseException:
-            self._give_up()
+            self._return_to_idle()
             raise
 
-    def _call_inside(self, work: Callable[[], _Result]) -> _Result:
+    def _call_nested(self, work: Callable[[], _Result]) -> _Result:
         state = self._recovery.state()
         try:
             return work()
@@ -314,45 +316,49 @@ class SerialExecutor:
             self._recovery.restore(state, is_unexpected(error))
             raise
 
-    def follow(self, work: Callable[[], object]) -> None:
+    def call_next(self, work: Callable[[], object]) -> None:
         """Schedule work directly after the current one; called from inside of work."""
         calls = self._calls
         call = Request(work)
-        call.follows = True
-        calls.insert(1 if calls and calls[0].begun else 0, call)
+        call.is_follow_up = True
+        calls.insert(1 if calls and calls[0].is_running else 0, call)
 
-    def _call_later(self, work: Callable[[], _Result], entry: object) -> _Result:
+    def _wait_for_call(self, work: Callable[[], _Result], entry: object) -> _Result:
         """Pass a call to the working thread and wait for its result."""
         call = Request(work, entry)
         self._calls.append(call)
         try:
-            self._drain()
-            while not call.over:
-                callback = self.callback
-                if not call.wait(self._patience) and callback is not None and self.callback is callback:
-                    self._refuse(call, callback)
-                self._drain()  # the working thread may have been interrupted
+            self._process_if_free()
+            while not call.is_finished:
+                callback = self.running_callback
+                if (
+                    not call.wait(self._callback_timeout)
+                    and callback is not None
+                    and self.running_callback is callback
+                ):
+                    self._fail_waiting_call(call, callback)
+                self._process_if_free()  # the working thread may have been interrupted
         except BaseException:
-            call.take()
+            call.claim()
             raise
         result: _Result = call.result()
         return result
 
-    def _refuse(self, call: Request, callback: Tuple[str]) -> None:
-        if call.take():
+    def _fail_waiting_call(self, call: Request, callback: Tuple[str]) -> None:
+        if call.claim():
             raise UsageError(
-                f"the engine has been in {callback[0]} for {self._patience:g} s or longer and may be waiting for"
-                " this thread: a thread that a callback waits for must not query the engine (post to it instead)"
+                f"the engine has been in {callback[0]} for {self._callback_timeout:g} s or longer and may be waiting"
+                " for this thread: a thread that a callback waits for must not query the engine (post to it instead)"
             )
 
-    def _is_inside(self) -> bool:
-        """Tell whether this thread works further down its stack; clear the mark of interrupted work."""
+    def _is_nested(self) -> bool:
+        """Return whether this thread works further down its stack; clear the mark of interrupted work."""
         frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
-            if frame.f_code in _AT_WORK and frame.f_locals.get("self") is self:
+            if frame.f_code in _WORKING_CODE and frame.f_locals.get("self") is self:
                 return True
             frame = frame.f_back
-        self._give_up()
+        self._return_to_idle()
         return False
 
     def _append(self, work: Callable[..., object], arguments: Tuple[object, ...]) -> None:
@@ -366,28 +372,28 @@ class SerialExecutor:
         The wait is the backpressure of the engine: a connection that is not read fills up and blocks its publisher,
         so a burst of messages loses nothing.
         """
-        if self._patient and self._running != _this_thread():
+        if self._waits_for_room and self._running != _thread_id():
             while len(self._queue) >= self._size:
-                oldest = self._get_oldest()
+                oldest = self._oldest_entry()
                 if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
-                    self._work_off()
+                    self._process_queue()
                     return
                 # A whole queue can take longer on a busy machine; progress means a new oldest entry.
-                self._patient = self._get_oldest() is not oldest
-                if not self._patient:
+                self._waits_for_room = self._oldest_entry() is not oldest
+                if not self._waits_for_room:
                     break
             else:
                 return
-        self._drop()
+        self._drop_oldest()
 
-    def _get_oldest(self) -> object:
+    def _oldest_entry(self) -> object:
         """Return the next entry of the queue, or None."""
         try:
             return self._queue[0]
         except IndexError:
             return None
 
-    def _drop(self) -> None:
+    def _drop_oldest(self) -> None:
         try:
             self._queue.popleft()
         except IndexError:  # the working thread took it in the meantime
@@ -395,25 +401,25 @@ class SerialExecutor:
         self.dropped += 1
         self._on_drop(self.dropped)
 
-    def _drain(self) -> None:
+    def _process_if_free(self) -> None:
         # Repeated after each release: a thread that found the lock taken may have appended work just before.
         while self._queue or self._calls:
             if not self._lock.acquire(False):
                 return
-            self._work_off()
+            self._process_queue()
 
-    def _leave(self) -> None:
+    def _release(self) -> None:
         """Release the lock, and do the work that arrived in the meantime."""
         self._running = None
         self._lock.release()
         if self._queue or self._calls:
-            self._drain()
+            self._process_if_free()
 
-    def _work_off(self) -> None:
+    def _process_queue(self) -> None:
         """Do all queued work and release the lock, which the caller has acquired."""
         if self._running is not None:
             self._restore(True)
-        self._running = _this_thread()
+        self._running = _thread_id()
         queue, calls = self._queue, self._calls
         while True:
             if calls:
@@ -431,32 +437,32 @@ class SerialExecutor:
             try:
                 work(*arguments)
             except Exception as error:  # a failing event must not affect the others
-                self._handle_error(error)
-        self._patient = True
+                self._handle_entry_error(error)
+        self._waits_for_room = True
         self._running = None
         self._lock.release()
 
-    def _handle_error(self, error: Exception) -> None:
+    def _handle_entry_error(self, error: Exception) -> None:
         self._restore(is_unexpected(error))
         self._on_error(error)
 
-    def begin_in_child(self) -> None:
+    def reset_in_child(self) -> None:
         """Continue in a forked process, or refuse all work if another thread was working."""
         for call in tuple(self._calls):
-            if not (call.begun or call.follows):  # its caller is a thread of the parent process
+            if not (call.is_running or call.is_follow_up):  # its caller is a thread of the parent process
                 self._calls.remove(call)
         if not self._lock.acquire(False):
-            self.__class__ = _Unusable
-        elif self._running == _this_thread():
+            self.__class__ = _UnusableExecutor
+        elif self._running == _thread_id():
             self._lock.release()  # the work that called fork continues
         else:
             self._lock = threading.RLock()
 
-    def _restore(self, mend: bool) -> None:
-        self.callback = None
-        self._recovery.restore(None, mend)
+    def _restore(self, rebuild: bool) -> None:
+        self.running_callback = None
+        self._recovery.restore(None, rebuild)
 
-    def _give_up(self) -> None:
+    def _return_to_idle(self) -> None:
         """Return to the idle state after an interrupt and release the lock; may be called again."""
         if not self._lock.acquire(False):
             return  # another thread holds the lock
@@ -464,7 +470,7 @@ class SerialExecutor:
             self._restore(self._running is not None)
             for call in tuple(self._calls):
                 call.abandon()
-                if call.over or call.follows:  # the recovery has done the scheduled work
+                if call.is_finished or call.is_follow_up:  # the recovery has done the scheduled work
                     self._calls.remove(call)
             self._running = None
         try:
@@ -476,14 +482,16 @@ class SerialExecutor:
             call.wake()
 
 
-class _Unusable(SerialExecutor):
+class _UnusableExecutor(SerialExecutor):
     """The executor of a forked process in whose parent another thread was working."""
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
         """Refuse the work."""
         raise _make_refusal()
 
-    def post_each(self, work: Callable[[_One, _Two], object], entries: Iterable[Tuple[_One, _Two]]) -> None:
+    def post_each(
+        self, work: Callable[[_First, _Second], object], entries: Iterable[Tuple[_First, _Second]]
+    ) -> None:
         """Refuse the work."""
         raise _make_refusal()
 
@@ -502,28 +510,28 @@ def _make_refusal() -> UsageError:
 _EXECUTORS: "WeakSet[SerialExecutor]" = WeakSet()
 
 
-def _begin_in_child() -> None:
+def _reset_executors_in_child() -> None:
     for executor in tuple(_EXECUTORS):
-        executor.begin_in_child()
+        executor.reset_in_child()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_begin_in_child)
+    os.register_at_fork(after_in_child=_reset_executors_in_child)
 
 
-_AT_WORK = frozenset(
+_WORKING_CODE = frozenset(
     method.__code__
     for method in (
         SerialExecutor.post,
-        SerialExecutor._post_some,  # noqa: SLF001
+        SerialExecutor._post_under_lock,  # noqa: SLF001
         SerialExecutor.call,
-        SerialExecutor._work_off,  # noqa: SLF001
+        SerialExecutor._process_queue,  # noqa: SLF001
     )
 )
 
 
 def is_unexpected(error: BaseException) -> bool:
-    """Tell whether an error may have left an inconsistent state: an interrupt or an internal error."""
+    """Return whether an error may have left an inconsistent state: an interrupt or an internal error."""
     return not isinstance(error, RetalisError)
 
 
@@ -547,18 +555,18 @@ class EngineRecovery(Recovery):
             self._logic.new_goals,
         )
 
-    def restore(self, state: Any, mend_all: bool) -> None:
-        """Return to a state, or to the idle state if it is None; rebuild derived data if ``mend_all`` is true."""
-        if state is not None and not mend_all:
+    def restore(self, state: Any, rebuild: bool) -> None:
+        """Return to a state, or to the idle state if it is None; rebuild derived data if ``rebuild`` is true."""
+        if state is not None and not rebuild:
             return  # errors of a program leave a consistent state
         dispatcher = self._dispatcher
         machine, files, served, goals = (None, None, (None, None), None) if state is None else state
         go_back(self._logic.machine, machine)
-        if mend_all:
+        if rebuild:
             self._rules.files.restore(files)
         dispatcher.restore(*served)
         self._logic.new_goals = goals
-        if mend_all and state is None:
+        if rebuild and state is None:
             mend(self._logic)
             self._logic.from_outside = False
             dispatcher.mend()

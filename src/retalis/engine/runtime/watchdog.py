@@ -20,7 +20,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import COMMA, Atom, deref
 from .problem_reports import Reports
 
-Warn = Callable[[float, object], None]
+OnSlowWork = Callable[[float, object], None]
 
 _SAMPLES_PER_LIMIT = 5
 """Minimum number of samples within the shortest of the configured times."""
@@ -32,7 +32,7 @@ _MIN_SAMPLE_SECONDS = 0.005
 _MAX_SAMPLE_SECONDS = 0.5
 
 
-class AtWork(NamedTuple):
+class RunningWork(NamedTuple):
     """A description of the running work.
 
     Attributes:
@@ -54,60 +54,60 @@ class Watchdog:
     Args:
         turn: the executor, with the current ``thread`` and ``entry``.
         budget: limits of the entry.
-        patience: seconds until the first warning, and again after twice that time, and so on; None for no warning.
-        warn: called in the watchdog's thread with the duration in seconds and the entry.
+        warn_after: seconds until the first warning; each further one comes after twice that time; None for none.
+        on_warning: called in the watchdog's thread with the duration in seconds and the entry.
     """
 
-    def __init__(self, turn: Turn, budget: Budget, patience: Optional[float], warn: Warn):
+    def __init__(self, turn: Turn, budget: Budget, warn_after: Optional[float], on_warning: OnSlowWork):
         self._turn = turn
         self._budget = budget
-        self._patience = patience
-        self._warn = warn
+        self._warn_after = warn_after
+        self._on_warning = on_warning
         self._entry: object = None
-        self._since = 0.0
-        self._next: Optional[float] = patience
+        self._start_time = 0.0
+        self._next_warning: Optional[float] = warn_after
 
-    def look(self, now: float) -> None:
+    def sample(self, now: float) -> None:
         """Sample the running work at a time of the monotonic clock."""
         budget = self._budget
         entry = None if self._turn.thread is None else self._turn.entry
         # The reference keeps the entry alive, so another entry cannot have the same identity.
         if entry is None or entry is not self._entry:
             self._entry = entry
-            self._since = now
-            self._next = self._patience
+            self._start_time = now
+            self._next_warning = self._warn_after
             return
-        elapsed = now - self._since
+        elapsed = now - self._start_time
         seconds = budget.limits.seconds
         # `rounds` counts the limits that were granted so far: a goal may catch the first resource error and continue.
         if seconds is not None and elapsed >= seconds * budget.rounds:
             budget.expire(entry)
-        if self._next is not None and elapsed >= self._next:
-            self._next *= 2
-            self._warn(elapsed, entry)
+        if self._next_warning is not None and elapsed >= self._next_warning:
+            self._next_warning *= 2
+            self._on_warning(elapsed, entry)
 
-    def held(self, now: float) -> Optional[Tuple[object, float]]:
+    def running_entry(self, now: float) -> Optional[Tuple[object, float]]:
         """Return the running entry and its sampled duration in seconds; None if nothing is running."""
         entry = None if self._turn.thread is None else self._turn.entry
         if entry is None:
             return None
         if entry is not self._entry:
             self._entry = entry
-            self._since = now
-            self._next = self._patience
-        return entry, now - self._since
+            self._start_time = now
+            self._next_warning = self._warn_after
+        return entry, now - self._start_time
 
-    def pause(self) -> float:
+    def sample_interval(self) -> float:
         """Return the time until the next sample in seconds."""
-        limits = [limit for limit in (self._patience, self._budget.limits.seconds) if limit is not None]
+        limits = [limit for limit in (self._warn_after, self._budget.limits.seconds) if limit is not None]
         return max(
             _MIN_SAMPLE_SECONDS,
             min(_MAX_SAMPLE_SECONDS, min(limits, default=_MAX_SAMPLE_SECONDS) / _SAMPLES_PER_LIMIT),
         )
 
 
-def watch(
-    turn: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, patience: Optional[float]
+def start_watchdog(
+    turn: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, warn_after: Optional[float]
 ) -> Watchdog:
     """Create the watchdog of an engine, and start its thread if it has a time to check."""
     budget = logic.machine.budget
@@ -135,39 +135,41 @@ def watch(
 
     budget.on_refused = warn_of_refusal
     budget.on_stopped = warn_of_stop
-    watchdog = Watchdog(turn, budget, patience, warn)
+    watchdog = Watchdog(turn, budget, warn_after, warn)
     # Without a warning and a time limit there is nothing to sample, so no thread is started.
-    if patience is not None or budget.limits.seconds is not None:
+    if warn_after is not None or budget.limits.seconds is not None:
         _start_thread(watchdog)
         _STARTED_WATCHDOGS.add(watchdog)
     return watchdog
 
 
 def _start_thread(watchdog: Watchdog) -> None:
-    threading.Thread(target=_run, args=(ref(watchdog),), name="retalis watchdog", daemon=True).start()
+    threading.Thread(
+        target=_sample_periodically, args=(ref(watchdog),), name="retalis watchdog", daemon=True
+    ).start()
 
 
 _STARTED_WATCHDOGS: "WeakSet[Watchdog]" = WeakSet()
 
 
-def _start_in_child() -> None:
+def _restart_in_child() -> None:
     for watchdog in tuple(_STARTED_WATCHDOGS):
         _start_thread(watchdog)
 
 
 # A forked process has none of the threads of its parent. Not available on Windows.
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_start_in_child)
+    os.register_at_fork(after_in_child=_restart_in_child)
 
 
-def _run(reference: "ref[Watchdog]") -> None:
+def _sample_periodically(reference: "ref[Watchdog]") -> None:
     while True:
         # A weak reference, so that the thread ends when the engine is deleted.
         watchdog = reference()
         if watchdog is None:
             return
-        watchdog.look(time.monotonic())
-        pause = watchdog.pause()
+        watchdog.sample(time.monotonic())
+        pause = watchdog.sample_interval()
         # The reference must not be held during the sleep, or the engine would never be deleted.
         del watchdog
         time.sleep(pause)
@@ -180,14 +182,14 @@ def _slow_work_warning(
 
     Terms of events and queries are not shown, only named: they may be large, and the other thread may change them.
     """
-    work = at_work(logic, dispatcher, entry)
+    work = describe_work(logic, dispatcher, entry)
     culprit = work.goal or "no goal"
     event = f" at event {work.event}" if work.event else ""
     text = f"{culprit} is running{event}; {work.entry} has taken {seconds:.1f} s so far"
     return RuleError(text, work.place), ("held up", culprit)
 
 
-def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWork:
+def describe_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> RunningWork:
     """Return a description of the running work; may be called from any thread."""
     goal, current = logic.machine.budget.goal, dispatcher.current
     place: Optional[Place] = getattr(entry, "place", None)
@@ -197,7 +199,7 @@ def at_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> AtWor
         goal_text = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
         goal_text = f"goal {_format_entry((_first_goal(goal),))}"
-    return AtWork(
+    return RunningWork(
         _format_entry(entry), goal_text, "" if current is None else _format_entry((current[TERM],)), place
     )
 

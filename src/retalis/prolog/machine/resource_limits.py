@@ -234,7 +234,7 @@ class Turn(Protocol):
     def thread(self) -> Optional[int]:
         """The thread that processes an entry; None while there is none."""
 
-    def follow(self, work: Callable[[], None], /) -> None:
+    def call_next(self, work: Callable[[], None], /) -> None:
         """Call ``work`` after the current entry."""
 
 
@@ -309,7 +309,7 @@ class Budget:
         self.limited = limits != NO_LIMITS and self.turn is None
 
     def count_for(self, turn: Turn) -> None:
-        """Treat the units of work of a turn as entries; ``turn.follow`` schedules the reset after each of them."""
+        """Treat the units of work of a turn as entries; ``turn.call_next`` schedules the reset after each of them."""
         self.turn = turn
         self.metered = self._bounded
         self.limited = False
@@ -606,7 +606,7 @@ class Budget:
             turn = self.turn
             if turn is not None and turn.thread is not None:
                 self._entry = turn.entry
-                turn.follow(self.end)
+                turn.call_next(self.end)
 
     def _count(self) -> None:
         self._mark_used()

@@ -146,12 +146,12 @@ def _parameters(function: Callable[..., object]) -> "List[Parameter]":
     return parameters
 
 
-def define_foreign(logic: PrologSystem, runner: "SerialExecutor", *sources: object) -> List[Functor]:
+def define_foreign(logic: PrologSystem, executor: "SerialExecutor", *sources: object) -> List[Functor]:
     """Define marked functions in a program, and return the functors of their predicates.
 
     Args:
         logic: Prolog system of the program.
-        runner: executor whose ``callback`` names the function that runs.
+        executor: executor whose ``running_callback`` names the function that runs.
         sources: functions, and modules with marked functions.
 
     Raises:
@@ -169,7 +169,7 @@ def define_foreign(logic: PrologSystem, runner: "SerialExecutor", *sources: obje
             name = getattr(source, "__name__", source)
             raise UsageError(f"'{name}' has no function decorated with @foreign")
         for function in functions:
-            keys.append(_define(logic, runner, function, getattr(function, _SPEC_ATTRIBUTE)))
+            keys.append(_define(logic, executor, function, getattr(function, _SPEC_ATTRIBUTE)))
     return keys
 
 
@@ -178,7 +178,7 @@ def _is_marked(value: object) -> bool:
 
 
 def _define(
-    logic: PrologSystem, runner: "SerialExecutor", function: Callable[..., Any], spec: _Spec
+    logic: PrologSystem, executor: "SerialExecutor", function: Callable[..., Any], spec: _Spec
 ) -> Functor:
     key = functor(spec.name, spec.arity)
     existing = logic.database.predicates.get(key)
@@ -186,23 +186,23 @@ def _define(
         raise permission_error("modify", "static_procedure", _indicator(key))
     if spec.many:
         logic.define_nondeterministic(
-            spec.name, spec.arity, _nondeterministic_step(runner, function, spec, key)
+            spec.name, spec.arity, _nondeterministic_step(executor, function, spec, key)
         )
     else:
-        logic.define(spec.name, spec.arity, _deterministic_step(runner, function, spec, key))
+        logic.define(spec.name, spec.arity, _deterministic_step(executor, function, spec, key))
     return key
 
 
 def _deterministic_step(
-    runner: "SerialExecutor", function: Callable[..., object], spec: _Spec, key: Functor
+    executor: "SerialExecutor", function: Callable[..., object], spec: _Spec, key: Functor
 ) -> Callable[..., bool]:
     count = len(spec.readers)
     description = f"the foreign predicate {key}"
 
     def run(machine: Machine, *arguments: Term) -> bool:
         values = [read(term) for read, term in zip(spec.readers, arguments)]
-        outer_callback = runner.callback
-        runner.callback = (description,)
+        outer_callback = executor.running_callback
+        executor.running_callback = (description,)
         try:
             result = function(*values)
             if not spec.outputs:
@@ -212,13 +212,13 @@ def _deterministic_step(
             # Any exception of a user's function is an error of the goal and must not end the program.
             raise _goal_error(error, key) from error
         finally:
-            runner.callback = outer_callback
+            executor.running_callback = outer_callback
 
     return run
 
 
 def _nondeterministic_step(
-    runner: "SerialExecutor",
+    executor: "SerialExecutor",
     function: Callable[..., Generator[object, None, None]],
     spec: _Spec,
     key: Functor,
@@ -231,8 +231,8 @@ def _nondeterministic_step(
         # A cut drops the generator of solutions; closing it then runs the function's finally blocks.
         with closing(function(*values)) as solutions:
             while True:
-                outer_callback = runner.callback
-                runner.callback = (description,)
+                outer_callback = executor.running_callback
+                executor.running_callback = (description,)
                 try:
                     result = next(solutions)
                     solved = not spec.outputs or _unify_outputs(machine, arguments[count:], result)
@@ -241,7 +241,7 @@ def _nondeterministic_step(
                 except Exception as error:  # an error of the goal, see `_deterministic_step`
                     raise _goal_error(error, key) from error
                 finally:
-                    runner.callback = outer_callback
+                    executor.running_callback = outer_callback
                 if solved:
                     yield None
 
@@ -271,13 +271,13 @@ def _indicator(key: Functor) -> Term:
 
 
 def define_use_foreign(
-    logic: PrologSystem, runner: "SerialExecutor", files: "SourceFiles", allowed: bool
+    logic: PrologSystem, executor: "SerialExecutor", files: "SourceFiles", allowed: bool
 ) -> None:
     """Define ``use_foreign(Module)``, which loads a Python module and defines its predicates.
 
     Args:
         logic: Prolog system in which the predicates are defined.
-        runner: executor of the engine; see `define_foreign`.
+        executor: executor of the engine; see `define_foreign`.
         files: files of the program.
         allowed: whether the program's own files may load modules while they are loaded. Goals that run later never
             may.
@@ -295,7 +295,7 @@ def define_use_foreign(
         if reason:
             raise permission_error("load", "foreign_module", module, reason)
         name = module.name if isinstance(module, Atom) else module.text
-        define_foreign(logic, runner, load_module(name, files))
+        define_foreign(logic, executor, load_module(name, files))
         path = files.resolve(name if name.endswith(".py") else f"{name}.py")
         logic.foreign_modules[str(path) if files.is_file(path) else name] = None
         return True
