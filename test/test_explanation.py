@@ -5,7 +5,9 @@ from doc_pages import FENCE, ROOT, PageRun
 
 pytestmark = [pytest.mark.docs, pytest.mark.slow]
 
-PAGES = [ROOT / "docs" / "explanation" / f"{name}.md" for name in ("how-it-works", "policies", "prolog-for-python")]
+PAGES = [
+    ROOT / "docs" / "explanation" / f"{name}.md" for name in ("how-it-works", "policies", "prolog-for-python")
+]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
