@@ -129,7 +129,7 @@ def test_a_memory_that_is_cut_when_an_interrupt_comes_counts_what_it_took():
         with contextlib.suppress(Interrupt), AtBytecode(at) as injected:
             again.add((atom("a"), 1, 1))
         where = injected.where
-        again.mend()
+        again.repair()
         assert again.added in (added, added + 1)
         assert len(again.ends) == len(again.records)
 

@@ -71,7 +71,7 @@ def taken(stream, rows):
     """Return what is given on at each of these instants, and of which items."""
     found = []
     for at, key in rows:
-        outputs = stream.ring(at) + stream.take(item_of(Came(at, key, at, at, at, 0, at)), at, 0)
+        outputs = stream.advance_to(at) + stream.take(item_of(Came(at, key, at, at, at, 0, at)), at, 0)
         found += [(one.start, one.end, repr(one.found)) for one in outputs]
     return found
 
@@ -82,7 +82,7 @@ def one_more(make, ring, take):
     taken(stream, BEFORE)
 
     def work():
-        stream.ring(ring)
+        stream.advance_to(ring)
         if take:
             stream.take(item_of(Came(15, "a", 15, 15, 15, 0, 15)), 15, 0)
 
@@ -104,7 +104,7 @@ def test_what_was_interrupted_is_taken_whole_or_not_at_all(kind):
         with contextlib.suppress(Interrupt), AtLine(at) as injected:
             work()
         mended = make()
-        mended.restore(stream.kept())
+        mended.restore(stream.snapshot())
         groups = [group for group in mended.states.values() if hasattr(group, "members")]
         members = [item for group in groups for item in group.members]
         assert getattr(mended, "number", len(members)) == len(members)

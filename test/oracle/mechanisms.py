@@ -325,7 +325,7 @@ MECHANISMS: Dict[str, Mechanism] = {
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
     "stamps too far ahead": Mechanism(method(RuleBase, "newest_allowed", lambda rules: 1 << 64), ahead),
-    "the clock rings": Mechanism(method(NodeTimers, "_ring", nothing), oracle_about(is_clocked)),
+    "the clock rings": Mechanism(method(NodeTimers, "_on_alarm", nothing), oracle_about(is_clocked)),
     "older rules and lower patterns ring first": Mechanism(
         method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)
     ),

@@ -130,7 +130,7 @@ def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: Knowledg
         set(database.library.kept),
         set(rules.files.loaded),
         rules.timers.all_by_key(),
-        knowledge.states.standing(),
+        knowledge.states.all_by_key(),
     )
 
 
@@ -236,7 +236,7 @@ def restore_deployments(
     # The lists have the same order as when the state was saved, because items were restored in that order.
     memories = list(knowledge.memories.instances.items())
     subscriptions = knowledge.subscriptions.items()
-    states = list(knowledge.states.standing().items())
+    states = list(knowledge.states.all_by_key().items())
     deployments = {}
     for folder, saved in state.items():
         properties: Dict[Hashable, List[Property]] = {}

@@ -69,7 +69,7 @@ class EngineSnapshot:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
         matches, named_rules = keep_matches(rules, knowledge, engine.clock, rules.rules)
         run = {
-            "clock": engine.clock.kept(),
+            "clock": engine.clock.snapshot(),
             "followed": engine.event_input.followed is not None,
             "taken": engine.event_input.taken,
             "dropped": engine.executor.dropped,
@@ -103,7 +103,7 @@ class EngineSnapshot:
             list(knowledge.memories),
             knowledge.subscriptions.items(),
             list(knowledge.states),
-            engine.input_topics.kept(),
+            engine.input_topics.snapshot(),
             dict(engine.slots.events),
             set(rules.files.loaded),
             rules.files.sandbox.own,
@@ -122,7 +122,7 @@ class EngineSnapshot:
             "subscriptions": keep_subscriptions(knowledge),
             "declared": [state.form.term for state in knowledge.states],
             "standings": save_deployments(engine.deployments, engine.logic, knowledge, named_rules),
-            "topics": [tuple(item) for item in engine.input_topics.kept()],
+            "topics": [tuple(item) for item in engine.input_topics.snapshot()],
             "events": dict(engine.slots.events),
             "foreign": list(engine.logic.foreign_modules),
             "swi": [tuple(item) for item in engine.logic.swi_files.values()],

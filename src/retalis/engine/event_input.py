@@ -241,7 +241,7 @@ class InputTopics:
         for request in self._requests:
             subscribe(request)
 
-    def kept(self) -> List[TopicRequest]:
+    def snapshot(self) -> List[TopicRequest]:
         """Return the topics that goals have asked for; see `restore`."""
         return list(self._requests)
 

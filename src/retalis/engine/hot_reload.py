@@ -395,13 +395,13 @@ class ReloadTransaction:
         # Items are set aside, not deleted: the load reactivates those with an equal definition, with their state.
         rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old_deployment
         for rule in old.rules:
-            rules.set_aside(rule)
+            rules.detach(rule)
         for predicate, clauses in old.clauses.items():
             self._remove_clauses(predicate, clauses)
-        knowledge.memories.set_aside(old.memories.values())
-        knowledge.subscriptions.set_aside(old.subscriptions)
-        rules.timers.set_aside(old.timers)
-        knowledge.states.set_aside(old.states)
+        knowledge.memories.detach(old.memories.values())
+        knowledge.subscriptions.detach(old.subscriptions)
+        rules.timers.detach(old.timers)
+        knowledge.states.detach(old.states)
         properties = {
             key: [item for item in items if item not in old.properties.get(key, ())]
             for key, items in rules.all_properties().items()
@@ -488,10 +488,10 @@ class ReloadTransaction:
     def _delete_unused(self) -> None:
         """Delete the items that were set aside and not reactivated; emit the events for deleted memories."""
         knowledge = self._engine.knowledge
-        knowledge.subscriptions.forget_aside()
-        self._engine.rules.timers.forget_aside()
-        knowledge.states.forget_aside()
-        for instance in knowledge.memories.forget_aside():
+        knowledge.subscriptions.discard_detached()
+        self._engine.rules.timers.discard_detached()
+        knowledge.states.discard_detached()
+        for instance in knowledge.memories.discard_detached():
             self._report_deleted(instance)
 
     def _report_deleted(self, instance: MemoryInstance) -> None:
@@ -526,10 +526,10 @@ class ReloadTransaction:
         rules.restore_properties(before.properties)
         rules.arrange(before.rules)
         rules.files.loaded = before.files
-        knowledge.memories.restore(list(before.memories.values()))
-        knowledge.subscriptions.restore(list(before.subscriptions.items()))
+        knowledge.memories.restore_all(list(before.memories.values()))
+        knowledge.subscriptions.restore_all(list(before.subscriptions.items()))
         rules.timers.restore_all(before.timers)
-        knowledge.states.restore_standing(before.states)
+        knowledge.states.restore_all(before.states)
         self._undo_clauses()
         self._engine.logic.once(_ABOLISH_TABLES_GOAL)
 

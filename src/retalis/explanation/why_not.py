@@ -459,10 +459,10 @@ class WhyNot:
         for match in part.matches:
             keys = tuple([self._instantiate(match.values, term) for term in pattern.by])
             value = () if pattern.value is None else (self._instantiate(match.values, pattern.value),)
-            outputs += stream.ring(match.end)
+            outputs += stream.advance_to(match.end)
             outputs += stream.take(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
         # Operators with deadlines emit at the current time, even without a further event.
-        outputs += stream.ring(self._current_time)
+        outputs += stream.advance_to(self._current_time)
         matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
         reason = _SHAPE_REASONS[pattern.shape].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
@@ -639,7 +639,7 @@ class _WindowEvaluation:
         """Pass a match to the window, after emitting the results that are due before it."""
         look(1)
         # Alarms that are due before the match come first, as in the engine.
-        self._outputs += self._stream.ring(match.end)
+        self._outputs += self._stream.advance_to(match.end)
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:
             element = StreamElement(match, match.start, match.end, *self._node.making.item(values))
@@ -651,14 +651,14 @@ class _WindowEvaluation:
 
     def finish(self, now: int) -> List[StreamOutput]:
         """Return all results until the given time in nanoseconds."""
-        self._outputs += self._stream.ring(now)
+        self._outputs += self._stream.advance_to(now)
         for output in self._outputs:
             if output.error is not None:
                 self.problem = f", {output.error.message}"
         return [output for output in self._outputs if output.error is None]
 
     def _update_progress(self) -> None:
-        groups = self._stream.kept()[-1]
+        groups = self._stream.snapshot()[-1]
         for _, _, states, _ in groups:
             for _, _, _, _, steps_taken, *_ in states:
                 counts = [0] * len(self.progress)

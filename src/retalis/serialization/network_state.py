@@ -115,7 +115,7 @@ class StreamCheck:
             raise wrong(sorted(item.order for item in elements), "elements with distinct sequence numbers")
 
     def known(self, value: Decoded) -> Decoded:
-        """Check the complete state of the operator; see `StreamOperator.kept`."""
+        """Check the complete state of the operator; see `StreamOperator.snapshot`."""
         stream = self._stream
         elements = each(self.item)
         if isinstance(stream, RowPatternWindow):
@@ -308,7 +308,7 @@ def _widths(node: Any, kept: Any) -> List[Tuple[type, Optional[int]]]:
 
 
 def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
-    """Return a check of the state of a node; see `NetworkNode.kept`."""
+    """Return a check of the state of a node; see `NetworkNode.snapshot`."""
     if isinstance(node, JoinNode):
         return fixed(each(graph.token_key), each(graph.match))
     if isinstance(node, KleeneNode):
@@ -414,17 +414,17 @@ def keep_matches(
     graph = GraphWriter(active)
     states = [graph.write(tuple(rule.state())) for rule in active]
     queries = knowledge.waiting
-    order, waiting = queries.kept()
+    order, waiting = queries.snapshot()
     data = {
         "states": states,
-        "tracked": graph.write(rules.tracker.kept()),
+        "tracked": graph.write(rules.tracker.snapshot()),
         "alarms": [graph.write(entry) for entry in _alarms(clock, knowledge)],
         "order": order,
         "waiting": [graph.write(entry) for entry in waiting],
-        "held": [graph.write(entry) for entry in knowledge.states.kept()],
-        "rates": [graph.write(entry) for entry in knowledge.subscriptions.kept()],
-        "timeouts": queries.timeouts.kept(),
-        "timers": (rules.timers.kept(), rules.timers.left_out),
+        "held": [graph.write(entry) for entry in knowledge.states.snapshot()],
+        "rates": [graph.write(entry) for entry in knowledge.subscriptions.snapshot()],
+        "timeouts": queries.timeouts.snapshot(),
+        "timers": (rules.timers.snapshot(), rules.timers.left_out),
         "stored": rules.store.stored(),
         "counts": (rules.serial, rules.fired_before, rules.revs_of_nothing),
     }

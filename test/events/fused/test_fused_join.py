@@ -86,7 +86,7 @@ def run(text, goals, events, cap, cut, change, posted):
     for at, (term, start, end) in enumerate(events):
         if at == cut:
             for rule in engine.rules.rules:
-                rule.mend()
+                rule.repair()
             if change:
                 engine.load(goals=change)
             if not change:

@@ -58,10 +58,10 @@ def run(text, events, cap, cut):
         if at == cut:
             [made] = rules.rules
             node = made.root
-            node.mend()
+            node.repair()
         engine.event_at(X(key, x, y), (now - length) * SECOND, now * SECOND)
     [made] = rules.rules
-    clock, following, late, order, groups = window_of(rules).kept()[0]
+    clock, following, late, order, groups = window_of(rules).snapshot()[0]
     items = [[(one.start, one.end, str(one.values), one.order) for one in members] for _, members in groups]
     return (
         found,

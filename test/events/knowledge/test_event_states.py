@@ -239,7 +239,7 @@ def test_an_interrupt_leaves_all_in_order():
     engine.take(("dock(a)", 1))
     (state,) = engine.knowledge.states
     state._by_shared.clear()  # noqa: SLF001  (as if it had come in the midst)
-    engine.knowledge.mend()
+    engine.knowledge.repair()
     assert engine.take(("undock(a)", 2)) == [("docked(a)", 1, 2)]
 
 
@@ -427,12 +427,12 @@ def test_a_state_that_is_deleted_or_set_aside_is_not_known():
         engine = run(DOCKED)
         states = engine.knowledge.states
         engine.take(("dock(1)", 1))
-        standing = states.standing()
+        standing = states.all_by_key()
         if declared_again:
-            states.set_aside(list(standing))
+            states.detach(list(standing))
         else:
             assert engine.call("delete_state(docked(_))") and not engine.call("delete_state(docked(_))")
         with pytest.raises(PrologError, match="docked/1"):
             engine.query("holds(docked(X))")
-        states.restore_standing(standing)
+        states.restore_all(standing)
         assert engine.all("holds(docked(X))") == (["1"] if declared_again else [])

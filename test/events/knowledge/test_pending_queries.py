@@ -469,10 +469,10 @@ def test_queries_that_wait_go_on_waiting_in_another_engine(run):
     first, second = run(rules, memories), run(rules, memories)
     for at, instant in ((1, 1.0), (2, 2.0)):
         first.event(f"ask({at}, {instant})", instant)
-    order, found = first.knowledge.waiting.kept()
+    order, found = first.knowledge.waiting.snapshot()
     second.knowledge.waiting.restore(order, found)
     assert len(second.knowledge.waiting) == 2
-    assert second.knowledge.waiting.kept() == (order, found)
+    assert second.knowledge.waiting.snapshot() == (order, found)
     second.event("v(7)", 1)
     second.event("w", 1)
     second.event("v(8)", 3)

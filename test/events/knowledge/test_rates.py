@@ -195,8 +195,8 @@ def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
     rate = engine.knowledge.subscriptions.items()[0][1].rate
     engine.rules.deadlines.clear()
     rate.woken = None
-    engine.rules.mend()
-    engine.knowledge.mend()
+    engine.rules.repair()
+    engine.knowledge.repair()
     engine.event("b", 9)
     assert [term for term, _, _ in engine.outputs] == ["a(1)"]
 

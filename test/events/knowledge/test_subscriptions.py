@@ -67,7 +67,7 @@ def test_subscriptions_are_restored_as_they_were():
     before = subscriptions.items()
     engine.load(goals="delete_subscription(t, 1)\nsubscribe(a, [], three, t, 3)")
     engine.event("a", 2)
-    subscriptions.restore(before)
+    subscriptions.restore_all(before)
     engine.event("a", 3)
     assert [term for term, _, _ in engine.outputs] == ["one", "two", "two", "three", "one", "two"]
     assert [one.sent for one in engine.status().subscriptions] == [2, 3]
@@ -76,7 +76,7 @@ def test_subscriptions_are_restored_as_they_were():
 def test_a_listener_that_an_interrupt_has_left_is_removed():
     engine = RecordingEngine(goals="subscribe(a, [], one, t, 1)")
     engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, atom("a"), lambda *event: pytest.fail("delivered"))
-    engine.knowledge.subscriptions.mend()
+    engine.knowledge.subscriptions.repair()
     engine.event("a", 1)
     assert [term for term, _, _ in engine.outputs] == ["one"]
 

@@ -36,7 +36,7 @@ def test_what_an_interrupt_leaves_half_done_is_made_anew():
     absence = _absences(program)[0]
     for border in absence.frontiers.values():
         del border.ends[:], border.starts[1:]
-    absence.buffer.mend()
+    absence.buffer.repair()
     assert program.feed("b(1)@5 a(1)@6 b(1)@7") == "d(1)@6-7"
 
 

@@ -427,7 +427,7 @@ def test_what_an_interrupt_left_half_done_is_put_right(window):
     for number in range(1, 9):
         for one in (engine, whole):
             one.event(f"a({number})", number)
-        engine.rules.mend()  # nothing was half done: it changes nothing
+        engine.rules.repair()  # nothing was half done: it changes nothing
     after, expected = seen_of(engine), seen_of(whole)
     for number in range(9, 20):
         for one in (engine, whole):
@@ -437,7 +437,7 @@ def test_what_an_interrupt_left_half_done_is_put_right(window):
         for node, _, _ in rule.nodes:
             if hasattr(node, "stream"):
                 node.stream.number += 7
-    engine.rules.mend()
+    engine.rules.repair()
     assert engine.rules.waiting == whole.rules.waiting
 
 

@@ -28,7 +28,7 @@ class Node:
             self.woken = instant
             self.bench.deadlines.add(self, instant)
 
-    def ring(self, instant, after):
+    def on_alarm(self, instant, after):
         self.woken = None
         self.bench.rung.append((instant, self.name))
         for one in self.more[:1]:

@@ -255,7 +255,7 @@ def test_an_interrupt_may_lose_an_alarm_and_no_timer():
     engine = run("timer(a, every(2))")
     engine.at(1)
     engine.clock.alarms.clear()
-    engine.rules.mend()
+    engine.rules.repair()
     assert engine.at(3) == [("a", 2), ("e", 3)]
 
 

@@ -78,7 +78,7 @@ class Fed:
             self.ring(came.now)
             if number == self.cut:
                 other = self._begin()
-                other.restore(self.stream.kept())
+                other.restore(self.stream.snapshot())
                 self.stream = other
             self.said += map(_shown, self.stream.take(item_of(came), came.now, came.channel))
         self.ring(1 << 40)
@@ -88,7 +88,7 @@ class Fed:
         """Let the operator ring at each instant for which it asks, up to now."""
         while self.stream.next is not None and self.stream.next <= now:
             before = self.stream.next
-            self.said += sorted(map(_shown, self.stream.ring(before)))
+            self.said += sorted(map(_shown, self.stream.advance_to(before)))
             assert self.stream.next is None or self.stream.next > before
 
 

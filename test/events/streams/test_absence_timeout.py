@@ -106,7 +106,7 @@ def taking(span, arrivals):
     """Return an operator that has taken some."""
     operator = AbsenceTimeout(span, agreement_of(arrivals, True))
     for came in arrivals:
-        operator.ring(came.now)
+        operator.advance_to(came.now)
         operator.take(item_of(came), came.now, came.channel)
     return operator
 

@@ -116,7 +116,7 @@ def test_what_is_forgotten_is_the_oldest():
         for left in (4, 3, 2):
             shape.drop_oldest()
             assert len(shape) == left
-        assert [item.by for item in shape.kept()[-1]] == [("k3",), ("k4",)]
+        assert [item.by for item in shape.snapshot()[-1]] == [("k3",), ("k4",)]
 
 
 def test_the_oldest_goes_of_what_was_overtaken_too():
@@ -125,7 +125,7 @@ def test_the_oldest_goes_of_what_was_overtaken_too():
         for at in range(20):
             shape.take(item_of(Came(at, "ab"[at % 2], at, at, 1, 0, at)), at, 0)
         shape.drop_oldest()
-        assert [item.by for item in shape.kept()[-1]] == [("b",)]
+        assert [item.by for item in shape.snapshot()[-1]] == [("b",)]
         shape.drop_oldest()
         assert len(shape) == 0
         assert shape.next is None
@@ -137,7 +137,7 @@ def test_nothing_grows_with_what_came():
         for shape in (Throttle(span, False), Throttle(span, True), Debounce(span)):
             for at in range(1000):
                 key = f"k{at}" if span == 3 else "k"
-                shape.ring(at)
+                shape.advance_to(at)
                 shape.take(item_of(Came(at, key, at, at, 1, 0, at)), at, 0)
             assert len(shape) <= 3
             assert entries(shape) <= 80

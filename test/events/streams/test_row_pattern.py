@@ -117,7 +117,7 @@ def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
             one.event("reading(0)", at)
     (group,) = stepped(engine).states.values()
     group.whole.popleft()
-    engine.rules.mend()
+    engine.rules.repair()
     for one in (engine, whole):
         for at, value in enumerate([8, 7, 7], 5):
             one.event(f"reading({value})", at)

@@ -178,7 +178,7 @@ def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
     late = window.late
     said = window.take(item_of(Came(4, "a", 904, 904, 4, 0, 904)), 904, 0)
     assert window.late == late
-    said = said or window.ring(1010)
+    said = said or window.advance_to(1010)
     if kind != "batches":
         assert [tuple([one.match for one in output.items]) for output in said][-1] == (0, 1, 2, 4)
 
@@ -203,8 +203,8 @@ def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
         outputs = []
         for at, number in enumerate(numbers):
             came = Came(at, "a", 5 * at, 5 * at, number, 0, 5 * at)
-            outputs += window.ring(came.now) + window.take(item_of(came), came.now, 0)
-        outputs += window.ring(100)
+            outputs += window.advance_to(came.now) + window.take(item_of(came), came.now, 0)
+        outputs += window.advance_to(100)
         assert [output.found for output in outputs] == [(), (3.0,)]
         assert "too large" in outputs[0].error.message
         assert outputs[1].error is None
@@ -216,7 +216,7 @@ def test_what_has_left_costs_nothing():
     for at in range(2000):
         end = 5 * at - (7 if at % 3 == 0 else 0)
         for window in (sliding, hopping):
-            window.ring(5 * at)
+            window.advance_to(5 * at)
             window.take(item_of(Came(at, "a", end, end, at, 0, 5 * at)), 5 * at, 0)
     for window in (sliding, hopping):
         assert len(window) <= 5

@@ -53,10 +53,10 @@ class Clock:
         self.alarms: List[Tuple[int, int, Alarm]] = []
         self._order = count()
 
-    def kept(self) -> List[int]:
+    def snapshot(self) -> List[int]:
         """Return the state of the clock without its source and its alarms; see `restore`.
 
-        >>> Clock(lambda: 5_000_000_000).kept()
+        >>> Clock(lambda: 5_000_000_000).snapshot()
         [-1, 0, 0, 0]
         """
         # `count` has no way to read its next value without taking it.
@@ -64,15 +64,15 @@ class Clock:
         self._order = count(order)
         return [self._last_stamp, self._newest, int(self.behind), order]
 
-    def restore(self, kept: Sequence[int]) -> None:
+    def restore(self, saved: Sequence[int]) -> None:
         """Restore the state of another clock; later alarms come after those that are set again with their old order.
 
         >>> clock, other = StreamClock(7), StreamClock()
-        >>> other.restore(clock.kept())
+        >>> other.restore(clock.snapshot())
         >>> other.now()
         7
         """
-        self._last_stamp, self._newest, behind, order = kept[:4]
+        self._last_stamp, self._newest, behind, order = saved[:4]
         self.behind = bool(behind)
         self._order = count(order)
 
@@ -298,29 +298,29 @@ class StreamClock(Clock):
     def _present(self) -> int:
         return self._time if self._pinned is None else self._pinned
 
-    def kept(self) -> List[int]:
-        """Return the state of the clock; see `Clock.kept`.
+    def snapshot(self) -> List[int]:
+        """Return the state of the clock; see `Clock.snapshot`.
 
-        >>> StreamClock(7).kept()
+        >>> StreamClock(7).snapshot()
         [-1, 0, 0, 0, 7]
         """
         if not self.is_set:
-            return super().kept()
-        return [*super().kept(), self._time, *([] if self._pinned is None else [self._pinned])]
+            return super().snapshot()
+        return [*super().snapshot(), self._time, *([] if self._pinned is None else [self._pinned])]
 
-    def restore(self, kept: Sequence[int]) -> None:
+    def restore(self, saved: Sequence[int]) -> None:
         """Restore the state of another clock; see `Clock.restore`.
 
         >>> clock, other = StreamClock(7), StreamClock()
-        >>> other.restore(clock.kept())
+        >>> other.restore(clock.snapshot())
         >>> other.now()
         7
         """
-        super().restore(kept)
-        if len(kept) > 4:
-            self._time, self.is_set = kept[4], True
-        if len(kept) > 5:
-            self._pinned = kept[5]
+        super().restore(saved)
+        if len(saved) > 4:
+            self._time, self.is_set = saved[4], True
+        if len(saved) > 5:
+            self._pinned = saved[5]
 
     def pin(self, instant: int) -> None:
         """Make the clock return a constant time, independent of the stream's time.

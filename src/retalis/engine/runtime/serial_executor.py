@@ -25,7 +25,7 @@ from ...events.dispatch.dispatcher import Dispatcher
 from ...events.knowledge.knowledge_base import KnowledgeBase
 from ...events.rules.rule_base import RuleBase
 from ...foundation.errors import RetalisError, UsageError
-from ...prolog.system.prolog_system import PrologSystem, go_back, mend, state_of
+from ...prolog.system.prolog_system import PrologSystem, go_back, repair, state_of
 
 
 class Request:
@@ -567,8 +567,8 @@ class EngineRecovery(Recovery):
         dispatcher.restore(*served)
         self._logic.new_goals = goals
         if rebuild and state is None:
-            mend(self._logic)
+            repair(self._logic)
             self._logic.from_outside = False
-            dispatcher.mend()
-            self._rules.mend()
-            self._knowledge.mend()
+            dispatcher.repair()
+            self._rules.repair()
+            self._knowledge.repair()

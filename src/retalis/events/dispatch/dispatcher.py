@@ -65,7 +65,7 @@ class Dispatcher(ListenerIndex):
         self.tracked = False
         self.retractions = 0
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Clear all plans and reset the context, after an interrupt."""
         self._changed(None)
         self.restore(None, None)

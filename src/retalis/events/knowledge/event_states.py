@@ -66,7 +66,7 @@ _MAX_OPENINGS = 100
 Begun = Tuple[int, Optional[Occurrence]]
 """End of an event with which a state may have begun, and the occurrence of that event if events are tracked."""
 
-KeptState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Begun]]], List[Tuple[Any, ...]], int]
+DeclarationState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Begun]]], List[Tuple[Any, ...]], int]
 """Open states (key, term, key of the shared values, openings), past states, and the number of dropped states."""
 
 
@@ -336,7 +336,7 @@ class DeclaredState:
         if past:
             self.past.clear()
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Build all indices again after an interrupt."""
         open_states = list(self.open.values())
         self.open.clear()
@@ -346,16 +346,16 @@ class DeclaredState:
         for state in open_states:
             self._add(state)
 
-    def kept(self) -> KeptState:
+    def snapshot(self) -> DeclarationState:
         """Return open and past states as data; see `restore`."""
         open_rows = [
             (state.key, state.term, state.shared, list(state.openings)) for state in self.open.values()
         ]
         return open_rows, [tuple(state) for state in self.past], self.dropped
 
-    def restore(self, kept: KeptState) -> None:
+    def restore(self, saved: DeclarationState) -> None:
         """Set the states that another declaration returned."""
-        open_rows, past, self.dropped = kept
+        open_rows, past, self.dropped = saved
         self.version = next(_VERSIONS)
         for key, term, shared, openings in open_rows:
             self._add(OpenState(key, term, shared, next(self._order), list(openings)))
@@ -387,7 +387,7 @@ class StateRegistry:
         self._clock = clock
         self._warn = warn
         self._all: Dict[Hashable, DeclaredState] = {}
-        self._aside: Dict[Hashable, DeclaredState] = {}
+        self._detached: Dict[Hashable, DeclaredState] = {}
         self._by_functor: Dict[Functor, List[DeclaredState]] = {}
         self._tables = tables_of(logic.machine)
         self.on_event: Callable[[Term], None] = lambda event: None
@@ -411,10 +411,10 @@ class StateRegistry:
             raise permission_error("create", "state", form.state, "it is declared otherwise already")
         if len(self._all) >= MAX_STATES:
             raise resource_error("states", reason=f"more than {MAX_STATES} states are declared")
-        aside_declaration = self._aside.get(form.key)
-        # The declaration was set aside by a reload and is unchanged: it keeps its open states.
-        if aside_declaration is not None and _is_same_form(aside_declaration.form, form):
-            declaration = self._aside.pop(form.key)
+        detached_declaration = self._detached.get(form.key)
+        # The declaration was detached by a reload and is unchanged: it keeps its open states.
+        if detached_declaration is not None and _is_same_form(detached_declaration.form, form):
+            declaration = self._detached.pop(form.key)
         else:
             declaration = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
         declaration.listen()
@@ -483,49 +483,49 @@ class StateRegistry:
         for declaration in self._all.values():
             declaration.close(past)
 
-    def standing(self) -> Dict[Hashable, DeclaredState]:
+    def all_by_key(self) -> Dict[Hashable, DeclaredState]:
         """Return all declarations by their keys."""
         return dict(self._all)
 
-    def set_aside(self, keys: Iterable[Hashable]) -> None:
+    def detach(self, keys: Iterable[Hashable]) -> None:
         """Remove declarations; those that are declared again without a change continue with their states."""
         for key in keys:
-            declaration = self._aside[key] = self._all.pop(key)
+            declaration = self._detached[key] = self._all.pop(key)
             declaration.unlisten()
         self._index_by_functor()
 
-    def forget_aside(self) -> None:
-        """Delete the declarations that were set aside and not declared again."""
-        for declaration in self._aside.values():
+    def discard_detached(self) -> None:
+        """Delete the declarations that were detached and not declared again."""
+        for declaration in self._detached.values():
             declaration.clear()
-        self._aside.clear()
+        self._detached.clear()
 
-    def restore_standing(self, before: Dict[Hashable, DeclaredState]) -> None:
-        """Restore exactly these declarations, whether or not they have been set aside meanwhile."""
-        self.set_aside(list(self._all))
-        self._aside = {**self._aside, **before}
+    def restore_all(self, before: Dict[Hashable, DeclaredState]) -> None:
+        """Restore exactly these declarations, whether or not they have been detached meanwhile."""
+        self.detach(list(self._all))
+        self._detached = {**self._detached, **before}
         for declaration in before.values():
             self.declare(declaration.form.term)
-        self.forget_aside()
+        self.discard_detached()
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the declarations after an interrupt."""
         self._index_by_functor()
         for declaration in self._all.values():
-            declaration.mend()
+            declaration.repair()
         # An interrupt may leave listeners of a declaration that was not completed.
         owned_listeners = {
             listener for declaration in self._all.values() for listener in declaration.listeners
         }
         self._dispatcher.keep_only(ListenerPhase.STATES, owned_listeners)
 
-    def kept(self) -> List[Any]:
+    def snapshot(self) -> List[Any]:
         """Return the states of each declaration, in order; see `restore`."""
-        return [declaration.kept() for declaration in self._all.values()]
+        return [declaration.snapshot() for declaration in self._all.values()]
 
-    def restore(self, kept: Sequence[Any]) -> None:
+    def restore(self, saved: Sequence[Any]) -> None:
         """Set the states that equal declarations returned."""
-        for declaration, state in zip(self._all.values(), kept):
+        for declaration, state in zip(self._all.values(), saved):
             declaration.restore(state)
 
 

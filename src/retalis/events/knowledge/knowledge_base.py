@@ -97,13 +97,13 @@ class KnowledgeBase:
         self.subscriptions.clear()
         self.states.close(past)
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair all parts after an interrupt."""
         # Memories forget who waits for them, and the pending queries register again; the order matters.
-        self.memories.mend()
-        self.waiting.mend()
-        self.subscriptions.mend()
-        self.states.mend()
+        self.memories.repair()
+        self.waiting.repair()
+        self.subscriptions.repair()
+        self.states.repair()
 
     def behind(self, names: Sequence[Term], instant: int) -> MissingMemories:
         """Return the memories that have received no event that ends at an instant or later.

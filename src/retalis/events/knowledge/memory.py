@@ -227,7 +227,7 @@ class Memory:
         self._replace_records(self._gone + len(self.ends), [], [])
 
     def _replace_records(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
-        # A write-ahead record: after an interrupt between the assignments, `mend` repeats them.
+        # A write-ahead record: after an interrupt between the assignments, `repair` repeats them.
         self._next = gone, ends, records
         self.indices = {}
         self._gone, self.ends, self.records = gone, ends, records
@@ -249,7 +249,7 @@ class Memory:
         self.late = late
         self._replace_records(gone, ends, records)
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Complete a change that was interrupted."""
         if self._next is not None:
             self._replace_records(*self._next)
@@ -453,9 +453,9 @@ class MemoryInstance:
                 self.times = list(self.waiting)
                 heapify(self.times)
 
-    def mend(self) -> None:
-        """Repair the records after an interrupt; `PendingQueries.mend` registers the queries again."""
-        self.memory.mend()
+    def repair(self) -> None:
+        """Repair the records after an interrupt; `PendingQueries.repair` registers the queries again."""
+        self.memory.repair()
         self.forget_waiting()
         if self not in self.recorder.instances:
             self.recorder.add(self)

@@ -2,7 +2,7 @@
 
 `MemoryInstances` owns the memories of a program. Memories are created and deleted by goals and services, filled by
 recorders, and read by the predicates ``prev``, ``next``, ``access_mem`` and others, which are defined here. Active
-memories report creation, updates and deletion as events. If a program is reloaded, memories are set aside; those
+memories report creation, updates and deletion as events. If a program is reloaded, memories are detached; those
 with an unchanged definition continue with their records.
 """
 
@@ -71,7 +71,7 @@ class MemoryInstances:
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
         self._newest_recorder: Optional[Recorder] = None
-        self._aside: Dict[Hashable, MemoryInstance] = {}
+        self._detached: Dict[Hashable, MemoryInstance] = {}
         self._updates = dispatcher.event_filter(UPDATED)
         self.on_update: Follow = lambda instance, end, after: after
         self.on_delete: Callable[[MemoryInstance], None] = lambda instance: None
@@ -139,16 +139,16 @@ class MemoryInstances:
         if size < 0:
             raise domain_error("not_less_than_zero", size)
         instance = MemoryInstance(name, size, active, copied)
-        aside_instance = self._aside.get(key)
-        # Set aside by a reload and unchanged: the memory keeps its records.
-        if aside_instance is not None and aside_instance.key == instance.key:
-            instance = self._aside.pop(key)
+        detached_instance = self._detached.get(key)
+        # Detached by a reload and unchanged: the memory keeps its records.
+        if detached_instance is not None and detached_instance.key == instance.key:
+            instance = self._detached.pop(key)
         else:
             self.on_create(instance)
         recorder = self._find_or_create_recorder(pattern, conditions, form, name)
         self.instances[key] = instance
         recorder.add(instance)
-        if not active or instance is aside_instance:
+        if not active or instance is detached_instance:
             return after
         reported_record = pattern if is_event_variable(pattern, conditions, form) else form
         instant = self._stamp()
@@ -178,29 +178,31 @@ class MemoryInstances:
         instant = self._stamp()
         return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
 
-    def set_aside(self, instances: Iterable[MemoryInstance]) -> None:
+    def detach(self, instances: Iterable[MemoryInstance]) -> None:
         """Remove memories with their records; `create` uses them again for unchanged definitions."""
         for instance in instances:
             key = key_of(instance.id)
             del self.instances[key]
             instance.recorder.remove(instance)
-            self._aside[key] = instance
+            self._detached[key] = instance
 
-    def forget_aside(self) -> List[MemoryInstance]:
-        """Delete the memories that were set aside and not created again, with their pending queries; return them."""
-        deleted = list(self._aside.values())
-        self._aside.clear()
+    def discard_detached(self) -> List[MemoryInstance]:
+        """Delete the memories that were detached and not created again, with their pending queries; return them."""
+        deleted = list(self._detached.values())
+        self._detached.clear()
         for instance in deleted:
             self.on_delete(instance)
         return deleted
 
-    def restore(self, instances: Sequence[MemoryInstance]) -> None:
-        """Restore exactly these memories, whether or not they have been set aside meanwhile."""
-        self.set_aside(list(self.instances.values()))
+    def restore_all(self, instances: Sequence[MemoryInstance]) -> None:
+        """Restore exactly these memories, whether or not they have been detached meanwhile."""
+        self.detach(list(self.instances.values()))
         restored = set(instances)
-        self._aside = {key: instance for key, instance in self._aside.items() if instance not in restored}
-        self.forget_aside()
-        self._aside = {key_of(instance.id): instance for instance in instances}
+        self._detached = {
+            key: instance for key, instance in self._detached.items() if instance not in restored
+        }
+        self.discard_detached()
+        self._detached = {key_of(instance.id): instance for instance in instances}
         done = self._logic.machine.done
         for instance in instances:
             self.create(instance.definition, instance.active, done)
@@ -209,16 +211,16 @@ class MemoryInstances:
         """Create a memory by its definition as `create` does, without reporting it."""
         _, _, _, _, name, size = definition
         instance = MemoryInstance(name, size, active, definition)
-        self._aside[key_of(name)] = instance
+        self._detached[key_of(name)] = instance
         self.on_create(instance)
         self.create(definition, active, self._logic.machine.done)
         return instance
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the memories after an interrupt: each has both a name and a recorder, or is removed."""
         for key, instance in list(self.instances.items()):
             if hasattr(instance, "recorder"):
-                instance.mend()
+                instance.repair()
             else:
                 del self.instances[key]
         recorders = {instance.recorder for instance in self.instances.values()}

@@ -363,7 +363,7 @@ Waiting = Tuple[int, TriggeredQuery, Values, int, int, MissingMemories]
 """A pending query: order, query, values, start, end, and the memories that it waits for, next one last."""
 
 
-KeptQuery = Tuple[int, Term, Term, int, int, List[Tuple[Term, int]], object]
+QueryRow = Tuple[int, Term, Term, int, int, List[Tuple[Term, int]], object]
 """A pending query as data.
 
 Its order, event and query, start and end, ids of memories with the instants that they have to reach, and the
@@ -443,7 +443,7 @@ class PendingQueries:
         """
         return self._wait(QueryNotifier(named, tell), (), now, now, missing)
 
-    def kept(self) -> Tuple[int, List[KeptQuery]]:
+    def snapshot(self) -> Tuple[int, List[QueryRow]]:
         """Return the next order and the pending queries as data.
 
         See `restore`. Clients that wait are not included.
@@ -451,7 +451,7 @@ class PendingQueries:
         order = next(self._order)
         # Reading the counter advances it, so it is set back.
         self._order = count(order)
-        queries: List[KeptQuery] = []
+        queries: List[QueryRow] = []
         for query_order, triggered, values, start, end, missing in self._all.values():
             if isinstance(triggered, QueryNotifier):
                 continue
@@ -461,7 +461,7 @@ class PendingQueries:
             queries.append((query_order, event, query, start, end, awaited, token))
         return order, queries
 
-    def restore(self, order: int, queries: Sequence[KeptQuery]) -> None:
+    def restore(self, order: int, queries: Sequence[QueryRow]) -> None:
         """Set the pending queries."""
         self._order = count(order)
         self._oldest_order = queries[0][0] if queries else order
@@ -578,7 +578,7 @@ class PendingQueries:
         if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
-        # The query is in the list before it is registered: `mend` registers all that are in the list.
+        # The query is in the list before it is registered: `repair` registers all that are in the list.
         pending = self._all[order] = (order, question, values, start, end, missing)
         instance, instant = missing[-1]
         instance.wait(instant, order, pending)
@@ -625,7 +625,7 @@ class PendingQueries:
                 return result
         return frame[2]  # type: ignore[no-any-return]
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Register all pending queries again after an interrupt; queries that are ready run with the next event."""
         instances = set(self._memories)
         for order in sorted(self._all):

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase
 
 
-KeptRate = Tuple[Any, int, int]
+RateLimiterState = Tuple[Any, int, int]
 """State of the operator, number of late events, and number of dropped events."""
 
 
@@ -145,10 +145,10 @@ class OutputRateLimiter:
         self._wake()
         self._send(outputs)
 
-    def ring(self, instant: int, after: Frame) -> Frame:
+    def on_alarm(self, instant: int, after: Frame) -> Frame:
         """Send everything that is due; see `TimedNode`."""
         self.woken = None
-        outputs = self._stream.ring(instant)
+        outputs = self._stream.advance_to(instant)
         self._wake()
         self._send(outputs)
         return after
@@ -175,17 +175,17 @@ class OutputRateLimiter:
         self._stream = self._create_stream()
         self.woken = None
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the operator after an interrupt."""
-        self.restore(self.kept())
+        self.restore(self.snapshot())
 
-    def kept(self) -> KeptRate:
+    def snapshot(self) -> RateLimiterState:
         """Return the state; see `restore`."""
-        return self._stream.kept(), self.late, self.dropped
+        return self._stream.snapshot(), self.late, self.dropped
 
-    def restore(self, kept: KeptRate) -> None:
+    def restore(self, saved: RateLimiterState) -> None:
         """Set the state of an equal rate limiter."""
-        stream_state, self.late, self.dropped = kept
+        stream_state, self.late, self.dropped = saved
         self._stream = self._create_stream()
         self._stream.restore(stream_state)
         self.woken = None
@@ -244,7 +244,7 @@ class Subscriptions:
         self._clock = clock
         self._places = count()
         self._all: Dict[SubscriptionKey, Subscription] = {}
-        self._aside: Dict[SubscriptionKey, Subscription] = {}
+        self._detached: Dict[SubscriptionKey, Subscription] = {}
 
     def __iter__(self) -> Iterator[SubscriptionKey]:
         return iter(list(self._all))
@@ -278,11 +278,11 @@ class Subscriptions:
         shape, _ = compile_recording(
             self._logic, self._dispatcher, pattern, conditions, form, title, self._problem
         )
-        aside_subscription = self._aside.get(key)
-        # Set aside by a reload and unchanged: the counter and the state of the rate limiter continue.
+        detached_subscription = self._detached.get(key)
+        # Detached by a reload and unchanged: the counter and the state of the rate limiter continue.
         unchanged = (
-            aside_subscription
-            if aside_subscription is not None and aside_subscription.key == term_key(copied)
+            detached_subscription
+            if detached_subscription is not None and detached_subscription.key == term_key(copied)
             else None
         )
         tally = SentCounter() if unchanged is None else unchanged.tally
@@ -340,31 +340,31 @@ class Subscriptions:
     def _create_rate_limiter(
         self, rate_shape: Shaped, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
     ) -> OutputRateLimiter:
-        """Return the rate limiter, with the state of an unchanged subscription that was set aside."""
+        """Return the rate limiter, with the state of an unchanged subscription that was detached."""
         rate = OutputRateLimiter(rate_shape, names, title, self._clock, self._problem, next(self._places))
         if unchanged is not None and unchanged.rate is not None:
-            rate.restore(unchanged.rate.kept())
+            rate.restore(unchanged.rate.snapshot())
         return rate
 
-    def set_aside(self, keys: Iterable[SubscriptionKey]) -> None:
+    def detach(self, keys: Iterable[SubscriptionKey]) -> None:
         """Remove subscriptions; those that are created again without a change continue with their counters."""
         for key in keys:
-            subscription = self._aside[key] = self._all.pop(key)
+            subscription = self._detached[key] = self._all.pop(key)
             self._end(subscription)
 
-    def forget_aside(self) -> None:
-        """Forget the subscriptions that were set aside."""
-        self._aside.clear()
+    def discard_detached(self) -> None:
+        """Forget the subscriptions that were detached."""
+        self._detached.clear()
 
-    def restore(self, before: Sequence[Tuple[SubscriptionKey, Subscription]]) -> None:
-        """Restore exactly these subscriptions, whether or not they have been set aside meanwhile."""
-        self.set_aside(list(self._all))
-        self._aside = dict(before)
+    def restore_all(self, before: Sequence[Tuple[SubscriptionKey, Subscription]]) -> None:
+        """Restore exactly these subscriptions, whether or not they have been detached meanwhile."""
+        self.detach(list(self._all))
+        self._detached = dict(before)
         for _, subscription in before:
             self.create(subscription.definition)
-        self.forget_aside()
+        self.discard_detached()
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the subscriptions after an interrupt."""
         # An interrupt may leave a listener without a subscription, which would deliver events that nobody asked
         # for.
@@ -372,7 +372,7 @@ class Subscriptions:
             ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
         )
         for rate in self._rate_limiters():
-            rate.mend()
+            rate.repair()
 
     def has(self, topic: Term, name: Term) -> bool:
         """Return whether there is a subscription with this topic and id."""
@@ -396,16 +396,16 @@ class Subscriptions:
         for rate in self._rate_limiters():
             rate.clear()
 
-    def kept(self) -> List[Optional[KeptRate]]:
+    def snapshot(self) -> List[Optional[RateLimiterState]]:
         """Return the state of each rate limiter, None for subscriptions without one; see `restore_rates`."""
         return [
-            None if subscription.rate is None else subscription.rate.kept()
+            None if subscription.rate is None else subscription.rate.snapshot()
             for subscription in self._all.values()
         ]
 
-    def restore_rates(self, kept: Sequence[Optional[KeptRate]]) -> None:
+    def restore_rates(self, saved: Sequence[Optional[RateLimiterState]]) -> None:
         """Set the states of the rate limiters of equal subscriptions."""
-        for subscription, rate_state in zip(self._all.values(), kept):
+        for subscription, rate_state in zip(self._all.values(), saved):
             if subscription.rate is not None and rate_state is not None:
                 subscription.rate.restore(rate_state)
 

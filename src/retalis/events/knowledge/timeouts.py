@@ -97,7 +97,7 @@ class Timeouts:
             self._alarm_instants.add(instant)
             self._clock.call_at(instant, TimeoutAlarm(self, instant))
 
-    def ring(self, set_for: int, now: int) -> None:
+    def on_alarm(self, set_for: int, now: int) -> None:
         """Give up the queries whose deadline has passed, when an alarm rings that was set for an instant."""
         self._alarm_instants.discard(set_for)
         try:
@@ -108,7 +108,7 @@ class Timeouts:
         finally:  # `give_up` may raise
             self._set_alarm()
 
-    def kept(self) -> Tuple[List[Tuple[int, int]], List[int]]:
+    def snapshot(self) -> Tuple[List[Tuple[int, int]], List[int]]:
         """Return the deadlines of pending queries, and the instants of alarms; see `restore`."""
         return [entry for entry in self._deadlines if entry[1] in self._pending_orders], sorted(
             self._alarm_instants
@@ -137,4 +137,4 @@ class TimeoutAlarm:
 
     def __call__(self, now: int) -> None:
         """Ring."""
-        self.timeouts.ring(self.set_for, now)
+        self.timeouts.on_alarm(self.set_for, now)

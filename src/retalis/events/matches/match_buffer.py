@@ -142,7 +142,7 @@ class MatchBuffer:
         if self.names and key in self.names and self.names[key].get(match.identity) is match:
             del self.names[key][match.identity]
 
-    def mend(self) -> List[PartialMatch]:
+    def repair(self) -> List[PartialMatch]:
         """Repair the links of stored matches after an interrupt; return the matches, oldest first."""
         matches = []
         for key, last in list(self.newest.items()):

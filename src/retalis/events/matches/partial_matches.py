@@ -134,7 +134,7 @@ class EventMatch:
         """The values that contain the shared values of the key."""
         return self.values
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the match after an interrupt."""
 
     def leave(self) -> None:

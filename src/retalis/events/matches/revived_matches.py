@@ -38,13 +38,13 @@ class RetainedMatches:
         self.buffer = buffer
         self._kept: Deque[PartialMatch] = deque()
 
-    def kept(self) -> List[PartialMatch]:
+    def snapshot(self) -> List[PartialMatch]:
         """Return the matches that are kept, oldest first; see `restore`."""
         return [match for match in self._kept if match.buffer is not None]
 
-    def restore(self, kept: List[PartialMatch]) -> None:
+    def restore(self, saved: List[PartialMatch]) -> None:
         """Set the matches that are kept; they are stored in the buffer already."""
-        self._kept = deque(kept)
+        self._kept = deque(saved)
 
     def add(self, match: PartialMatch, key: Hashable) -> None:
         """Keep a match; see `MatchBuffer.add`."""

@@ -305,7 +305,7 @@ class RunGroupBuffer:
         """Retention time of the sequences in ns; None for no bound."""
         return self._node.limit
 
-    def mend(self) -> List[PartialMatch]:
+    def repair(self) -> List[PartialMatch]:
         """Repair the groups after an interrupt; return the stored sequences, oldest first."""
         sequences = []
         for key, train in list(self._node.trains.items()):
@@ -374,13 +374,13 @@ class Run(PartialMatch):
 
     def become(self, last: int, fixed: Optional[Values], items: Term, values: Values, state: object) -> None:
         """Extend the run, completely or not at all, even if an interrupt occurs."""
-        # A write-ahead record: an interrupt between the assignments below leaves `_next` set, and `mend` repeats
+        # A write-ahead record: an interrupt between the assignments below leaves `_next` set, and `repair` repeats
         # them.
         self._next = last, fixed, items, values, state
         self.last, self.fixed, self.items, self.values, self.state = self._next
         self._next = None
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Complete an extension that was interrupted."""
         if self._next is not None:
             self.become(*self._next)

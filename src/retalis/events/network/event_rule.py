@@ -249,7 +249,7 @@ class EventRule:
                 *(self.dropped, self.alarms_dropped, self.alarms_past, self.late),
             ),
             (self.clock, self.order, self._collected_at),
-            [(type(node).__name__, node.kept()) for node, _, _ in self.nodes],
+            [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
             [
                 (match, places.get(id(match.buffer), -1), match.order)
                 for match in self.arrivals
@@ -257,7 +257,7 @@ class EventRule:
             ],
             [(places[id(buffer)], match) for buffer, match, _ in self.later],
             self._later_event,
-            None if self.skipping is None else self.skipping.kept(),
+            None if self.skipping is None else self.skipping.snapshot(),
         )
 
     def restore(self, state: RuleState) -> None:
@@ -274,9 +274,9 @@ class EventRule:
             raise UsageError(
                 f"{self.name}: the saved state does not fit: it belongs to other nodes than the rule has now"
             )
-        for (node, _, _), (_, kept) in zip(self.nodes, state.nodes):
-            if kept is not None:
-                node.restore(kept)
+        for (node, _, _), (_, saved) in zip(self.nodes, state.nodes):
+            if saved is not None:
+                node.restore(saved)
         buffers = self._buffers()
         waiting: Dict[int, Dict[PartialMatch, None]] = {}
         for match, position, order in state.arrivals:
@@ -294,18 +294,20 @@ class EventRule:
         self._later_event = state.later_event
         self._refile_matches()
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the stored matches after an interrupt."""
         # The buffers decide which matches are stored; counters and queues are derived from them.
-        waiting = [match for node, _, _ in self.nodes for buffer in node.buffers() for match in buffer.mend()]
+        waiting = [
+            match for node, _, _ in self.nodes for buffer in node.buffers() for match in buffer.repair()
+        ]
         waiting.sort(key=lambda match: match.order)
         for match in waiting:
-            match.mend()
+            match.repair()
         self.waiting = len(waiting)
         self._reset_arrivals(waiting)
         self._refile_matches()
         for node, _, _ in self.nodes:
-            node.mend()
+            node.repair()
 
     def _reset_arrivals(self, waiting: List[PartialMatch]) -> None:
         self.arrivals.clear()

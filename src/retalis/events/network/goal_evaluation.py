@@ -48,7 +48,7 @@ class Buffer(Protocol):
     def span(self) -> Optional[int]:
         """Retention time in ns; None for no bound."""
 
-    def mend(self) -> List[PartialMatch]:
+    def repair(self) -> List[PartialMatch]:
         """Repair the buffer after an interrupt; return the stored matches, oldest first."""
 
 
@@ -81,7 +81,7 @@ class TimedNode(Protocol):
     def rule(self) -> "TimedOwner":
         """The owner."""
 
-    def ring(self, instant: int, after: Frame, /) -> Frame:
+    def on_alarm(self, instant: int, after: Frame, /) -> Frame:
         """Return the frame that processes everything that is due, and continues with ``after``."""
 
 

@@ -150,13 +150,13 @@ class JoinNode(NetworkNode):
         for absence in self.absences:
             absence.buffer.span = retention_for_late(span, limit) if late else limit
 
-    def kept(self) -> Any:
-        """Return the state of the node; see `NetworkNode.kept`."""
-        return (list(self.completed), self.kept_sides.kept())
+    def snapshot(self) -> Any:
+        """Return the state of the node; see `NetworkNode.snapshot`."""
+        return (list(self.completed), self.kept_sides.snapshot())
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        completed, sides = kept
+        completed, sides = saved
         self.completed.update(dict.fromkeys(completed))
         self.kept_sides.restore(sides)
 

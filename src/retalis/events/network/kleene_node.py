@@ -283,13 +283,13 @@ class KleeneNode(KleeneValues):
         self.buffer.span = limit
         self.incoming.span = limit
 
-    def kept(self) -> Any:
-        """Return the state of the node; see `NetworkNode.kept`."""
-        return self.kept_sides.kept()
+    def snapshot(self) -> Any:
+        """Return the state of the node; see `NetworkNode.snapshot`."""
+        return self.kept_sides.snapshot()
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        self.kept_sides.restore(kept)
+        self.kept_sides.restore(saved)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""

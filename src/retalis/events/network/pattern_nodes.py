@@ -163,7 +163,7 @@ class NetworkNode:
     def clear(self) -> None:
         """Reset the state of the node itself."""
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the state of the node itself after an interrupt."""
 
     def held(self) -> int:
@@ -178,10 +178,10 @@ class NetworkNode:
         """Return an estimate of the memory of the state of the node itself."""
         return 0
 
-    def kept(self) -> Any:
+    def snapshot(self) -> Any:
         """Return the state of the node itself besides the matches in its buffers; see `restore`."""
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, saved: Any) -> None:
         """Set the state that an equal node returned, before the stored matches are put back."""
 
 

@@ -149,14 +149,14 @@ class RepeatNode(NetworkNode):
                     self._separate.setdefault(key, {})[number] = None
         self.child.bind(self._arrive, mode)
 
-    def kept(self) -> Any:
-        """Return the state of the node; see `NetworkNode.kept`."""
+    def snapshot(self) -> Any:
+        """Return the state of the node; see `NetworkNode.snapshot`."""
         apart = [(key, list(numbers)) for key, numbers in self._separate.items()]
         return self._is_grouped, list(self._buffers), list(self.trains.values()), apart
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        together, numbers, trains, apart = kept
+        together, numbers, trains, apart = saved
         if self._is_grouped and not together:
             self._switch_to_joins()
         for number in numbers:
@@ -164,9 +164,9 @@ class RepeatNode(NetworkNode):
         self.trains = {train.key: train for train in trains}
         self._separate = {key: dict.fromkeys(lengths) for key, lengths in apart}
 
-    def number_of_buffers(self, kept: Any) -> int:
+    def number_of_buffers(self, saved: Any) -> int:
         """Return the number of buffers that the node has after it has restored a state."""
-        together, numbers, _, _ = kept
+        together, numbers, _, _ = saved
         known = {*self._buffers, *numbers}
         if self._is_grouped and together:
             return 1 + len(known)

@@ -79,13 +79,13 @@ class AfterMatchSkip:
         self._due.clear()
         self.forget()
 
-    def kept(self) -> Tuple[Any, ...]:
+    def snapshot(self) -> Tuple[Any, ...]:
         """Return the state besides the stored matches; see `restore`."""
         return self.past, tuple(sorted(self._due))
 
-    def restore(self, kept: Tuple[Any, ...]) -> None:
+    def restore(self, saved: Tuple[Any, ...]) -> None:
         """Set the state; skipped matches are discarded when the next event is served."""
-        self.past, due = kept
+        self.past, due = saved
         self._due = set(due)
 
     @property

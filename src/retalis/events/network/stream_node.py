@@ -2,7 +2,7 @@
 
 `StreamNode` passes the matches of its patterns to an operator of `streams` (a window, a rate operator, a timeout),
 and emits a match for each of its outputs. Operators that produce output when time passes are woken by the clock
-(`StreamNode.ring`). Three mechanisms surround the operator:
+(`StreamNode.on_alarm`). Three mechanisms surround the operator:
 
 * *Reentrancy*: an operator may call goals of the program (conditions of steps, user-defined aggregates). Such a goal
   may make events that reach the same node, or change flags. `ReentrancyQueue` defers these until the operator has
@@ -145,7 +145,7 @@ class Replay:
         Called before the operator processes an element or an alarm.
         """
         if len(self._taken) >= MAX_REPLAYED_ELEMENTS or len(self._given) >= MAX_REPLAYED_ELEMENTS:
-            self._base = _copy_state(stream.kept())
+            self._base = _copy_state(stream.snapshot())
             self._taken, self._given = [], []
 
     def took(self, channel: int, item: StreamElement, now: int) -> None:
@@ -183,9 +183,9 @@ class Replay:
             stream.restore(_without_retracted(_copy_state(self._base)))
         outputs: List[StreamOutput] = []
         for channel, item, instant in metered(self._taken, meter):
-            outputs += stream.ring(instant)
+            outputs += stream.advance_to(instant)
             outputs += stream.take(_fresh_element(item), instant, channel)
-        outputs += stream.ring(now)
+        outputs += stream.advance_to(now)
         if meter is not None and meter(0):
             return None
         # Errors were reported the first time.
@@ -219,14 +219,14 @@ class Replay:
         outputs, self._new = self._new, []
         return outputs
 
-    def kept(self) -> Tuple[Any, ...]:
+    def snapshot(self) -> Tuple[Any, ...]:
         """Return the log; see `restore`."""
         given = [((list(output.items), *output[1:]), held) for output, held in self._given]
         return (self._base, self._taken, given)
 
-    def restore(self, kept: Tuple[Any, ...]) -> None:
+    def restore(self, saved: Tuple[Any, ...]) -> None:
         """Set the log that another one returned."""
-        self._base, self._taken, given = kept
+        self._base, self._taken, given = saved
         self._given = [(StreamOutput(tuple(items), *rest), held) for (items, *rest), held in given]
         # A state that cannot be restored must fail now, not at a retraction.
         if self._base:
@@ -418,7 +418,7 @@ class StreamNode(NetworkNode):
             self._began = mode
             self._rebuild()
             self.replay = (
-                Replay(partial(self._begin, mode, self.rule.meter), self.stream.kept())
+                Replay(partial(self._begin, mode, self.rule.meter), self.stream.snapshot())
                 if mode.revised
                 else None
             )
@@ -438,12 +438,12 @@ class StreamNode(NetworkNode):
 
     def _rebuild(self) -> None:
         """Replace the operator by a new one with the same state: for other options, or after an interrupt."""
-        kept = self.stream.kept()
+        saved = self.stream.snapshot()
         self.stream = self._begin(self._began or NetworkOptions(), self.rule.meter)
-        self.stream.restore(kept)
+        self.stream.restore(saved)
         self.stream.late, self.stream.evicted = self.late, self.evicted
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the operator after an interrupt: its state is counted and indexed again."""
         if self._reentrancy is not None:
             self._reentrancy.clear()
@@ -546,7 +546,7 @@ class StreamNode(NetworkNode):
             self.woken = instant
             self.rule.network.wake(self, instant)
 
-    def ring(self, instant: int, after: Frame) -> Frame:
+    def on_alarm(self, instant: int, after: Frame) -> Frame:
         """Return the frame that emits the outputs that are due, and continues with ``after``."""
         self.woken = None
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
@@ -556,9 +556,9 @@ class StreamNode(NetworkNode):
             self.replay.begin_step(self.stream)
         postponing = self._reentrancy
         if postponing is None:
-            outputs = self.stream.ring(instant)
+            outputs = self.stream.advance_to(instant)
         else:
-            outputs = postponing.run_operator(lambda: self.stream.ring(instant))
+            outputs = postponing.run_operator(lambda: self.stream.advance_to(instant))
             after = postponing.before(after)
         if self.stream.evicted != self.evicted:
             self._report_dropped()
@@ -684,13 +684,13 @@ class StreamNode(NetworkNode):
         """Return an estimate of the memory of the state."""
         return self.stream.bytes
 
-    def kept(self) -> Any:
-        """Return the state of the node; see `NetworkNode.kept`."""
-        return (self.stream.kept(), self.late, None if self.replay is None else self.replay.kept())
+    def snapshot(self) -> Any:
+        """Return the state of the node; see `NetworkNode.snapshot`."""
+        return (self.stream.snapshot(), self.late, None if self.replay is None else self.replay.snapshot())
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        known, self.late, replayed = kept
+        known, self.late, replayed = saved
         self.stream.restore(known)
         if self.replay is not None and replayed is not None:
             self.replay.restore(replayed)

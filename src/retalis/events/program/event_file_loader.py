@@ -416,7 +416,7 @@ class EventFileLoader:
         """True while a load is in progress."""
         return bool(self._rollbacks or self._active_files)
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Undo a load that was interrupted."""
         self._active_files.clear()
         # The first two entries belong to the outermost load; restoring its state undoes nested loads, too.

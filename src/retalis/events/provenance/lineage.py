@@ -101,7 +101,7 @@ class LineageTracker:
                 dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._take_back, (-1,))
             )
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Repair the state after an interrupt."""
         self._by_term.clear()
         for occurrence in self._recent:
@@ -112,7 +112,7 @@ class LineageTracker:
                     if isinstance(match, PartialMatch):
                         match.leave()
 
-    def kept(self) -> Tuple[List[Occurrence], int, int]:
+    def snapshot(self) -> Tuple[List[Occurrence], int, int]:
         """Return the remembered events, and the counters of suppressed matches and of events; see `restore`."""
         # Reading a counter consumes its value, so both are replaced.
         numbers, arrivals = next(self._numbers), next(self._arrivals)
@@ -120,11 +120,11 @@ class LineageTracker:
         return list(self._recent), numbers, arrivals
 
     def restore(self, saved: Tuple[List[Occurrence], int, int]) -> None:
-        """Set the state that another tracker returned from `kept`."""
+        """Set the state that another tracker returned from `snapshot`."""
         recent, numbers, arrivals = saved
         self._recent = deque(recent if self._rules.mode.tracked else ())
         self._numbers, self._arrivals = count(numbers), count(arrivals)
-        self.mend()
+        self.repair()
 
     def clear(self) -> None:
         """Drop all remembered events."""

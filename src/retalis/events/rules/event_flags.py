@@ -108,7 +108,7 @@ class Flags:
         ):
             raise UsageError(f"{name} takes {flag.takes}")
         if value != self._values[name]:
-            # An interrupt may come before the listeners have been called; `mend` calls them then.
+            # An interrupt may come before the listeners have been called; `repair` calls them then.
             self._changing = name
             self._values[name] = value
             self._notify(name)
@@ -132,7 +132,7 @@ class Flags:
         if name in self._followers:
             self._followers[name](self.number(name))
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Call the listeners of a flag that was being changed when an interrupt came."""
         if self._changing is not None:
             self._notify(self._changing)

@@ -78,7 +78,7 @@ class RuleIndex:
         """Return the rules with an equal definition; see `RuleDefinition.key`."""
         return list(self._by_key.get(key, ()))
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Rebuild the indexes after an interrupt, which may have come between two of their updates."""
         self._by_label, self._by_key = {}, {}
         for rule in self._all:
@@ -277,7 +277,7 @@ class RuleBase:
         if was_active:
             self.fired_before += rule.firings.number
 
-    def set_aside(self, rule: EventRule) -> None:
+    def detach(self, rule: EventRule) -> None:
         """Deactivate a rule and keep its partial matches."""
         self._table.discard(rule)
         rule.unlisten()
@@ -304,25 +304,25 @@ class RuleBase:
             rule.serial = self.serial
             self.activate(rule)
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Restore consistency after an interrupt: each rule is in all indexes and listens, or neither."""
         # The loader rolls an interrupted load back, which uses the table and changes it; so it is mended twice.
-        self._table.mend()
-        self.loader.mend()
-        self._table.mend()
-        self.flags.mend()
+        self._table.repair()
+        self.loader.repair()
+        self._table.repair()
+        self.flags.repair()
         # All listeners that no rule owns are removed: an interrupt may have left those of a half-removed rule.
         owned_listeners = set(self.tracker.listeners)
         # Each node sets its timeout again.
         self.deadlines.clear()
         for rule in self.rules:
-            rule.mend()
+            rule.repair()
             if not rule.sound:
                 self._configure(rule)
             owned_listeners.update(rule.listeners)
         self.dispatcher.keep_only(ListenerPhase.RULES, owned_listeners)
-        self.tracker.mend()
-        self.timers.mend()
+        self.tracker.repair()
+        self.timers.repair()
 
     def _rules_equal_to(self, term: Term) -> List[EventRule]:
         checker = FileChecker()

@@ -101,7 +101,7 @@ class NodeTimers:
         heap, armed = self._heap, self._armed
         if heap and (not armed or heap[0][0] < armed[0]):
             heapq.heappush(armed, heap[0][0])
-            self._rules.clock.put_back(heap[0][0], _FIRST_ORDER, self._ring)
+            self._rules.clock.put_back(heap[0][0], _FIRST_ORDER, self._on_alarm)
 
     def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
@@ -117,7 +117,7 @@ class NodeTimers:
         heapq.heapify(self._heap)
         self._rebuild_size = 2 * len(self._heap) + _SMALL_QUEUE
 
-    def _ring(self, instant: int) -> None:
+    def _on_alarm(self, instant: int) -> None:
         """Wake the first node that is due, and set the next alarm.
 
         Only one node per call: events at the same instant may have to come between two nodes.
@@ -134,7 +134,9 @@ class NodeTimers:
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
-                    self._rules.dispatcher.apart(lambda: machine.run(node.ring(due_instant, machine.done)))
+                    self._rules.dispatcher.apart(
+                        lambda: machine.run(node.on_alarm(due_instant, machine.done))
+                    )
         # Also after an error or interrupt, otherwise no later node would be woken.
         finally:
             self._arm()
@@ -200,7 +202,7 @@ BEGIN = 1
 # Stale alarms are removed from the clock if they outnumber the others by this.
 _STALE_MARGIN = 16
 
-KeptTimer = Tuple[Term, Term, Optional[int], int, int]
+TimerRow = Tuple[Term, Term, Optional[int], int, int]
 """Event, schedule, next instant, and instant and order of the alarm in the clock."""
 
 
@@ -364,7 +366,7 @@ class Timers:
     def _set_alarm(self, timer: ProgramTimer) -> None:
         instant = BEGIN if timer.instant is None else timer.instant
         if timer.set_for is not None:
-            # An earlier alarm is kept; `ring` sets the alarm for the later instant.
+            # An earlier alarm is kept; `on_alarm` sets the alarm for the later instant.
             if timer.set_for <= instant:
                 return
             self._stale += 1
@@ -389,7 +391,7 @@ class Timers:
         exists = self._all.by_key.get(timer.key) is timer or self._inactive.get(timer.key) is timer
         return exists and timer.set_for == alarm.set_for
 
-    def ring(self, alarm: "TimerAlarm") -> None:
+    def on_alarm(self, alarm: "TimerAlarm") -> None:
         """Process an alarm of a timer."""
         if not self.is_sound(alarm):
             self._stale -= 1
@@ -467,7 +469,7 @@ class Timers:
             else:
                 self._schedule_next(timer, self._program.clock.reached())
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Make each timer have its alarm again, after an interrupt."""
         # An interrupt may have come between two assignments of `TimerTable.add` or `remove`, so the indexes are
         # rebuilt.
@@ -486,12 +488,12 @@ class Timers:
         """Return the timers by key."""
         return dict(self._all.by_key)
 
-    def set_aside(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
+    def detach(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Deactivate timers; those that are set again unchanged continue."""
         for key in timers:
             self._inactive[key] = self._all.remove(key)
 
-    def forget_aside(self) -> None:
+    def discard_detached(self) -> None:
         """Remove the deactivated timers."""
         removed, self._inactive = list(self._inactive.values()), {}
         for timer in removed:
@@ -503,9 +505,9 @@ class Timers:
         self._all, self._inactive = TimerTable(timers.values()), {}
         for timer in removed:
             self._invalidate_alarm(timer)
-        self.mend()
+        self.repair()
 
-    def kept(self) -> List[KeptTimer]:
+    def snapshot(self) -> List[TimerRow]:
         """Return all timers as data; see `restore`."""
         return [
             (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.set_for, order)
@@ -513,10 +515,10 @@ class Timers:
             if isinstance(alarm, TimerAlarm) and self.is_sound(alarm)
         ]
 
-    def restore(self, kept: Sequence[KeptTimer], left_out: int) -> None:
+    def restore(self, saved: Sequence[TimerRow], left_out: int) -> None:
         """Restore timers and their alarms from data."""
         self.left_out = left_out
-        for event, schedule_term, instant, set_for, order in kept:
+        for event, schedule_term, instant, set_for, order in saved:
             timer = ProgramTimer(event, parse_schedule(schedule_term))
             timer.instant, timer.set_for = instant, set_for
             self._all.add(timer)
@@ -541,7 +543,7 @@ class TimerAlarm:
 
     def __call__(self, now: int) -> None:
         """Process the alarm."""
-        self.timers.ring(self)
+        self.timers.on_alarm(self)
 
 
 _TIMER_ROW = functor("timer", 3)

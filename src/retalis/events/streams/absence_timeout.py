@@ -140,8 +140,8 @@ class AbsenceTimeout(KeyedOperator):
         self._update_deadline()
         return []
 
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
         outputs = []
         while self.next is not None and self.next <= instant:
             due, _, item = self._due[0]
@@ -150,8 +150,8 @@ class AbsenceTimeout(KeyedOperator):
             self._update_deadline()
         return outputs
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`."""
         waiting = [item for _, _, item in self._due if not item.gone]
         absent = [item for _, _, item in self._by_start if not item.gone]
         return (self._order, self._reached, sorted(waiting, key=_order), sorted(absent, key=_order))

@@ -73,8 +73,8 @@ class Throttle(KeyedOperator):
             if self.states.get(item.key) is item:
                 del self.states[item.key]
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`."""
         return (self.clock, list(self.states.values()))
 
     def restore(self, saved: KnownState) -> None:
@@ -132,8 +132,8 @@ class DistinctUntilChanged(KeyedOperator):
         if len(self.states) > self._max_keys:
             self._evict_keys()
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`: clocks of the last uses and elements, the least recently used key first."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`: clocks of the last uses and elements, the least recently used key first."""
         last_values = self.states.values()
         return ([state.since for state in last_values], [state.item for state in last_values])
 
@@ -199,8 +199,8 @@ class Debounce(KeyedOperator):
         self._update_deadline()
         return []
 
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
         outputs = []
         while self.next is not None and self.next <= instant:
             due, _, item = self._due[0]
@@ -231,8 +231,8 @@ class Debounce(KeyedOperator):
             heapq.heappop(self._due)
         self.next = self._due[0][0] if self._due else None
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`."""
         waiting = [item for elements in self.waiting.values() for item in elements]
         return (self._order, self._reached, sorted(waiting, key=lambda element: element.order))
 

@@ -580,8 +580,8 @@ class RowPatternWindow(KeyedOperator):
             results.append(result)
         return tuple(results)
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`; states and waiting matches refer to elements by their order."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`; states and waiting matches refer to elements by their order."""
         groups = [
             (
                 group.since,

@@ -97,7 +97,7 @@ class StreamOperator(Protocol):
     give the same outputs. Revision relies on this: when an event is retracted, the operator is run again without it.
 
     Attributes:
-        next: instant at which `ring` has an output; None if only elements cause outputs.
+        next: instant at which `advance_to` has an output; None if only elements cause outputs.
         late: number of elements that arrived too late.
         crowded: number of alternatives that were not followed because one start had too many.
         evicted: number of keys that were dropped because there were too many.
@@ -141,7 +141,7 @@ class StreamOperator(Protocol):
             RuleError: if a value cannot be measured; the state is unchanged in this case.
         """
 
-    def ring(self, instant: int, /) -> List[StreamOutput]:
+    def advance_to(self, instant: int, /) -> List[StreamOutput]:
         """Return the outputs that are due when the clock reaches an instant."""
 
     def __len__(self) -> int:
@@ -150,11 +150,11 @@ class StreamOperator(Protocol):
     def drop_oldest(self) -> List[StreamOutput]:
         """Drop the oldest element or key, and return the outputs that this causes."""
 
-    def kept(self) -> KnownState:
+    def snapshot(self) -> KnownState:
         """Return the state; see `restore`."""
 
     def restore(self, saved: KnownState, /) -> None:
-        """Set the state to one that an equal operator returned from `kept`."""
+        """Set the state to one that an equal operator returned from `snapshot`."""
 
 
 class KeyedOperator:
@@ -204,8 +204,8 @@ class KeyedOperator:
         """See `StreamOperator.bytes`."""
         return self.keys * self.KEY_BYTES + len(self) * self.ITEM_BYTES
 
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
         return []
 
     def _is_too_far_ahead(self, end: int) -> bool:

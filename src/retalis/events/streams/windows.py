@@ -181,8 +181,8 @@ class Window(KeyedOperator):
         """See `StreamOperator.take`."""
         raise NotImplementedError
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`."""
         groups = [
             (group.since, [member for member in group.members if not member.gone])
             for group in self.states.values()
@@ -430,12 +430,12 @@ class AnchoredTumblingWindow(Window):
         self._open = [(group.since, group.members[0].order, key, group) for key, group in self.states.items()]
         heapq.heapify(self._open)
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
-        return (*super().kept(), self._reached)
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`."""
+        return (*super().snapshot(), self._reached)
 
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
         return self._close(instant)
 
     def _compact(self) -> None:
@@ -506,10 +506,10 @@ class HoppingWindow(Window):
         heapq.heappop(self._ahead)
         return []
 
-    def kept(self) -> KnownState:
-        """See `StreamOperator.kept`."""
+    def snapshot(self) -> KnownState:
+        """See `StreamOperator.snapshot`."""
         return (
-            *super().kept(),
+            *super().snapshot(),
             self._reached,
             [item for _, _, item in sorted(self._ahead, key=lambda element: element[:2])],
         )
@@ -541,8 +541,8 @@ class HoppingWindow(Window):
             self.next = first
         return []
 
-    def ring(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.ring`."""
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
         outputs: List[StreamOutput] = []
         while self.next is not None and self.next <= instant:
             outputs += self._emit_at(self.next)

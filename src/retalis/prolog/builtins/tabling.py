@@ -310,7 +310,7 @@ class Tables:
             for key, item in self.declared.items()
         ]
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Discard all incomplete evaluations, after an interrupt has ended the goals that ran them."""
         self.active.clear()
         self.waiting.clear()
@@ -320,13 +320,13 @@ class Tables:
             if table.state != "complete":
                 table.renew()
 
-    def kept(self) -> List[Tuple[Hashable, List[Values], bool]]:
+    def snapshot(self) -> List[Tuple[Hashable, List[Values], bool]]:
         """Return the complete tables as ``(key, answers, ground)``, without incremental ones; see `restore`."""
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
         return [(key, table.answers, table.ground) for key, table in complete]
 
     def restore(self, saved_tables: List[Tuple[Hashable, List[Values], bool]]) -> None:
-        """Add the complete tables that `kept` has returned."""
+        """Add the complete tables that `snapshot` has returned."""
         for key, answers, ground in saved_tables:
             table = self.by_call[key] = Table()
             table.answers, table.ground = answers, ground

@@ -515,7 +515,7 @@ class ProgramStreams:
         if isinstance(stream, OutputStream):
             stream.flush()
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Close all streams, after the goal that opened them has been interrupted."""
         self.set_output("user_output")
         self.input = self.user

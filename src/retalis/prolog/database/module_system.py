@@ -240,7 +240,7 @@ class ModuleNames:
             f"{module.name}:{key.name}(...) calls it\n"
         )
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Reset the state of loading, after an interrupt."""
         self.loading = None
         self._files.clear()

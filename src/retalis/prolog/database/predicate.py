@@ -208,7 +208,7 @@ class Predicate:
         if self.direct is not None:
             self.direct.reset(self)
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Rebuild the state derived from the clauses, which an interrupt may have left inconsistent."""
         if self.library or not (self.kind == "user" or self.clauses):
             return

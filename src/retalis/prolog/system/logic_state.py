@@ -83,7 +83,7 @@ def keep_values(logic: PrologSystem) -> KeptValues:
         dict(logic.globals),
         logic.column,
         counted,
-        tables_of(logic.machine).kept(),
+        tables_of(logic.machine).snapshot(),
     )
 
 

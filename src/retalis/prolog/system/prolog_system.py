@@ -6,7 +6,7 @@ contains three services of a running system:
 * `Tracer` runs goals in the box model of Byrd: it interprets clauses and reports each port (call, exit, redo, fail,
   exception) that a goal passes.
 * `undefined` raises the existence error of an unknown procedure, with possible callers and similar names.
-* `state_of`, `go_back` and `mend` return a machine to an earlier state after an interrupt at any point.
+* `state_of`, `go_back` and `repair` return a machine to an earlier state after an interrupt at any point.
 """
 
 import sys
@@ -396,19 +396,19 @@ def go_back(machine: Machine, state: Optional[MachineState]) -> None:
     budget.restore(None if state is None else state.budget)
 
 
-def mend(logic: Any) -> None:
+def repair(logic: Any) -> None:
     """Restore the invariants of data that outlives a goal after an interrupt; no goal may be running."""
     end_captures(logic)
     logic.new_goals = None
-    logic.database.modules.mend()
+    logic.database.modules.repair()
     # An interrupted trace leaves its method on the instance; see `Tracer.start`.
     vars(logic.control).pop("solve", None)
     logic.database.solve = logic.control.solve
     for predicate in list(logic.database.predicates.values()):
-        predicate.mend()
+        predicate.repair()
     for stored in list(logic.state.values()):
-        if hasattr(stored, "mend"):
-            stored.mend()
+        if hasattr(stored, "repair"):
+            stored.repair()
 
 
 _DIRECTIVE = functor(":-", 1)
