@@ -34,6 +34,7 @@ Each step looks first at what is there: it can be run again at any time.
 
 import argparse
 import hashlib
+import importlib.util
 import os
 import re
 import shlex
@@ -419,6 +420,7 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("test", help="... and run every test; options go to pytest", add_help=False)
     commands.add_parser("where", help="print the setup.bash of the workspace that was built")
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
+    commands.add_parser("docs", help="build the documentation site, which needs no ROS, and say where it is")
     commands.add_parser("uninstall", help="remove what was built; say what is left")
     options, behind = parser.parse_known_args(argv)
     given, options.rest = own_options().parse_known_args(behind)
@@ -473,6 +475,54 @@ def dependency_problems(manifest: str) -> List[str]:
         for tag, name in named
         if name not in DEPENDENCIES
     ]
+
+
+SITE = HERE / "docs" / "_build" / "html"
+"""The documentation site, after `build_site`."""
+
+DOCS_VENVS = "docs-venv-*"
+"""Virtual environments of a workspace that have Sphinx, one for each version of Python."""
+
+DOCS_REQUIREMENTS = ("requirements.txt", "requirements-docs.txt")
+
+
+def build_site(options: argparse.Namespace, shell: Shell) -> int:
+    """Build the documentation site in a virtual environment of this Python; return the exit status of Sphinx.
+
+    A warning, such as a link without a target, is an error. Links to other sites are not checked.
+    """
+    if importlib.util.find_spec("ensurepip") is None:
+        # Debian's python3 can make no virtual environment without this package.
+        platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
+        platform = platform._replace(packages=["python3-venv"], source=None)
+        Installation(platform, options.workspace, shell, not options.no_system).system_packages()
+    python = docs_venv(options.workspace, shell)
+    if SITE.exists() and not shell.dry:
+        shutil.rmtree(SITE)  # pages that have been removed since would stay
+    strict = ["-q", "-W", "--keep-going", "-n", "-E"]
+    doctrees = str(SITE.parent / "doctrees")
+    command = [python, "-m", "sphinx", *strict, "-b", "html", "-d", doctrees, str(HERE / "docs"), str(SITE)]
+    status = shell.show(command, cwd=HERE)
+    if status == 0 and not shell.dry:
+        print(f"The documentation site is built: {SITE / 'index.html'}")
+    return status
+
+
+def docs_venv(workspace: Path, shell: Shell) -> str:
+    """Return the Python of a virtual environment that has Sphinx, after installing what is missing in it."""
+    venv = workspace / DOCS_VENVS.replace("*", "{}.{}".format(*sys.version_info))
+    python = str(venv / "bin" / "python3")
+    texts = [(HERE / name).read_text() for name in DOCS_REQUIREMENTS]
+    stamp = venv / ("done-" + digest(sys.version, str(venv), *texts))
+    if not stamp.exists():
+        make = [sys.executable, "-m", "venv", "--clear", str(venv)]
+        shell.step("Creating a virtual environment", "docs-venv", make)
+        files = [part for name in DOCS_REQUIREMENTS for part in ("-r", str(HERE / name))]
+        install = [python, "-m", "pip", "--disable-pip-version-check", "install", *files]
+        shell.step("Installing Sphinx", "docs-pip", install)
+        if not shell.dry:
+            stamp.touch()
+    return python
 
 
 DURATION = (
@@ -534,6 +584,7 @@ def uninstall(workspace: Path, dry: bool) -> None:
     made = [
         link,
         workspace / "venv",
+        *workspace.glob(DOCS_VENVS),
         workspace / RECORD,
         *logs,
         *([] if others else [workspace / name for name in BUILT]),
@@ -590,7 +641,7 @@ def remove(path: Path) -> None:
 def main(argv: Sequence[str]) -> int:
     """Do what the command line says and return the exit status."""
     options = arguments(argv)
-    environment = minimal(os.environ) if options.command in ("test", "lint") else dict(os.environ)
+    environment = minimal(os.environ) if options.command in ("test", "lint", "docs") else dict(os.environ)
     os.environ.clear()
     os.environ.update(environment, PATH=search_path(environment.get("PATH", "")))
     if options.command == "demo" and {"-h", "--help"} & set(options.rest):
@@ -608,6 +659,8 @@ def main(argv: Sequence[str]) -> int:
         uninstall(options.workspace, options.dry_run)
         return 0
     shell = Shell(options.workspace / "log", options.dry_run)
+    if options.command == "docs":
+        return build_site(options, shell)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     if options.with_swi:
         platform = platform._replace(packages=[*platform.packages, SWI])

@@ -78,8 +78,9 @@ def lint(session: nox.Session) -> None:
 
 @nox.session
 def docs(session: nox.Session) -> None:
-    """The snippets, links and tables of the pages."""
+    """The snippets, links and tables of the pages, and the documentation site."""
     _install(session)
+    session.run("python", "install.py", "docs")
     session.run("python", "-m", "pytest", "-m", "docs", *session.posargs)
 
 

@@ -19,7 +19,11 @@ from retalis.prolog.terms import timestamps
 pytestmark = pytest.mark.docs
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    *sorted(page for page in DOCS.rglob("*.md") if DOCS / "_build" not in page.parents),
+]
 SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
 EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+|datime\([^)]*\))\](?:, |$)")
 UNTOLD = ("memory_created(", "memory_updated(", "synchronized(")

@@ -457,7 +457,7 @@ def test_lint_fails_where_the_package_of_a_dependency_is_not_installed(
     assert "DEPENDENCIES in install.py: 'python3-tf2' is not installed\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("command", ["demo", "test", "lint", "uninstall"])
+@pytest.mark.parametrize("command", ["demo", "test", "lint", "docs", "uninstall"])
 @pytest.mark.parametrize("place", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
 def test_options_may_stand_before_the_command_and_behind_it(install, command, place):
     before = install.arguments([*place, "--dry-run", command])
@@ -541,6 +541,7 @@ def workspace(install, tmp_path):
     for name in (
         "log/catkin_make.log",
         "venv/bin/python3",
+        "docs-venv-3.8/bin/python3",
         "build/x",
         "devel/setup.bash",
         ".catkin_workspace",
@@ -657,3 +658,47 @@ def test_a_link_to_another_copy_is_refused(install, tmp_path):
     installation.package.symlink_to(tmp_path / "other")
     with pytest.raises(install.Problem, match="is another copy of retalis"):
         installation.build(install=False)
+
+
+@pytest.fixture
+def site(install, monkeypatch, tmp_path):
+    """Commands that `install.py docs` runs, with a site of a former build."""
+    shell = Recorder(tmp_path / "log")
+    monkeypatch.setattr(install, "Shell", lambda logs, dry: shell)
+    monkeypatch.setattr(install, "SITE", tmp_path / "docs" / "html")
+    monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: True)
+    # pip makes the folder in which the note is put that all is installed.
+    venv = tmp_path / "workspace" / "docs-venv-{}.{}".format(*install.sys.version_info)
+    (venv / "bin").mkdir(parents=True)
+    install.SITE.mkdir(parents=True)
+    (install.SITE / "removed.html").touch()
+    return shell
+
+
+def test_docs_builds_the_site_in_a_virtual_environment_of_its_own(install, site, tmp_path, capsys):
+    command = ["docs", "--workspace", str(tmp_path / "workspace")]
+    assert install.main(command) == 0
+    make, fetch, build = site.commands
+    assert make[1:4] == ["-m", "venv", "--clear"]
+    assert fetch[0] == build[0] == f"{make[4]}/bin/python3"
+    assert [Path(name).name for name in fetch[-3::2]] == ["requirements.txt", "requirements-docs.txt"]
+    assert {"-W", "--keep-going", "-n"} < set(build)
+    assert build[-2:] == [str(HERE / "docs"), str(install.SITE)] and not install.SITE.exists()
+    assert capsys.readouterr().out == f"The documentation site is built: {install.SITE}/index.html\n"
+    assert install.main(command) == 0
+    assert site.commands[3:] == [build]
+
+
+def test_docs_ends_with_the_status_of_sphinx(install, site, tmp_path, capsys):
+    site.show = lambda command, cwd: 2
+    assert install.main(["docs", "--workspace", str(tmp_path / "workspace")]) == 2
+    assert "is built" not in capsys.readouterr().out
+
+
+def test_docs_installs_what_makes_virtual_environments(install, site, tmp_path, monkeypatch):
+    monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(install, "parse_os_release", lambda text: {"ID": "debian", "VERSION_ID": "12"})
+    monkeypatch.setattr(install, "installed_packages", lambda names: "")
+    monkeypatch.setattr(install.os, "getuid", lambda: 0)
+    install.main(["docs", "--workspace", str(tmp_path / "workspace")])
+    assert site.commands[1][-3:] == ["-y", "--no-install-recommends", "python3-venv"]

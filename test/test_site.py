@@ -1,0 +1,44 @@
+"""The documentation site: its start page, and the index pages of its sections."""
+
+import re
+
+import pytest
+from doc_pages import FENCE, ROOT, PageRun
+
+pytestmark = pytest.mark.docs
+
+DOCS = ROOT / "docs"
+SECTIONS = ("tutorials", "how-to", "reference", "reference/language", "explanation")
+LINK = re.compile(r"\]\(([^)#]+\.md)")
+
+
+def links(page):
+    """Return the Markdown files that a page links to."""
+    return {
+        (page.parent / target).resolve()
+        for target in LINK.findall(page.read_text(encoding="utf-8"))
+        if "://" not in target
+    }
+
+
+@pytest.mark.slow
+def test_the_example_of_the_start_page_prints_what_the_page_shows(tmp_path):
+    run = PageRun(tmp_path)
+    fences = list(FENCE.finditer((DOCS / "index.md").read_text(encoding="utf-8")))
+    assert [fence["kind"] for fence in fences] == ["prolog", "text", "console"]
+    for fence in fences:
+        assert run.result(fence) == fence["text"]
+
+
+def test_the_start_page_links_to_all_sections():
+    assert {DOCS / section / "index.md" for section in SECTIONS if "/" not in section} <= links(
+        DOCS / "index.md"
+    )
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_the_index_page_of_a_section_links_to_all_of_its_pages(section):
+    # The contents of the site are made of these links.
+    folder = DOCS / section
+    pages = {*folder.glob("*.md"), *folder.glob("*/index.md")}
+    assert pages - {folder / "index.md"} <= links(folder / "index.md")
