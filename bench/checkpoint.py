@@ -99,11 +99,11 @@ def keep_while_running(seconds: float) -> None:
         costs, held = [], []
         for _ in range(max(1, round(2 * seconds))):
             take(950)
-            kept.longest = 0.0
+            kept.longest_pause_seconds = 0.0
             begin = time.process_time()
             kept.write()
             costs.append(time.process_time() - begin)
-            held.append(kept.longest)
+            held.append(kept.longest_pause_seconds)
     print(
         f"1,900 messages a second: {200 * statistics.mean(costs):.1f} % of a core, "
         f"held up for {1e3 * statistics.median(held):.1f} ms in the middle, {1e3 * max(held):.1f} ms at most"

@@ -43,7 +43,7 @@ def main(folder, every="0.02"):
         first += 1
     files = None if found is None else found[1].files
     kept = Checkpointer(engine, CheckpointStorage(path), folder, reports, float(every), files)
-    kept.begin()
+    kept.start()
     print("ready", flush=True)
     for number in range(first + 1, 10_000_000):
         engine.event(f"in({number})")

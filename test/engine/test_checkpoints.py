@@ -12,7 +12,13 @@ from zlib import crc32
 import pytest
 
 from retalis import Engine, Reports, Settings, StreamClock, UsageError
-from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, put_aside, read_checkpoint, resume
+from retalis.engine.checkpoints import (
+    Checkpointer,
+    CheckpointStorage,
+    read_checkpoint,
+    rename_refused_file,
+    resume,
+)
 from retalis.serialization.codec import from_bytes, to_bytes
 
 from .checkpoint_victim import GOALS, RULES
@@ -130,11 +136,11 @@ def test_late_records_deleted_memories_and_time_that_goes_back(folder, seed):
 def test_writes_in_the_background_and_at_the_end(folder):
     engine = begun(folder)
     kept = Checkpointer(engine, CheckpointStorage(folder / "state.db"), folder, Reports(), 0.001)
-    kept.begin()
+    kept.start()
     for number in range(1, 2000):
         engine.event(f"in({number})", number)
-    kept.end()
-    assert kept.written > 1
+    kept.stop()
+    assert kept.checkpoint_count > 1
     assert records(resumed(folder)) == records(engine)
 
 
@@ -229,7 +235,7 @@ def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
 )
 def test_a_database_that_is_another_one_is_refused(folder, statements, message):
     kept = checkpoints(begun(folder), folder)
-    kept.end()
+    kept.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
     base.executescript(statements)
     base.close()
@@ -249,7 +255,7 @@ def test_a_database_that_is_another_one_is_refused(folder, statements, message):
 )
 def test_what_it_says_of_itself_is_checked(folder, about, message):
     kept = checkpoints(begun(folder), folder)
-    kept.end()
+    kept.stop()
     base = sqlite3.connect(str(folder / "state.db"), isolation_level=None)
     ((old,),) = base.execute("SELECT data FROM sections WHERE name = 'about'").fetchall()
     data = about(dict(from_bytes(old)))
@@ -278,7 +284,7 @@ def test_what_is_damaged_is_refused(folder, times):
     for number in range(1, 300):
         engine.event(f"in({number})", number)
     kept = checkpoints(engine, folder)
-    kept.end()
+    kept.stop()
     data = (folder / "state.db").read_bytes()
     chance = random.Random(1)
     refused = 0
@@ -300,12 +306,12 @@ def test_is_put_aside_with_what_belongs_to_it(folder):
     kept = checkpoints(begun(folder), folder)
     kept.write()
     (folder / "state.db.aside").write_text("older")
-    aside = put_aside(folder / "state.db")
+    aside = rename_refused_file(folder / "state.db")
     assert aside.name == "state.db.aside2"
     assert not any(name.startswith("state.db") and "aside" not in name for name in os.listdir(folder))
     assert len(records(resumed(folder, "state.db.aside2"))) == 0
     with pytest.raises(UsageError, match="is not a file"):
-        put_aside(folder)
+        rename_refused_file(folder)
 
 
 def test_what_cannot_be_written_is_said(folder):
@@ -356,7 +362,7 @@ def test_another_process_with_the_file_ends_the_first(folder, caplog):
     one.event("in(1)", 1)
     with pytest.raises(UsageError, match="another process writes to this file"):
         first.write()
-    first.end()
+    first.stop()
     assert "this one writes no more" in caplog.text
     assert records(resumed(folder)) == records(two)
 
@@ -392,7 +398,7 @@ def test_an_error_of_any_kind_is_reported_and_the_next_time_comes(folder, monkey
     kept = checkpoints(engine, folder)
     with monkeypatch.context() as patched:
         patched.setattr(kept, "write", lambda: 1 // 0)
-        kept.end()
+        kept.stop()
     assert "division" in caplog.text
 
 
@@ -410,8 +416,8 @@ def test_the_end_does_not_wait_for_an_engine_without_end(folder, monkeypatch):
     thread = threading.Thread(target=engine.event, args=("x", 9))
     thread.start()
     going.wait(60)
-    kept.begin()
-    kept.end()
+    kept.start()
+    kept.stop()
     stopped.set()
     thread.join()
 

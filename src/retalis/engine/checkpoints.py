@@ -40,7 +40,7 @@ from ..serialization.state_file_format import (
 from .deployments import Deployment
 from .engine import Engine
 from .engine_settings import Settings
-from .engine_snapshot import EngineSnapshot, checked
+from .engine_snapshot import EngineSnapshot, convert_errors
 from .program_loader import REQUEST
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
@@ -77,7 +77,7 @@ _PICKLE_PREFIX = b"\x80\x04"
 """First bytes of a section in files of format 5 and older, which were pickles."""
 
 
-class FileTaken(UsageError):
+class CheckpointFileTaken(UsageError):
     """Another process has opened the checkpoint file for writing; this process writes no more."""
 
 
@@ -104,13 +104,13 @@ class Checkpoint(NamedTuple):
         sections: decoded sections of the state, by name.
         records: for each memory its batches of records.
         files: files that the program was read from.
-        made: time at which the checkpoint was written, in seconds since the epoch.
+        written_at: time at which the checkpoint was written, in seconds since the epoch.
     """
 
     sections: Dict[str, Any]
     records: List[List[Any]]
     files: ProgramFiles
-    made: float
+    written_at: float
 
 
 class CheckpointStorage:
@@ -129,23 +129,23 @@ class CheckpointStorage:
     def __init__(self, path: Path):
         self.path = path
         try:
-            self._base = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
-            _query_value(self._base, "PRAGMA journal_mode = WAL")
-            self._base.execute("PRAGMA synchronous = NORMAL")
+            self._database = sqlite3.connect(str(path), isolation_level=None, check_same_thread=False)
+            _query_value(self._database, "PRAGMA journal_mode = WAL")
+            self._database.execute("PRAGMA synchronous = NORMAL")
             # The schema of an existing file is not trusted: functions in its views and triggers must not run.
-            self._base.execute("PRAGMA trusted_schema = OFF")
+            self._database.execute("PRAGMA trusted_schema = OFF")
             # One transaction creates all tables and the application id, so that a reader, also after a kill, finds
             # either an empty database or a complete schema.
-            self._base.executescript(
+            self._database.executescript(
                 f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLE_DEFINITIONS} COMMIT;"
             )
-            _check_schema(self._base)
-            newest = _query_value(self._base, "SELECT max(memory) FROM records")
+            _check_schema(self._database)
+            newest = _query_value(self._database, "SELECT max(memory) FROM records")
             self.next_number: int = 0 if newest is None else newest + 1
             # The last process that opens the file owns it. `write` compares the number, so that a second engine that
             # starts with the same file does not mix its records with those of the first one.
             self._owner = SystemRandom().randrange(1 << 31)
-            self._base.execute(f"PRAGMA user_version = {self._owner}")
+            self._database.execute(f"PRAGMA user_version = {self._owner}")
         except sqlite3.Error as error:
             raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error
 
@@ -161,31 +161,33 @@ class CheckpointStorage:
                 still has.
 
         Raises:
-            UsageError: if the transaction fails; the file keeps the previous checkpoint. `FileTaken` if another
-                process writes to the file.
+            CheckpointFileTaken: if another process writes to the file.
+            UsageError: if the transaction fails; the file keeps the previous checkpoint.
         """
-        base = self._base
+        database = self._database
         try:
-            base.execute("BEGIN IMMEDIATE")
-            if _query_value(base, "PRAGMA user_version") != self._owner:
-                raise FileTaken(f"{self.path}: another process writes to this file: this one writes no more")
-            base.executemany(
+            database.execute("BEGIN IMMEDIATE")
+            if _query_value(database, "PRAGMA user_version") != self._owner:
+                raise CheckpointFileTaken(
+                    f"{self.path}: another process writes to this file: this one writes no more"
+                )
+            database.executemany(
                 "INSERT OR REPLACE INTO sections VALUES (?, ?, ?)",
                 [(name, data, crc32(data)) for name, data in sections.items()],
             )
             for batch in batches:
                 # An event out of order is inserted between older records and moves them. All records from there on
                 # are new in the batch, so older batches of the same range are replaced.
-                base.execute(
+                database.execute(
                     "DELETE FROM records WHERE memory = ? AND first >= ?", (batch.memory, batch.first)
                 )
-                base.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*batch, crc32(batch.data)))
+                database.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*batch, crc32(batch.data)))
             # A batch is deleted when the memory has evicted all records of it; batches are never split.
-            base.executemany(
+            database.executemany(
                 "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(oldest.items())
             )
             self._delete_missing(oldest)
-            base.execute("COMMIT")
+            database.execute("COMMIT")
         except sqlite3.Error as error:
             raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
         finally:
@@ -194,22 +196,22 @@ class CheckpointStorage:
     def _roll_back(self) -> None:
         """Roll back a transaction that was not committed."""
         try:
-            if self._base.in_transaction:
-                self._base.execute("ROLLBACK")
+            if self._database.in_transaction:
+                self._database.execute("ROLLBACK")
         except sqlite3.Error:
             # The error that made the rollback necessary is already being raised. The next write begins a new
             # transaction.
             return
 
     def _delete_missing(self, existing: Dict[int, int]) -> None:
-        stored = [memory for (memory,) in self._base.execute("SELECT DISTINCT memory FROM records")]
+        stored = [memory for (memory,) in self._database.execute("SELECT DISTINCT memory FROM records")]
         deleted = [(memory,) for memory in stored if memory not in existing]
         if deleted:
-            self._base.executemany("DELETE FROM records WHERE memory = ?", deleted)
+            self._database.executemany("DELETE FROM records WHERE memory = ?", deleted)
 
     def close(self) -> None:
         """Close the file."""
-        self._base.close()
+        self._database.close()
 
 
 def read_checkpoint(path: Path) -> Optional[Checkpoint]:
@@ -227,32 +229,32 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
     if size > MAX_FILE_BYTES:
         raise UsageError(f"it has {size} bytes: the limit is {MAX_FILE_BYTES}")
     try:
-        base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
     except sqlite3.Error as error:
         raise UsageError(f"it cannot be opened: {error}") from error
     try:
-        return _read_contents(base, size)
+        return _read_contents(database, size)
     except sqlite3.Error as error:
         raise UsageError(f"it is not a checkpoint, or is damaged: {error}") from error
     finally:
-        base.close()
+        database.close()
 
 
-def _limit_reading(base: sqlite3.Connection, size: int) -> None:
+def _limit_reading(database: sqlite3.Connection, size: int) -> None:
     """Limit the instructions and the value lengths of queries to what a file of ``size`` bytes can need."""
     steps = iter(range(_MIN_STEPS + size // _BYTES_PER_STEP))
-    base.set_progress_handler(lambda: next(steps, None) is None, _INSTRUCTIONS_PER_STEP)
-    if hasattr(base, "setlimit"):  # since Python 3.11
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 1_000_000))
-    base.execute("PRAGMA trusted_schema = OFF")
-    base.execute("PRAGMA cell_size_check = ON")
+    database.set_progress_handler(lambda: next(steps, None) is None, _INSTRUCTIONS_PER_STEP)
+    if hasattr(database, "setlimit"):  # since Python 3.11
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 1_000_000))
+    database.execute("PRAGMA trusted_schema = OFF")
+    database.execute("PRAGMA cell_size_check = ON")
 
 
-def _read_schema(base: sqlite3.Connection) -> List[Tuple[Any, ...]]:
-    return base.execute("SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name").fetchall()
+def _read_schema(database: sqlite3.Connection) -> List[Tuple[Any, ...]]:
+    return database.execute("SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name").fetchall()
 
 
-def _check_schema(base: sqlite3.Connection) -> None:
+def _check_schema(database: sqlite3.Connection) -> None:
     """Check that a database has exactly the tables of a checkpoint: no views, triggers, indexes or further tables.
 
     Raises:
@@ -262,40 +264,40 @@ def _check_schema(base: sqlite3.Connection) -> None:
     expected_database = sqlite3.connect(":memory:")
     try:
         expected_database.executescript(_TABLE_DEFINITIONS)
-        if _read_schema(expected_database) != _read_schema(base):
+        if _read_schema(expected_database) != _read_schema(database):
             raise UsageError("it is a database of something else: its tables are not those of a checkpoint")
     finally:
         expected_database.close()
 
 
-def _check_lengths(base: sqlite3.Connection, size: int) -> None:
+def _check_lengths(database: sqlite3.Connection, size: int) -> None:
     """Check that the lengths in the tables fit into the file before any value is read."""
     total = 0
     for table, *columns in (("sections", "name", "data"), ("records", "data")):
         # ``total`` returns a float and does not overflow, as ``sum`` would for crafted lengths.
         for column in columns:
-            total += _query_value(base, f"SELECT total(length({column})) FROM {table}")
-        if _query_value(base, f"SELECT count(*) FROM {table} WHERE typeof(data) <> 'blob'"):
+            total += _query_value(database, f"SELECT total(length({column})) FROM {table}")
+        if _query_value(database, f"SELECT count(*) FROM {table} WHERE typeof(data) <> 'blob'"):
             raise UsageError(f"it is damaged: the table {table} has data of another type")
     # Written as `not <=` because the total can be NaN for a crafted file.
     if not total <= size:
         raise UsageError("it is damaged: it says that it contains more than the file has")
 
 
-def _read_contents(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
-    _limit_reading(base, size)
+def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
+    _limit_reading(database, size)
     # A transaction, so that all queries see the same checkpoint even if another process writes meanwhile.
-    base.execute("BEGIN")
-    if not _query_value(base, "SELECT count(*) FROM sqlite_master"):
+    database.execute("BEGIN")
+    if not _query_value(database, "SELECT count(*) FROM sqlite_master"):
         # The file was created, and its tables are not committed yet.
         return None
-    if _query_value(base, "PRAGMA application_id") != APPLICATION:
+    if _query_value(database, "PRAGMA application_id") != APPLICATION:
         raise UsageError("it is a database of something else")
-    _check_schema(base)
-    _check_lengths(base, size)
+    _check_schema(database)
+    _check_lengths(database, size)
     data_by_name = {
         name: _verify_checksum(data, check)
-        for name, data, check in base.execute("SELECT name, data, checked FROM sections")
+        for name, data, check in database.execute("SELECT name, data, checked FROM sections")
     }
     if not data_by_name:
         return None
@@ -308,7 +310,7 @@ def _read_contents(base: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
     sections = {name: read_section(name, data) for name, data in data_by_name.items()}
     if len({number for number, _, _ in header["memories"]}) != len(header["memories"]):
         raise UsageError("it is damaged: two memories have the same records")
-    records = [_read_batches(base, *memory) for memory in header["memories"]]
+    records = [_read_batches(database, *memory) for memory in header["memories"]]
     return Checkpoint(sections, records, header["files"], header["made"])
 
 
@@ -325,32 +327,32 @@ def _read_header(data: bytes) -> Dict[str, Any]:
         )
     fields = from_bytes(data)
     # The version is checked before the full schema: a file of another version has other fields.
-    header = dict_of(text, anything)(fields)
-    check_version(header.get("format"), header.get("layout"))
-    checked: Dict[str, Any] = about(fields)
-    return checked
+    unchecked = dict_of(text, anything)(fields)
+    check_version(unchecked.get("format"), unchecked.get("layout"))
+    header: Dict[str, Any] = about(fields)
+    return header
 
 
-def _query_value(base: sqlite3.Connection, query: str) -> Any:
+def _query_value(database: sqlite3.Connection, query: str) -> Any:
     """Return the single value of a query.
 
     All rows are fetched, because a statement that is not exhausted keeps a read lock and blocks the commit.
     """
-    ((value,),) = base.execute(query).fetchall()
+    ((value,),) = database.execute(query).fetchall()
     return value
 
 
-def _read_batches(base: sqlite3.Connection, number: int, oldest: int, end_batch: Any) -> List[Any]:
+def _read_batches(database: sqlite3.Connection, number: int, oldest: int, end_batch: Any) -> List[Any]:
     """Return the batches of records of a memory.
 
     Args:
-        base: the open file.
+        database: the open file.
         number: number of the memory in the file.
         oldest: number of records that were stored before the oldest one of the memory.
         end_batch: an empty batch, positioned after the newest record.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
-    batches = [read_records(_verify_checksum(*row)) for row in base.execute(query, (number,))]
+    batches = [read_records(_verify_checksum(*row)) for row in database.execute(query, (number,))]
     first = batches[0][0] if batches else end_batch[0]
     if first > oldest:
         raise UsageError("it is damaged: records of a memory are missing")
@@ -363,20 +365,20 @@ def _verify_checksum(data: bytes, check: int) -> bytes:
     return data
 
 
-def about_state(files: ProgramFiles, memories: List[Any], made: float) -> Dict[str, Any]:
+def make_header(files: ProgramFiles, memories: List[Any], written_at: float) -> Dict[str, Any]:
     """Return the contents of section ``about``.
 
     Args:
         files: files that the program was read from.
         memories: for each memory, in order: its number in the file, the number of records that were stored before its
             oldest one, and an empty batch positioned after its newest record.
-        made: time of writing, in seconds since the epoch.
+        written_at: time of writing, in seconds since the epoch.
     """
     file_rows = [list(file) for file in files]
-    return {"format": FORMAT, "layout": LAYOUT, "files": file_rows, "memories": memories, "made": made}
+    return {"format": FORMAT, "layout": LAYOUT, "files": file_rows, "memories": memories, "made": written_at}
 
 
-def put_aside(path: Path) -> Path:
+def rename_refused_file(path: Path) -> Path:
     """Rename a refused checkpoint file, with its write-ahead log; at most `MAX_REFUSED_FILES` are kept.
 
     Raises:
@@ -388,18 +390,18 @@ def put_aside(path: Path) -> Path:
         Path(f"{path}{_REFUSED_FILE_SUFFIX}{number if number > 1 else ''}")
         for number in range(1, MAX_REFUSED_FILES + 1)
     ]
-    aside_path = next((candidate for candidate in candidates if not candidate.exists()), candidates[-1])
+    new_path = next((candidate for candidate in candidates if not candidate.exists()), candidates[-1])
     try:
         # The main file is renamed last: after a crash in between, the next start finds and refuses it again.
         for ending in ("-wal", "-shm", ""):
-            source, target = Path(f"{path}{ending}"), Path(f"{aside_path}{ending}")
+            source, target = Path(f"{path}{ending}"), Path(f"{new_path}{ending}")
             if source.exists():
                 os.replace(source, target)
             elif target.exists():
                 target.unlink()
     except OSError as error:
         raise UsageError(f"cannot put {path} aside: {error.strerror}") from error
-    return aside_path
+    return new_path
 
 
 MIN_INTERVAL_SECONDS = 0.5
@@ -430,12 +432,12 @@ class Checkpointer:
         file: the checkpoint file.
         program: folder of the program.
         reports: receives errors.
-        every: minimum interval between checkpoints, in seconds.
+        interval_seconds: minimum interval between checkpoints, in seconds.
         files: files that the program was read from, if the engine was created by `resume`.
 
     Attributes:
-        written: number of checkpoints written.
-        longest: longest time for which the engine was blocked, in seconds.
+        checkpoint_count: number of checkpoints written.
+        longest_pause_seconds: longest time for which the engine was blocked, in seconds.
     """
 
     def __init__(
@@ -444,14 +446,14 @@ class Checkpointer:
         file: CheckpointStorage,
         program: Path,
         reports: Reports,
-        every: float = MIN_INTERVAL_SECONDS,
+        interval_seconds: float = MIN_INTERVAL_SECONDS,
         files: Optional[ProgramFiles] = None,
     ):
         self._engine = engine
         self._file = file
         self._program = program
         self._reports = reports
-        self._every = every
+        self._interval_seconds = interval_seconds
         self._snapshot = EngineSnapshot(engine)
         self._memories: Dict[MemoryInstance, _FilePosition] = {}
         self._numbers = count(file.next_number)
@@ -460,32 +462,32 @@ class Checkpointer:
         if files is not None:
             self._deployments = list(engine.deployments.values())
             self._files = dict(files)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
-        self.written = 0
-        self.longest = 0.0
+        self._stop_requested = threading.Event()
+        self._writer_thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
+        self.checkpoint_count = 0
+        self.longest_pause_seconds = 0.0
         self._update_digests()
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Start the thread that writes."""
-        self._thread.start()
+        self._writer_thread.start()
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """Write a last checkpoint and stop; wait at most `FINAL_WRITE_SECONDS` for a busy engine."""
-        self._ending.set()
-        if self._thread.ident is None:
+        self._stop_requested.set()
+        if self._writer_thread.ident is None:
             # The thread was never started: a node that ends immediately still writes a checkpoint.
             self._finish()
         else:
-            self._thread.join(FINAL_WRITE_SECONDS)
+            self._writer_thread.join(FINAL_WRITE_SECONDS)
 
     def _run(self) -> None:
-        wait = 0.0
-        while not self._ending.wait(wait):
-            begin = time.monotonic()
+        pause = 0.0
+        while not self._stop_requested.wait(pause):
+            start_time = time.monotonic()
             if not self._write():
                 return
-            wait = max(self._every, MIN_PAUSE_FACTOR * (time.monotonic() - begin))
+            pause = max(self._interval_seconds, MIN_PAUSE_FACTOR * (time.monotonic() - start_time))
         self._finish()
 
     def _finish(self) -> None:
@@ -504,7 +506,7 @@ class Checkpointer:
             self._snapshot = EngineSnapshot(self._engine)
             self._memories = {}
             self._reports.error(error)
-            return not isinstance(error, FileTaken)
+            return not isinstance(error, CheckpointFileTaken)
         return True
 
     def write(self) -> None:
@@ -524,9 +526,9 @@ class Checkpointer:
         memories = [
             (number, unwritten.oldest, keep_records(unwritten.end())) for number, unwritten in records
         ]
-        sections["about"] = to_bytes(about_state(list(self._files.items()), memories, time.time()))
+        sections["about"] = to_bytes(make_header(list(self._files.items()), memories, time.time()))
         self._file.write(sections, batches, {number: unwritten.oldest for number, unwritten in records})
-        self.written += 1
+        self.checkpoint_count += 1
 
     def _update_digests(self) -> None:
         """Update the digests of the program's files.
@@ -540,14 +542,14 @@ class Checkpointer:
             for deployment, known_deployment in zip(deployments, self._deployments)
         ):
             self._deployments, self._files = deployments, {}
-        names = own_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
+        names = program_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
         if any(name not in self._files for name in names):
-            self._files = {name: self._files.get(name) or digest(name) for name in names}
+            self._files = {name: self._files.get(name) or file_digest(name) for name in names}
 
     def _take(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, NewRecords]]]":
         """Return what has changed since the previous checkpoint; the engine must not work meanwhile."""
-        begin = time.monotonic()
-        data_by_name = self._snapshot.take(whole=False)
+        start_time = time.monotonic()
+        data_by_name = self._snapshot.take(include_program=False)
         clauses = data_by_name.pop("clauses", None)
         # Variables of matches and values may be bound only for the moment, so these sections are encoded before the
         # engine continues. Clauses and records are immutable and can be encoded later.
@@ -565,7 +567,7 @@ class Checkpointer:
             memories[instance] = _FilePosition(number, memory.added)
             records.append((number, new_records(instance, first_changed)))
         self._memories = memories
-        self.longest = max(self.longest, time.monotonic() - begin)
+        self.longest_pause_seconds = max(self.longest_pause_seconds, time.monotonic() - start_time)
         return sections, clauses, records
 
 
@@ -577,7 +579,7 @@ def _encode_batches(number: int, unwritten: NewRecords) -> Iterator[RecordBatch]
         time.sleep(0)
 
 
-def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
+def program_files(folder: Path, loaded: Sequence[str]) -> List[str]:
     """Return the paths of the files that a program is read from.
 
     Args:
@@ -588,7 +590,7 @@ def own_files(folder: Path, loaded: Sequence[str]) -> List[str]:
     return [*fixed_files, *(path for path in sorted(loaded) if path not in fixed_files)]
 
 
-def digest(name: str) -> str:
+def file_digest(name: str) -> str:
     """Return the SHA-256 digest of a file, or "none" if it cannot be read."""
     from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, which only nodes with checkpoints need
 
@@ -619,17 +621,17 @@ def resume(
     Raises:
         UsageError: the reason why the checkpoint cannot be used.
     """
-    checkpoint = checked(lambda: read_checkpoint(path))
+    checkpoint = convert_errors(lambda: read_checkpoint(path))
     if checkpoint is None:
         return None
     _check_files(checkpoint.files, folder)
 
-    def work() -> Engine:
+    def create_engine() -> Engine:
         engine = Engine(clock, settings, reports, definitions)
         EngineSnapshot(engine).restore(checkpoint.sections, checkpoint.records, folder)
         return engine
 
-    return checked(work), checkpoint
+    return convert_errors(create_engine), checkpoint
 
 
 def _check_files(files: ProgramFiles, folder: Path) -> None:
@@ -641,5 +643,5 @@ def _check_files(files: ProgramFiles, folder: Path) -> None:
     if not files or files[0][0] != str(folder.absolute() / GOALS):
         raise UsageError(f"it is of another program: {files[0][0] if files else 'none'}")
     for name, expected_digest in files:
-        if digest(name) != expected_digest:
+        if file_digest(name) != expected_digest:
             raise UsageError(f"{name} has changed since it was read")

@@ -1,9 +1,9 @@
 """Deployments: the rules, clauses and other items of a program, and the part that one folder has created.
 
 A deployment (Esper's term for everything that one load has created) is the difference between two states of the
-program: `current_deployment` reads all items, and `Deployment.since` subtracts an earlier state. A reload replaces
-exactly the items of the folder's deployment. In a saved state, items are referred to by their positions in the
-program's lists.
+program: `current_deployment` reads all items, and `Deployment.added_since` subtracts an earlier state. A reload
+replaces exactly the items of the folder's deployment. In a saved state, items are referred to by their positions in
+the program's lists.
 """
 
 from pathlib import Path
@@ -59,7 +59,7 @@ class Deployment(NamedTuple):
     timers: Dict[Hashable, ProgramTimer]
     states: Dict[Hashable, DeclaredState]
 
-    def since(self, before: "Deployment") -> "Deployment":
+    def added_since(self, before: "Deployment") -> "Deployment":
         """Return the items that were added after an earlier state."""
         # Items are compared by identity, not by equality: an item that was deleted and defined again is a new one.
         rules, files = set(before.rules), before.files
@@ -85,7 +85,7 @@ class Deployment(NamedTuple):
             _select_new(self.states, before.states),
         )
 
-    def and_then(self, later: "Deployment") -> "Deployment":
+    def union(self, later: "Deployment") -> "Deployment":
         """Return the union of this deployment and a later one."""
         clauses = {
             predicate: [*self.clauses.get(predicate, ()), *clause_list]
@@ -107,7 +107,7 @@ class Deployment(NamedTuple):
         )
 
 
-NOTHING = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
+EMPTY_DEPLOYMENT = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
 """The empty deployment."""
 
 
@@ -139,7 +139,7 @@ def clause_key(clause: Clause) -> Hashable:
     return term_key((_CLAUSE_FUNCTOR, clause.head, clause.body))
 
 
-def paired(
+def pair_equal_rules(
     old: Sequence[EventRule], new: Sequence[EventRule], key: Callable[[EventRule], Hashable]
 ) -> Dict[EventRule, EventRule]:
     """Pair new rules with equal old rules, in order; each old rule is used once."""
@@ -168,10 +168,13 @@ def _select_new(items: Dict[ItemKey, Item], before: Dict[ItemKey, Item]) -> Dict
 
 
 def save_deployments(
-    programs: Dict[str, Deployment], logic: PrologSystem, knowledge: KnowledgeBase, named: List[EventRule]
+    deployments: Dict[str, Deployment],
+    logic: PrologSystem,
+    knowledge: KnowledgeBase,
+    named_rules: List[EventRule],
 ) -> Dict[str, Any]:
     """Return the deployments as data for a saved state."""
-    rules = {id(rule): position for position, rule in enumerate(named)}
+    rules = {id(rule): position for position, rule in enumerate(named_rules)}
     predicates = program_predicates(logic)
     clauses = {
         id(clause): position for predicate in predicates for position, clause in enumerate(predicate.live())
@@ -218,16 +221,16 @@ def save_deployments(
             "declared": [states[id(state)] for state in deployment.states.values() if id(state) in states],
             "timers": [(timer.event, timer.schedule.term) for timer in deployment.timers.values()],
         }
-        for folder, deployment in programs.items()
+        for folder, deployment in deployments.items()
     }
 
 
 def restore_deployments(
-    state: Dict[str, Any],
+    saved_state: Dict[str, Any],
     logic: PrologSystem,
     knowledge: KnowledgeBase,
     timers: Timers,
-    named: List[EventRule],
+    named_rules: List[EventRule],
 ) -> Dict[str, Deployment]:
     """Return the deployments from a saved state.
 
@@ -238,12 +241,12 @@ def restore_deployments(
     subscriptions = knowledge.subscriptions.items()
     states = list(knowledge.states.all_by_key().items())
     deployments = {}
-    for folder, saved in state.items():
+    for folder, saved in saved_state.items():
         properties: Dict[Hashable, List[Property]] = {}
         for item in saved["properties"]:
             properties.setdefault(term_key(item.label), []).append(item)
         deployments[folder] = Deployment(
-            [named[position] for position in saved["rules"]],
+            [named_rules[position] for position in saved["rules"]],
             _restore_clauses(logic, saved),
             dict(memories[position] for position in saved["memories"]),
             dict(subscriptions[position] for position in saved["subscriptions"]),

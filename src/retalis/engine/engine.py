@@ -44,10 +44,10 @@ from ..prolog.terms.types import Frame, Functor, Term, Var
 from ..serialization.state_file_format import pack, read_records, unpack
 from .deployments import Deployment
 from .engine_settings import Settings
-from .engine_snapshot import EngineSnapshot, checked, clock_for, coded, decoded
+from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
 from .engine_status import DEFAULT_LISTED, EngineView, Status, StatusReader
 from .event_input import EventInput, InputTopics, TextInput
-from .hot_reload import NullReports, clock_at, load_folder, reload_folder, trial_settings
+from .hot_reload import NullReports, create_fixed_clock, load_folder, make_trial_settings, reload_folder
 from .program_loader import REQUEST, ProgramLoader
 from .runtime.clock import Clock, StreamClock
 from .runtime.gc_tuning import count_records_of
@@ -91,13 +91,13 @@ class OnEvent(Protocol):
         """Process an event."""
 
 
-READ = ReadFlags()
-MADE = ReadFlags(made=True)
+TERM_FLAGS = ReadFlags()
+EVENT_FLAGS = ReadFlags(made=True)
 """Read flags for goals and patterns, and for events."""
 
 Instant = Union[int, Term]
 Result = TypeVar("Result")
-Made = TypeVar("Made", bound="Engine")
+EngineType = TypeVar("EngineType", bound="Engine")
 
 
 class Engine:
@@ -181,7 +181,7 @@ class Engine:
             self.logic,
             self.dispatcher,
             self.clock,
-            self._deliver,
+            self._pass_output,
             reports.warning,
             self.rules,
             on_pattern=declared.require,
@@ -197,20 +197,20 @@ class Engine:
         budget.count_for(self.executor)
         self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
-        self.event_input = EventInput(self.logic, self.dispatcher, self.clock, followed, self._start_anew)
+        self.event_input = EventInput(self.logic, self.dispatcher, self.clock, followed, self._reset_program)
         # Bound once, which saves an attribute access per event.
-        self._take = self.event_input.take
-        self._message = self.event_input.take_message
-        self._text_input = TextInput(self.logic.operators, self._take, call, reports, declared)
-        self._outputs: List[OnOutput] = []
-        self._observed = False
-        self._foreign: List[Tuple[object, ...]] = []
+        self._dispatch_event = self.event_input.take
+        self._dispatch_message = self.event_input.take_message
+        self._text_input = TextInput(self.logic.operators, self._dispatch_event, call, reports, declared)
+        self._output_callbacks: List[OnOutput] = []
+        self._has_event_callbacks = False
+        self._foreign_sources: List[Tuple[object, ...]] = []
         self.deployments: Dict[str, Deployment] = {}
         """Deployments by the real path of the program's folder."""
         self.loader = ProgramLoader(
             self.logic, self.rules, self.executor, self.dispatcher, settings.limit_start, self._once
         )
-        self._status = StatusReader(
+        self._status_reader = StatusReader(
             EngineView(
                 self.logic,
                 self.dispatcher,
@@ -225,7 +225,7 @@ class Engine:
             )
         )
         # The garbage collector counts the records as live heap, see `gc_tuning`.
-        count_records_of(self._status)
+        count_records_of(self._status_reader)
         define_new_event(self.logic, self.dispatcher)
         self.input_topics = InputTopics(self.logic, self.slots, reports)
         define_use_foreign(self.logic, self.executor, self._files, settings.allow_foreign)
@@ -305,10 +305,13 @@ class Engine:
     def _create_trial_engine(self) -> "Engine":
         """Return a second engine with the same settings, the same time and the same foreign predicates."""
         trial = Engine(
-            clock_at(self.clock.now()), trial_settings(self.settings), NullReports(), self.slots.definitions
+            create_fixed_clock(self.clock.now()),
+            make_trial_settings(self.settings),
+            NullReports(),
+            self.slots.definitions,
         )
         trial.input_topics.try_out(self.input_topics)
-        for sources in self._foreign:
+        for sources in self._foreign_sources:
             trial.add_foreign(*sources)
         return trial
 
@@ -345,16 +348,16 @@ class Engine:
                 the first event that has a time.
             SyntaxFault: if the text is not a term.
         """
-        first = None if start is None else timestamps.from_any(start)
-        last = first if end is None else timestamps.from_any(end)
-        self.event_at(self._read(term, MADE), first, last)
+        start_instant = None if start is None else timestamps.from_any(start)
+        end_instant = start_instant if end is None else timestamps.from_any(end)
+        self.event_at(self._read(term, EVENT_FLAGS), start_instant, end_instant)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Process an event with an interval in nanoseconds; see `event`.
 
         >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
         """
-        self.executor.call(lambda: self._take_fitting(term, start, end), (term,))
+        self.executor.call(lambda: self._check_and_dispatch(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
         """Queue a message for processing and return immediately.
@@ -366,11 +369,11 @@ class Engine:
             instant: time of the event in nanoseconds; by default the clock's present time.
         """
         if instant is None:
-            self.executor.post(self._message, term)
+            self.executor.post(self._dispatch_message, term)
         else:
             # `WholeSeconds` is the form that the message converter produces; the rules compare it fastest.
             stamped = WholeSeconds(instant)
-            self.executor.post(self._take, term, stamped, stamped, True)
+            self.executor.post(self._dispatch_event, term, stamped, stamped, True)
 
     def post_each(self, messages: Iterable[Tuple[Term, Optional[int]]]) -> None:
         """Queue several messages; faster than calling `post` for each.
@@ -383,7 +386,7 @@ class Engine:
                 iterable is advanced when the previous message is processed or queued; it must not use the engine. An
                 exception that it raises is raised here after all previous messages are processed.
         """
-        self.executor.post_each(self._message, messages)
+        self.executor.post_each(self._dispatch_message, messages)
 
     def post_text(self, text: str) -> None:
         """Queue an event as text: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.
@@ -430,8 +433,8 @@ class Engine:
             PrologError: the error that the goal raised.
         """
         if isinstance(goal, str):
-            read = read_term(goal, self.logic.operators, "query")
-            term, names = read.term, read.names
+            parsed_goal = read_term(goal, self.logic.operators, "query")
+            term, names = parsed_goal.term, parsed_goal.names
         else:
             term = goal
             names = {f"_{position}": var for position, var in enumerate(variables(goal))}
@@ -461,7 +464,7 @@ class Engine:
         >>> engine.event("fire(hall)", 1)
         alarms fire(hall)
         """
-        self._outputs.append(callback)
+        self._output_callbacks.append(callback)
 
     def on_event(self, callback: OnEvent) -> None:
         """Register a callback for all events; it is called with term, start and end in the order of dispatch.
@@ -477,7 +480,7 @@ class Engine:
             return after
 
         self.dispatcher.listen(ListenerPhase.TRACE, Var(), observe)
-        self._observed = True
+        self._has_event_callbacks = True
 
     def show(self, term: Term) -> str:
         """Return a term as text that can be read back.
@@ -551,7 +554,7 @@ class Engine:
         """
         topics = self.input_topics.joined(Topics() if topics is None else topics)
         program = ProgramModel(
-            self.rules, self.knowledge, definitions, topics, tuple(direct), folder, self._observed
+            self.rules, self.knowledge, definitions, topics, tuple(direct), folder, self._has_event_callbacks
         )
         return (finding.problem for finding in look_through(program) if finding.severity != INFO)
 
@@ -570,7 +573,7 @@ class Engine:
         Args:
             most: limit for the listed rules, memories, subscriptions and queries; ``left_out`` counts the others.
         """
-        return self._status.read(most)
+        return self._status_reader.read(most)
 
     @property
     def dropped(self) -> int:
@@ -613,7 +616,7 @@ class Engine:
         Raises:
             PrologError: if the id exists or an argument is invalid.
         """
-        self._achieve((MEMORIZE, event, make_list(conditions), record, name, size))
+        self._call_or_raise((MEMORIZE, event, make_list(conditions), record, name, size))
 
     def delete_memory(self, name: Term) -> bool:
         """Delete a memory as goal ``delete_memory/1`` does; return whether it existed.
@@ -623,13 +626,13 @@ class Engine:
         """
 
         # Both steps in one exclusive call: no other thread can delete the memory between them.
-        def work() -> bool:
+        def delete() -> bool:
             existed = self.has_memory(name)
             if existed:
-                self._achieve((DELETE_MEMORY, name))
+                self._call_or_raise((DELETE_MEMORY, name))
             return existed
 
-        return self.executor.call(lambda: self.dispatcher.undisturbed(work), (REQUEST,))
+        return self.executor.call(lambda: self.dispatcher.undisturbed(delete), (REQUEST,))
 
     def has_subscription(self, topic: Term, name: Term) -> bool:
         """Return whether a subscription with a topic and an id exists.
@@ -662,7 +665,7 @@ class Engine:
         Raises:
             PrologError: if the subscription exists or an argument is invalid.
         """
-        self._achieve((SUBSCRIBE, event, make_list(conditions), form, topic, name))
+        self._call_or_raise((SUBSCRIBE, event, make_list(conditions), form, topic, name))
 
     def delete_subscription(self, topic: Term, name: Term) -> bool:
         """Delete a subscription; return whether it existed.
@@ -697,13 +700,13 @@ class Engine:
             # The state is encoded within the exclusive call, because the variables of rules may be bound to other
             # values as soon as the engine continues.
             engine_snapshot = EngineSnapshot(self)
-            return coded(engine_snapshot.take(), engine_snapshot.records())
+            return encode_state(engine_snapshot.take(), engine_snapshot.records())
 
         return pack(self.executor.call(lambda: self.dispatcher.undisturbed(encode), (REQUEST,)))
 
     @classmethod
     def restore(
-        cls: Type[Made],
+        cls: Type[EngineType],
         data: bytes,
         clock: Optional[Clock] = None,
         settings: Optional[Settings] = None,
@@ -711,7 +714,7 @@ class Engine:
         definitions: Optional[Definitions] = None,
         foreign: Tuple[object, ...] = (),
         folder: Optional[Path] = None,
-    ) -> Made:
+    ) -> EngineType:
         """Create an engine from the result of `snapshot`.
 
         The new engine has the program, memories, partial matches, pending queries, alarms and counters. Callbacks
@@ -735,18 +738,18 @@ class Engine:
         Raises:
             UsageError: if the data is not a snapshot, is damaged, or has another format version.
         """
-        encoded = checked(lambda: unpack(data))
-        sections = checked(lambda: decoded(encoded))
+        encoded = convert_errors(lambda: unpack(data))
+        sections = convert_errors(lambda: decode_sections(encoded))
 
-        def create() -> Made:
-            engine = cls(clock or clock_for(sections["run"]), settings, reports, definitions)
+        def create() -> EngineType:
+            engine = cls(clock or create_clock(sections["run"]), settings, reports, definitions)
             if foreign:
                 engine.add_foreign(*foreign)
             records = [[read_records(data)] for name, data in encoded.items() if name.startswith("memory ")]
             EngineSnapshot(engine).restore(sections, records, folder)
             return engine
 
-        return checked(create)
+        return convert_errors(create)
 
     def add_foreign(self, *sources: object) -> List[Functor]:
         """Define decorated Python functions, or all decorated functions of modules, as predicates (see `foreign`).
@@ -765,12 +768,12 @@ class Engine:
             PrologError: if a system predicate has the same name.
         """
         functors = self.executor.call(lambda: define_foreign(self.logic, self.executor, *sources))
-        self._foreign.append(sources)
+        self._foreign_sources.append(sources)
         return functors
 
     # ---- implementation ----
 
-    def _take_fitting(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
+    def _check_and_dispatch(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Process an event that is not a message of a topic.
 
         Raises:
@@ -780,9 +783,9 @@ class Engine:
         refusal_reason = declared.refusal(term) if declared.in_use else ""
         if refusal_reason:
             raise UsageError(f"event refused: {refusal_reason}")
-        self._take(term, start, end)
+        self._dispatch_event(term, start, end)
 
-    def _read(self, term: Union[str, Term], flags: ReadFlags = READ) -> Term:
+    def _read(self, term: Union[str, Term], flags: ReadFlags = TERM_FLAGS) -> Term:
         return read_term(term, self.logic.operators, "text", flags).term if isinstance(term, str) else term
 
     def _once(self, goal: Term) -> bool:
@@ -802,13 +805,13 @@ class Engine:
     def _call_undisturbed(self, goal: Term) -> bool:
         return self.dispatcher.undisturbed(lambda: self._once(goal))
 
-    def _start_anew(self) -> None:
+    def _reset_program(self) -> None:
         """Clear all memories, pending queries and partial matches, because time went back."""
         self.knowledge.clear()
         self.rules.clear()
 
-    def _deliver(self, term: Term, topic: str, name: Term) -> None:
-        for callback in self._outputs:
+    def _pass_output(self, term: Term, topic: str, name: Term) -> None:
+        for callback in self._output_callbacks:
             self._call_back("a callback of on_output", callback, term, topic, name)
 
     def _call_back(self, callback_name: str, callback: Callable[..., object], *arguments: object) -> None:
@@ -841,7 +844,7 @@ class Engine:
                     break
         return results
 
-    def _achieve(self, goal: Term) -> None:
+    def _call_or_raise(self, goal: Term) -> None:
         """Call a goal that must succeed."""
         if not self.executor.call(lambda: self._call_undisturbed(goal), (goal,)):
             raise UsageError(f"{self.logic.brief(goal)} fails")

@@ -53,11 +53,11 @@ class EngineSnapshot:
         self._engine = engine
         self._signature: Any = None
 
-    def take(self, whole: bool = True) -> Sections:
+    def take(self, include_program: bool = True) -> Sections:
         """Return the state without the records of memories, which are separate sections; see `keep_records`.
 
         Args:
-            whole: include the program also if it has not changed since the last call.
+            include_program: include the program also if it has not changed since the last call.
 
         Raises:
             UsageError: if an event or goal is active.
@@ -68,7 +68,7 @@ class EngineSnapshot:
         if engine.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
         matches, named_rules = keep_matches(rules, knowledge, engine.clock, rules.rules)
-        run = {
+        counters = {
             "clock": engine.clock.snapshot(),
             "followed": engine.event_input.followed is not None,
             "taken": engine.event_input.taken,
@@ -76,10 +76,10 @@ class EngineSnapshot:
             "tokens": engine.dispatcher.tokens,
             "sent": keep_sent(knowledge),
         }
-        sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": run}
+        sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": counters}
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
         signature = self._sign(named_rules)
-        if whole or signature != self._signature:
+        if include_program or signature != self._signature:
             self._signature = signature
             sections["program"] = self._collect_program(named_rules)
             # A section of its own, because it is large and its variables are never bound: it can be encoded later.
@@ -148,7 +148,7 @@ class EngineSnapshot:
     def _restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         engine = self._engine
         logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
-        program, run = sections["program"], sections["run"]
+        program, counters = sections["program"], sections["run"]
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
@@ -160,10 +160,10 @@ class EngineSnapshot:
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             named_rules = restore_rules(rules, program["network"])
             memories = restore_memories(knowledge, program["memories"])
-            restore_subscriptions(knowledge, program["subscriptions"], run["sent"])
+            restore_subscriptions(knowledge, program["subscriptions"], counters["sent"])
             for definition in program["declared"]:
                 knowledge.states.declare(definition)
-        if len(run["sent"]) != len(knowledge.subscriptions.items()):
+        if len(counters["sent"]) != len(knowledge.subscriptions.items()):
             raise UsageError("there are not as many subscriptions as counts of what they have sent")
         if len(memories) != len(records):
             raise UsageError("there are not as many memories as records of them")
@@ -178,10 +178,10 @@ class EngineSnapshot:
         )
         engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
-        engine.clock.restore(run["clock"])
-        engine.event_input.taken = run["taken"]
-        engine.executor.dropped = run["dropped"]
-        engine.dispatcher.tokens = run["tokens"]
+        engine.clock.restore(counters["clock"])
+        engine.event_input.taken = counters["taken"]
+        engine.executor.dropped = counters["dropped"]
+        engine.dispatcher.tokens = counters["tokens"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
         """Load the Python modules of the program again; they must be in its folder."""
@@ -219,19 +219,19 @@ class EngineSnapshot:
             engine.reports.warning(text, ("swi", file.name))
 
 
-def clock_for(run: Dict[str, Any]) -> Optional[StreamClock]:
+def create_clock(counters: Dict[str, Any]) -> Optional[StreamClock]:
     """Return the clock for an engine without one; None for the default, which follows the timestamps of events."""
-    return None if run["followed"] else StreamClock()
+    return None if counters["followed"] else StreamClock()
 
 
-def coded(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
+def encode_state(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:
     """Return sections and records as bytes by name."""
     encoded = {name: to_bytes(data) for name, data in sections.items()}
     encoded.update({f"memory {position}": to_bytes(data) for position, data in enumerate(records)})
     return encoded
 
 
-def decoded(encoded: Dict[str, bytes]) -> Sections:
+def decode_sections(encoded: Dict[str, bytes]) -> Sections:
     """Return the decoded sections, without records."""
     missing = SECTIONS.keys() - encoded.keys()
     if missing:
@@ -241,14 +241,14 @@ def decoded(encoded: Dict[str, bytes]) -> Sections:
     }
 
 
-def checked(work: Callable[[], Result]) -> Result:
+def convert_errors(restore: Callable[[], Result]) -> Result:
     """Call a function that restores a state; convert any exception to a `UsageError`.
 
     Raises:
         UsageError: the reason of the failure.
     """
     try:
-        return work()
+        return restore()
     except RetalisError as error:
         raise UsageError(error.message) from error
     except Exception as error:

@@ -3,7 +3,6 @@
 The status is read from other threads without the engine's lock, so it is available even if a goal does not terminate.
 Lists and dictionaries are copied in one step of the interpreter, so they are consistent; counters may already include
 the event that is being processed.
-
 """
 
 import time
@@ -277,10 +276,10 @@ def as_json(value: Any) -> Json:
 _Item = TypeVar("_Item")
 _ItemStatus = TypeVar("_ItemStatus")
 
-_Text = Callable[[Term, Optional[Mapping[Var, str]]], str]
+_FormatTerm = Callable[[Term, Optional[Mapping[Var, str]]], str]
 """A function that returns the beginning of a term's text, given names of its variables if they are known."""
 
-_ShownTexts = Dict[int, Tuple[Term, str]]
+_CachedTexts = Dict[int, Tuple[Term, str]]
 
 
 class EngineView(NamedTuple):
@@ -311,7 +310,7 @@ class StatusReader:
 
     def __init__(self, view: EngineView):
         self._view = view
-        self._texts: _ShownTexts = {}
+        self._texts: _CachedTexts = {}
 
     def read(self, limit: int) -> Status:
         """Return the status.
@@ -320,12 +319,12 @@ class StatusReader:
             limit: limit for the listed items of each kind.
         """
         view = self._view
-        texts: _ShownTexts = {}
-        text = self._make_writer(texts)
+        texts: _CachedTexts = {}
+        format_term = self._make_term_formatter(texts)
         show = view.logic.brief
-        rules, more_rules = _list_rules(view.rules, text, show, limit)
-        memories, more_memories = _list_memories(view.knowledge, text, show, limit)
-        subscriptions, more_subscriptions = _list_subscriptions(view.knowledge, text, show, limit)
+        rules, more_rules = _list_rules(view.rules, format_term, show, limit)
+        memories, more_memories = _list_memories(view.knowledge, format_term, show, limit)
+        subscriptions, more_subscriptions = _list_subscriptions(view.knowledge, format_term, show, limit)
         waiting, more_waiting = _list_queries(view.knowledge, show, limit)
         # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
@@ -352,11 +351,11 @@ class StatusReader:
 
     def count_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
-        # Called during garbage collections, so it adds up counters and does not visit records.
+        # Called during garbage collections, so it adds up counters and does not visit records. A memory removes old
+        # records in blocks, so `ends` can be longer than `size`.
         memories = [instance.memory for instance in list(self._view.knowledge.memories)]
         return self._view.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
 
-    # `ends` is longer than `size` until the next removal of old records, which happens in blocks.
     def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.
         running = self._view.watchdog.running_entry(time.monotonic())
@@ -367,20 +366,20 @@ class StatusReader:
         place = "" if work.place is None else str(work.place)
         return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 
-    def _make_writer(self, texts: _ShownTexts) -> _Text:
+    def _make_term_formatter(self, texts: _CachedTexts) -> _FormatTerm:
         """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
-        known, show = self._texts, self._view.logic.brief
+        cached_texts, show = self._texts, self._view.logic.brief
 
-        def write(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
+        def format_term(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
             # The cached tuple holds a reference to the term, so its id cannot be reused for another term.
             key = id(term)
-            entry = known.get(key)
+            entry = cached_texts.get(key)
             if entry is None:
                 entry = term, show(term, {**_name_variables(term), **(names or {})})
             texts[key] = entry
             return entry[1]
 
-        return write
+        return format_term
 
 
 def _find_next_alarm(clock: Clock) -> Optional[int]:
@@ -405,7 +404,7 @@ def _name_variables(term: Term) -> Dict[Var, str]:
 
 
 def _list_rules(
-    rules: RuleBase, text: _Text, show: Callable[[Term], str], limit: int
+    rules: RuleBase, format_term: _FormatTerm, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
     """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
     listed = rules.rules
@@ -418,7 +417,7 @@ def _list_rules(
         firings = rule.firings
         return RuleStatus(
             "" if rule.label is None else show(rule.label),
-            text(rule.definition.term, rule.definition.names),
+            format_term(rule.definition.term, rule.definition.names),
             "" if rule.place is None else str(rule.place),
             firings.number,
             None if firings.last is None else int(firings.last),
@@ -433,7 +432,7 @@ def _list_rules(
 
 
 def _list_memories(
-    knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], limit: int
+    knowledge: KnowledgeBase, format_term: _FormatTerm, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
     """Return the status of memories, and the number of memories that are not listed."""
 
@@ -446,7 +445,7 @@ def _list_memories(
         records = min(number, memory.size)
         return MemoryStatus(
             show(instance.id),
-            text(instance.recorder.pattern, None),
+            format_term(instance.recorder.pattern, None),
             memory.size,
             records,
             memory.added,
@@ -458,7 +457,7 @@ def _list_memories(
 
 
 def _list_subscriptions(
-    knowledge: KnowledgeBase, text: _Text, show: Callable[[Term], str], limit: int
+    knowledge: KnowledgeBase, format_term: _FormatTerm, show: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
     """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
@@ -469,7 +468,7 @@ def _list_subscriptions(
         return SubscriptionStatus(
             beginning(topic),
             show(subscription.id),
-            text(pattern, None),
+            format_term(pattern, None),
             subscription.tally.sent,
             late,
             dropped,

@@ -25,11 +25,11 @@ from .program_loader import REQUEST
 MAX_ANSWER_CHARACTERS = 1_000_000
 """Maximum length of all solutions of an answer together, in characters of JSON."""
 
-WAITING = functor("wait_for", 1)
+_WAIT_FUNCTOR = functor("wait_for", 1)
 _POLL_SECONDS = 0.2
 """Interval in seconds for checking whether a waiting request can still be completed."""
 
-T = TypeVar("T")
+Result = TypeVar("Result")
 _Number = TypeVar("_Number", int, float)
 
 
@@ -51,18 +51,18 @@ class Answer(NamedTuple):
 def ask(
     engine: Engine,
     goal: str,
-    most: int = 100,
+    max_solutions: int = 100,
     limits: Optional[Limits] = None,
-    largest: int = MAX_ANSWER_CHARACTERS,
+    max_characters: int = MAX_ANSWER_CHARACTERS,
 ) -> Answer:
     """Return the first solutions of a goal as text.
 
     Args:
         engine: the engine.
         goal: text of the goal.
-        most: maximum number of solutions.
+        max_solutions: maximum number of solutions.
         limits: limits of this goal, in addition to those of the engine.
-        largest: maximum length of all solutions together, in characters of JSON.
+        max_characters: maximum length of all solutions together, in characters of JSON.
 
     Raises:
         SyntaxFault: if the text is not a term.
@@ -75,14 +75,14 @@ def ask(
 
     def work() -> Answer:
         solution_bindings: List[List[Binding]] = []
-        characters_left = largest
+        characters_left = max_characters
         engine_limits = logic.limits
         logic.limits = _combine_limits(engine_limits, limits or NO_LIMITS)
         try:
             with closing(logic.solutions(parsed_goal.term)) as solutions:
                 for _ in solutions:
                     # The loop asks for one solution more than is wanted, only to know whether the answer is complete.
-                    if len(solution_bindings) >= most:
+                    if len(solution_bindings) >= max_solutions:
                         return Answer(solution_bindings, False)
                     try:
                         # Conversion to text counts against the limits of the goal: a small term can have a huge text.
@@ -99,17 +99,17 @@ def ask(
         return Answer(solution_bindings, True)
 
     # Executed exclusively, so the changed limits of the logic apply to this goal only.
-    return do_for_others(engine, work, parsed_goal.term)
+    return run_restricted(engine, work, parsed_goal.term)
 
 
-def do_for_others(engine: Engine, work: Callable[[], T], what: Term = REQUEST) -> T:
+def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term = REQUEST) -> Result:
     """Execute a function as `Engine.do`; its goals, and those of rules that it adds, may not change flags."""
 
-    def work_for_others() -> T:
+    def restricted_work() -> Result:
         with engine.logic.for_others():
             return work()
 
-    return engine.do(work_for_others, what)
+    return engine.do(restricted_work, work_name)
 
 
 def _read_bindings(engine: Engine, names: Dict[str, Var], characters_left: int) -> List[Binding]:
@@ -127,18 +127,18 @@ def _read_bindings(engine: Engine, names: Dict[str, Var], characters_left: int) 
 
 def _combine_limits(first: Limits, second: Limits) -> Limits:
     return Limits(
-        _find_minimum(first.seconds, second.seconds),
-        _find_minimum(first.inferences, second.inferences),
-        _find_minimum(first.megabytes, second.megabytes),
-        _find_minimum(first.output_megabytes, second.output_megabytes),
+        _minimum(first.seconds, second.seconds),
+        _minimum(first.inferences, second.inferences),
+        _minimum(first.megabytes, second.megabytes),
+        _minimum(first.output_megabytes, second.output_megabytes),
     )
 
 
-def _find_minimum(first: Optional[_Number], second: Optional[_Number]) -> Optional[_Number]:
+def _minimum(first: Optional[_Number], second: Optional[_Number]) -> Optional[_Number]:
     return first if second is None else second if first is None else min(first, second)
 
 
-def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds: float) -> None:
+def wait_for_memories(engine: Engine, names: Sequence[Term], instant: int, seconds: float) -> None:
     """Wait until each of several memories has stored an event that ends at or after a time.
 
     The engine continues with other work meanwhile.
@@ -153,13 +153,13 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
         UsageError: for an unknown memory, a memory that is deleted meanwhile, and at the end of the waiting time.
     """
     knowledge = engine.knowledge
-    arrived = Event()
+    all_reached = Event()
 
     def register() -> Optional[int]:
         missing = knowledge.behind(names, instant)
-        waiting_goal = WAITING(make_list(names))
+        waiting_goal = _WAIT_FUNCTOR(make_list(names))
         now = engine.clock.now()
-        return knowledge.waiting.await_all(missing, waiting_goal, now, arrived.set) if missing else None
+        return knowledge.waiting.await_all(missing, waiting_goal, now, all_reached.set) if missing else None
 
     request_number = engine.do(register)
     if request_number is None:
@@ -167,8 +167,8 @@ def await_memories(engine: Engine, names: Sequence[Term], instant: int, seconds:
     deadline = monotonic() + seconds
     try:
         # A deleted memory never sets the event, so the loop checks regularly whether the request still exists.
-        while not arrived.wait(min(_POLL_SECONDS, max(0.0, deadline - monotonic()))):
-            if not knowledge.waiting.waits(request_number) and not arrived.is_set():
+        while not all_reached.wait(min(_POLL_SECONDS, max(0.0, deadline - monotonic()))):
+            if not knowledge.waiting.waits(request_number) and not all_reached.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
             if monotonic() >= deadline:
                 raise UsageError(f"{_describe_missing(engine, names, instant)} after {seconds:g} s")
@@ -181,9 +181,9 @@ def _describe_missing(engine: Engine, names: Sequence[Term], instant: int) -> st
     """Return a description of the memories that have not reached a time, with the missing time."""
     behind_memories = engine.do(lambda: engine.knowledge.behind(names, instant))
     descriptions = []
-    for instance, time in behind_memories:
+    for instance, required_time in behind_memories:
         latest = instance.memory.latest
-        delay = "nothing yet" if latest is None else f"{(time - latest) / 1e9:g} s too early"
+        delay = "nothing yet" if latest is None else f"{(required_time - latest) / 1e9:g} s too early"
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")
     return f"no record at the stamp or later in memory {', '.join(descriptions)}"
 
@@ -216,17 +216,17 @@ def add_rule(engine: Engine, text: str, label: str = "") -> str:
         engine.rules.loader.load_read(parsed_rule)
         return engine.show(rule_label)
 
-    return do_for_others(engine, add)
+    return run_restricted(engine, add)
 
 
 def _choose_label(engine: Engine, parsed_rule: ReadTerm, requested: str) -> Term:
     """Return the label of a parsed rule; add one to the rule if it has none."""
     term: Any = deref(parsed_rule.term)
-    own_label, _ = split_label(term)
-    label = _parse_label(engine, requested) if requested.strip() else own_label
-    if own_label is not None and requested.strip() and _strip_properties(own_label) is not label:
+    existing_label, _ = split_label(term)
+    label = _parse_label(engine, requested) if requested.strip() else existing_label
+    if existing_label is not None and requested.strip() and _strip_properties(existing_label) is not label:
         raise UsageError(
-            f"label: the rule has the label {engine.brief(_strip_properties(own_label))} already"
+            f"label: the rule has the label {engine.brief(_strip_properties(existing_label))} already"
         )
     used_keys = {
         term_key(_strip_properties(rule.label)) for rule in engine.rules.rules if rule.label is not None
@@ -237,7 +237,7 @@ def _choose_label(engine: Engine, parsed_rule: ReadTerm, requested: str) -> Term
         )
     if term_key(_strip_properties(label)) in used_keys:
         raise UsageError(f"a rule {engine.brief(_strip_properties(label))} already exists")
-    if own_label is None:
+    if existing_label is None:
         parsed_rule.term = RULE(label, term)
     return _strip_properties(label)
 
@@ -248,19 +248,19 @@ def delete_rule(engine: Engine, label: str) -> None:
     Raises:
         UsageError: if there are none.
     """
-    name = _parse_label(engine, label)
-    if not engine.do(lambda: engine.rules.delete(name), REQUEST):
-        raise UsageError(f"there is no rule {engine.brief(name)}")
+    label_term = _parse_label(engine, label)
+    if not engine.do(lambda: engine.rules.delete(label_term), REQUEST):
+        raise UsageError(f"there is no rule {engine.brief(label_term)}")
 
 
 def _parse_label(engine: Engine, text: str) -> Term:
     """Parse a label."""
     if not text.strip():
         raise UsageError("label is empty")
-    name = deref(read_term(text, engine.operators, "label").term)
-    if not isinstance(name, Atom):
-        raise UsageError(f"label: expected an atom, found {engine.brief(name)}")
-    return name
+    label_term = deref(read_term(text, engine.operators, "label").term)
+    if not isinstance(label_term, Atom):
+        raise UsageError(f"label: expected an atom, found {engine.brief(label_term)}")
+    return label_term
 
 
 def _make_label(number: int) -> Term:

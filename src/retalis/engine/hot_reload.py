@@ -27,7 +27,14 @@ from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import atom
-from .deployments import NOTHING, Clauses, Deployment, clause_key, current_deployment, paired
+from .deployments import (
+    EMPTY_DEPLOYMENT,
+    Clauses,
+    Deployment,
+    clause_key,
+    current_deployment,
+    pair_equal_rules,
+)
 from .engine_settings import Settings
 from .program_loader import REQUEST
 from .runtime.clock import Clock, StreamClock
@@ -36,14 +43,18 @@ from .runtime.problem_reports import Reports
 if TYPE_CHECKING:
     from .engine import Engine
 
-Timed = Dict[Hashable, ProgramTimer]
+TimersByKey = Dict[Hashable, ProgramTimer]
 
 _MAX_NAMED_CHANGES = 20
 """Maximum number of changes that are listed per kind of item."""
 
 
-def changes(
-    logic: PrologSystem, old: Deployment, new: Deployment, kept: Dict[EventRule, EventRule], clauses: Clauses
+def describe_changes(
+    logic: PrologSystem,
+    old: Deployment,
+    new: Deployment,
+    unchanged: Dict[EventRule, EventRule],
+    clauses: Clauses,
 ) -> List[str]:
     """Return a description of the changes, in lines for people.
 
@@ -51,11 +62,11 @@ def changes(
         logic: converts terms to text.
         old: the deployment before the reload.
         new: the deployment after it.
-        kept: the old rule for each new rule that replaces it unchanged.
+        unchanged: the old rule for each new rule that replaces it unchanged.
         clauses: all clauses of the earlier loads, including those that have been retracted since.
     """
     return [
-        *_describe_rules(old.rules, new.rules, kept),
+        *_describe_rules(old.rules, new.rules, unchanged),
         *_describe_memories(logic, old, new),
         *_describe_subscriptions(logic, old, new),
         *_describe_timers(logic, old, new),
@@ -65,14 +76,14 @@ def changes(
 
 
 def _describe_rules(
-    old: Sequence[EventRule], new: Sequence[EventRule], kept: Dict[EventRule, EventRule]
+    old: Sequence[EventRule], new: Sequence[EventRule], unchanged: Dict[EventRule, EventRule]
 ) -> List[str]:
-    staying = set(kept.values())
-    removed = [f"{rule.name}{_format_lost_matches(rule)}" for rule in old if rule not in staying]
-    added = [f"{rule.name}{_format_position(rule.place)}" for rule in new if rule not in kept]
-    match_count = sum(rule.held for rule in staying)
+    unchanged_rules = set(unchanged.values())
+    removed = [f"{rule.name}{_format_lost_matches(rule)}" for rule in old if rule not in unchanged_rules]
+    added = [f"{rule.name}{_format_position(rule.place)}" for rule in new if rule not in unchanged]
+    match_count = sum(rule.held for rule in unchanged_rules)
     with_matches = f", with {_format_match_count(match_count)}" if match_count else ""
-    return _format_section("rules", added, removed, [], f"{len(staying)} kept{with_matches}")
+    return _format_section("rules", added, removed, [], f"{len(unchanged_rules)} kept{with_matches}")
 
 
 def _format_lost_matches(rule: EventRule) -> str:
@@ -88,11 +99,11 @@ def _format_position(place: object) -> str:
 
 
 def _describe_memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
-    kept, changed, added = [], [], []
+    unchanged, changed, added = [], [], []
     for key, instance in new.memories.items():
         before = old.memories.get(key)
         if before is instance:
-            kept.append(instance)
+            unchanged.append(instance)
         elif before is not None:
             changed.append(f"memory {logic.brief(instance.id)}: it is defined otherwise, and begins empty")
         else:
@@ -102,21 +113,21 @@ def _describe_memories(logic: PrologSystem, old: Deployment, new: Deployment) ->
         for key, instance in old.memories.items()
         if key not in new.memories
     ]
-    records = sum(len(instance.memory) for instance in kept)
+    records = sum(len(instance.memory) for instance in unchanged)
     return _format_section(
-        "memories", added, removed, changed, f"{len(kept)} kept, with {counted(records, 'record')}"
+        "memories", added, removed, changed, f"{len(unchanged)} kept, with {counted(records, 'record')}"
     )
 
 
 def _describe_subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
-    kept, changed, added = 0, [], []
+    unchanged, changed, added = 0, [], []
     for key, subscription in new.subscriptions.items():
         before = old.subscriptions.get(key)
         name = f"subscription {logic.brief(subscription.id)} of topic {key[0]}"
         if before is None:
             added.append(name)
         elif before.key == subscription.key:
-            kept += 1
+            unchanged += 1
         else:
             changed.append(name)
     removed = [
@@ -124,7 +135,7 @@ def _describe_subscriptions(logic: PrologSystem, old: Deployment, new: Deploymen
         for key, subscription in old.subscriptions.items()
         if key not in new.subscriptions
     ]
-    return _format_section("subscriptions", added, removed, changed, f"{kept} kept")
+    return _format_section("subscriptions", added, removed, changed, f"{unchanged} kept")
 
 
 def _describe_timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
@@ -132,33 +143,35 @@ def _describe_timers(logic: PrologSystem, old: Deployment, new: Deployment) -> L
         return []
     show = logic.brief
 
-    def describe_missing(timers: Timed, excluded: Timed) -> List[str]:
+    def describe_missing(timers: TimersByKey, excluded: TimersByKey) -> List[str]:
         return [
             f"timer {show(timer.event)}, {show(timer.schedule.term)}"
             for key, timer in timers.items()
             if key not in excluded
         ]
 
-    kept = sum(key in old.timers for key in new.timers)
+    unchanged = sum(key in old.timers for key in new.timers)
     return _format_section(
         "timers",
         describe_missing(new.timers, old.timers),
         describe_missing(old.timers, new.timers),
         [],
-        f"{kept} kept",
+        f"{unchanged} kept",
     )
 
 
 def _describe_states(old: Deployment, new: Deployment) -> List[str]:
     if not (old.states or new.states):
         return []
-    kept = [state for key, state in new.states.items() if old.states.get(key) is state]
-    changed = [state for key, state in new.states.items() if key in old.states and state not in kept]
+    unchanged = [state for key, state in new.states.items() if old.states.get(key) is state]
+    changed = [state for key, state in new.states.items() if key in old.states and state not in unchanged]
     added = [state.name for key, state in new.states.items() if key not in old.states]
     removed = [state.name for key, state in old.states.items() if key not in new.states]
-    open_count = sum(len(state.open) for state in kept)
-    changes_text = [f"{state.name}: it is declared otherwise, and nothing holds" for state in changed]
-    return _format_section("states", added, removed, changes_text, f"{len(kept)} kept, {open_count} open")
+    open_count = sum(len(state.open) for state in unchanged)
+    changed_texts = [f"{state.name}: it is declared otherwise, and nothing holds" for state in changed]
+    return _format_section(
+        "states", added, removed, changed_texts, f"{len(unchanged)} kept, {open_count} open"
+    )
 
 
 def _describe_predicates(old: Clauses, new: Clauses) -> List[str]:
@@ -182,12 +195,12 @@ def _describe_predicates(old: Clauses, new: Clauses) -> List[str]:
 
 
 def _format_section(
-    section: str, added: List[str], removed: List[str], changed: List[str], kept: str
+    section: str, added: List[str], removed: List[str], changed: List[str], unchanged_text: str
 ) -> List[str]:
     """Return a line with counts, and a line for each item that is new, changed or gone."""
     changed_count = f"{len(changed)} changed, " if changed else ""
     return [
-        f"{section}: {len(added)} new, {changed_count}{len(removed)} gone, {kept}",
+        f"{section}: {len(added)} new, {changed_count}{len(removed)} gone, {unchanged_text}",
         *_format_changes("new", added),
         *_format_changes("changed", changed),
         *_format_changes("gone", removed),
@@ -213,19 +226,19 @@ class NullReports(Reports):
         """Discard a message."""
 
 
-def deployment_of(engine: "Engine") -> Deployment:
+def program_items(engine: "Engine") -> Deployment:
     """Return all items of the engine's current program."""
     return current_deployment(engine.logic, engine.rules, engine.knowledge)
 
 
-def clock_at(instant: int) -> Clock:
+def create_fixed_clock(instant: int) -> Clock:
     """Return a clock that stays at an instant until it is moved."""
     clock = StreamClock()
     clock.move_to(instant)
     return clock
 
 
-def trial_settings(settings: Settings) -> Settings:
+def make_trial_settings(settings: Settings) -> Settings:
     """Return the settings for a trial engine."""
     return settings._replace(limit_start=True, watchdog=None)
 
@@ -233,12 +246,14 @@ def trial_settings(settings: Settings) -> Settings:
 def load_folder(engine: "Engine", folder: Path) -> None:
     """Load a program's folder or an event file, and record its deployment; see `Engine.load_program`."""
     deployments, key = engine.deployments, _resolve_path(folder)
-    before = deployment_of(engine)
+    before = program_items(engine)
     try:
         _load(engine, folder)
     finally:
         # Also after an error: what was loaded before the error belongs to the folder, and a reload replaces it.
-        deployments[key] = deployments.get(key, NOTHING).and_then(deployment_of(engine).since(before))
+        deployments[key] = deployments.get(key, EMPTY_DEPLOYMENT).union(
+            program_items(engine).added_since(before)
+        )
 
 
 def _resolve_path(folder: Path) -> str:
@@ -270,12 +285,16 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
         raise UsageError("a goal or callback of an engine cannot reload its program")
     # An event file may need definitions of other files, so it is not loaded alone into a trial engine.
     if os.path.isfile(folder):
-        trial_deployment = deployment_of(new_engine())
+        trial_deployment = program_items(new_engine())
     else:
-        trial_deployment = try_program(engine, new_engine(), engine.deployments.get(key, NOTHING), folder)
+        trial_deployment = load_into_trial(
+            engine, new_engine(), engine.deployments.get(key, EMPTY_DEPLOYMENT), folder
+        )
 
     def replace() -> List[str]:
-        transaction = ReloadTransaction(engine, engine.deployments.get(key, NOTHING), trial_deployment)
+        transaction = ReloadTransaction(
+            engine, engine.deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment
+        )
         try:
             with engine.rules.files.loading_again(engine.rules.files.omitted):
                 return transaction.run(lambda: _load(engine, folder))
@@ -285,35 +304,37 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
     return engine.executor.call(lambda: engine.dispatcher.undisturbed(replace), (REQUEST,))
 
 
-def try_program(engine: "Engine", trial: "Engine", deployed: Deployment, folder: Path) -> Deployment:
+def load_into_trial(
+    engine: "Engine", trial_engine: "Engine", old_deployment: Deployment, folder: Path
+) -> Deployment:
     """Load a program into a trial engine; return the deployment there.
 
     Args:
         engine: the running engine.
-        trial: the trial engine.
-        deployed: deployment of the folder in the running engine.
+        trial_engine: the trial engine.
+        old_deployment: deployment of the folder in the running engine.
         folder: folder of the program.
 
     Raises:
         ProgramErrors: all errors of the program, and ids that services have used for their own items meanwhile.
     """
-    logic = trial.logic
+    logic = trial_engine.logic
     logic.output = logic.error_output = lambda text: None
-    with trial.rules.files.loading_again(engine.rules.files.omitted):
-        trial.executor.call(lambda: _load(trial, folder), (_LOADING_WORK,))
-    trial_deployment = deployment_of(trial)
+    with trial_engine.rules.files.loading_again(engine.rules.files.omitted):
+        trial_engine.executor.call(lambda: _load(trial_engine, folder), (_LOADING_WORK,))
+    trial_deployment = program_items(trial_engine)
     # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder
     # would fail on it only after the old program has been set aside, so it is reported here.
-    present = engine.executor.call(lambda: deployment_of(engine))
+    current_items = engine.executor.call(lambda: program_items(engine))
     conflicts = Errors()
     show = engine.logic.brief
     for key, instance in trial_deployment.memories.items():
-        if key in present.memories and key not in deployed.memories:
+        if key in current_items.memories and key not in old_deployment.memories:
             conflicts.append(
                 RuleError(f"memory {show(instance.id)} of the program has been added meanwhile by others")
             )
     for key, subscription in trial_deployment.subscriptions.items():
-        if key in present.subscriptions and key not in deployed.subscriptions:
+        if key in current_items.subscriptions and key not in old_deployment.subscriptions:
             name = show(subscription.id)
             text = f"subscription {name} of topic {key[0]} of the program has been added meanwhile by others"
             conflicts.append(RuleError(text))
@@ -333,9 +354,9 @@ class ReloadTransaction:
 
     def __init__(self, engine: "Engine", old_deployment: Deployment, trial: Deployment):
         self._engine = engine
-        self._before = deployment_of(engine)
+        self._before = program_items(engine)
         self._old_deployment = self._select_remaining(old_deployment)
-        self._loaded_before = old_deployment
+        self._recorded_deployment = old_deployment
         self._trial = trial
         self.deployment = old_deployment
         """Deployment of the folder at present."""
@@ -348,21 +369,21 @@ class ReloadTransaction:
         """
         budget = self._engine.logic.machine.budget
         try:
-            self._set_aside()
+            self._deactivate_old()
             # The program without the folder. The difference to it after the load is the new deployment.
-            rest = deployment_of(self._engine)
+            program_without_folder = program_items(self._engine)
             budget.apart((_LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
             self._engine.logic.once(_ABOLISH_TABLES_GOAL)
-            self.deployment = deployment_of(self._engine).since(rest)
-            description = changes(
+            self.deployment = program_items(self._engine).added_since(program_without_folder)
+            description = describe_changes(
                 self._engine.logic,
                 self._old_deployment,
                 self.deployment,
                 self._pair_unchanged_rules(),
-                self._loaded_before.clauses,
+                self._recorded_deployment.clauses,
             )
-            self._restore_unchanged(rest)
+            self._restore_unchanged(program_without_folder)
         except BaseException as error:
             # This includes interrupts: a partly loaded program must not receive events.
             self._undo_after(error)
@@ -372,11 +393,15 @@ class ReloadTransaction:
 
     def _select_remaining(self, deployment: Deployment) -> Deployment:
         """Return the part of a deployment that has not been deleted or replaced since."""
-        present = self._before
-        rules, memories, subscriptions = set(present.rules), present.memories, present.subscriptions
+        current_items = self._before
+        rules, memories, subscriptions = (
+            set(current_items.rules),
+            current_items.memories,
+            current_items.subscriptions,
+        )
         clauses: Clauses = {}
         for predicate, clause_list in deployment.clauses.items():
-            live = set(present.clauses.get(predicate, ()))
+            live = set(current_items.clauses.get(predicate, ()))
             clauses[predicate] = [clause for clause in clause_list if clause in live]
         return deployment._replace(
             rules=[rule for rule in deployment.rules if rule in rules],
@@ -385,13 +410,17 @@ class ReloadTransaction:
             subscriptions={
                 key: item for key, item in deployment.subscriptions.items() if subscriptions.get(key) is item
             },
-            timers={key: item for key, item in deployment.timers.items() if present.timers.get(key) is item},
-            states={key: item for key, item in deployment.states.items() if present.states.get(key) is item},
+            timers={
+                key: item for key, item in deployment.timers.items() if current_items.timers.get(key) is item
+            },
+            states={
+                key: item for key, item in deployment.states.items() if current_items.states.get(key) is item
+            },
         )
 
     # ---- deactivation of the old deployment ----------------------------------------------------------
 
-    def _set_aside(self) -> None:
+    def _deactivate_old(self) -> None:
         # Items are set aside, not deleted: the load reactivates those with an equal definition, with their state.
         rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old_deployment
         for rule in old.rules:
@@ -441,9 +470,9 @@ class ReloadTransaction:
         """
         if self.deployment.replaced != self._old_deployment.replaced:
             return {}
-        return paired(self._old_deployment.rules, self.deployment.rules, _make_rule_key)
+        return pair_equal_rules(self._old_deployment.rules, self.deployment.rules, _make_rule_key)
 
-    def _restore_unchanged(self, rest: Deployment) -> None:
+    def _restore_unchanged(self, program_without_folder: Deployment) -> None:
         rules = self._engine.rules
         old_rules = self._pair_unchanged_rules()
         own_rules = []
@@ -455,13 +484,14 @@ class ReloadTransaction:
             own_rules.append(old_rule or rule)
         new_rules = set(self.deployment.rules)
         other_rules = [rule for rule in rules.rules if rule not in new_rules]
-        staying = set(own_rules)
+        unchanged_rules = set(own_rules)
         rules.arrange(
-            [*own_rules, *other_rules], [rule for rule in self._old_deployment.rules if rule not in staying]
+            [*own_rules, *other_rules],
+            [rule for rule in self._old_deployment.rules if rule not in unchanged_rules],
         )
         self.deployment = self.deployment._replace(rules=own_rules)
         for predicate, clauses in self.deployment.clauses.items():
-            self._remove_retracted(predicate, clauses, rest.clauses.get(predicate, []))
+            self._remove_retracted(predicate, clauses, program_without_folder.clauses.get(predicate, []))
 
     def _remove_retracted(
         self, predicate: Predicate, clauses: List[Clause], base_clauses: List[Clause]
@@ -474,7 +504,7 @@ class ReloadTransaction:
         if not predicate.dynamic or not live.issuperset(base_clauses):
             return
         remaining = set(self._old_deployment.clauses.get(predicate, ()))
-        loaded = self._loaded_before.clauses.get(predicate, ())
+        loaded = self._recorded_deployment.clauses.get(predicate, ())
         # Clauses are compared by content and counted, because the load has created new clause objects.
         retracted = Counter(
             clause_key(loaded_clause) for loaded_clause in loaded if loaded_clause not in remaining
@@ -536,7 +566,7 @@ class ReloadTransaction:
     def _undo_clauses(self) -> None:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
         database = self._engine.logic.database
-        for predicate, clauses in deployment_of(self._engine).clauses.items():
+        for predicate, clauses in program_items(self._engine).clauses.items():
             if predicate not in self._before.clauses:
                 self._remove_clauses(predicate, clauses)
         copies: Dict[Clause, Clause] = {}
@@ -553,11 +583,13 @@ class ReloadTransaction:
         # The deployment must refer to the copies, or the next reload would not find its clauses.
         restored_clauses = {
             key: [copies.get(clause, clause) for clause in clause_list]
-            for key, clause_list in self._loaded_before.clauses.items()
+            for key, clause_list in self._recorded_deployment.clauses.items()
         }
         present_subscriptions = dict(self._engine.knowledge.subscriptions.items())
         subscriptions = {key: present_subscriptions[key] for key in self._old_deployment.subscriptions}
-        self.deployment = self._loaded_before._replace(clauses=restored_clauses, subscriptions=subscriptions)
+        self.deployment = self._recorded_deployment._replace(
+            clauses=restored_clauses, subscriptions=subscriptions
+        )
 
 
 def _make_rule_key(rule: EventRule) -> Hashable:

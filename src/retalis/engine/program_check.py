@@ -28,12 +28,12 @@ from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 
 
-class Problems(Reports):
+class FindingCollector(Reports):
     """Reports that collect problems as findings."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.found: List[Finding] = []
+        self.findings: List[Finding] = []
         self._suppressions = Suppressions()
 
     def error(self, error: Exception, kind: object = None) -> None:
@@ -51,9 +51,9 @@ class Problems(Reports):
         error = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
         error.code = load_code(error)
         if severity == ERROR or not self._suppressions.suppresses(error):
-            self.found.append(Finding(severity, "load", error))
+            self.findings.append(Finding(severity, "load", error))
 
-    def all_of(self, error: RetalisError) -> None:
+    def add_errors(self, error: RetalisError) -> None:
         """Collect all errors of a program."""
         for single_error in error.errors if isinstance(error, ProgramErrors) else [error]:
             self._add_finding(ERROR, single_error)
@@ -75,37 +75,37 @@ def check_program(
         direct: value of ``~direct``: topics whose messages become events, in addition to those of ``pub_sub.xml``.
         settings: settings of the engine.
     """
-    problems = Problems()
+    collector = FindingCollector()
     topics = Topics()
     is_single_file = os.path.isfile(folder)
     try:
         topics = read_topics(folder / TOPICS) if os.path.isdir(folder) else topics
     except RetalisError as error:
-        problems.all_of(error)
+        collector.add_errors(error)
     # The computer's clock, as in a node, so that goals which need the time succeed.
-    engine = Engine(Clock(time.time_ns), settings, problems, definitions)
+    engine = Engine(Clock(time.time_ns), settings, collector, definitions)
     engine.logic.output = engine.logic.error_output = lambda text: None
     direct_types = direct_topics(direct, topics, by_name)
     engine.input_topics.begin(lambda topic: None, topics, direct_types)
     try:
         engine.load_program(folder)
     except RetalisError as error:
-        problems.all_of(error)
+        collector.add_errors(error)
     topics = engine.input_topics.joined(topics)
     program = ProgramModel(
         engine.rules, engine.knowledge, definitions, topics, direct_types, folder, observed=is_single_file
     )
     # After an error a part of the program is missing, and checks of the whole program would report its absence.
-    is_loaded = not any(finding.severity == ERROR for finding in problems.found)
-    reported = {finding.problem.place for finding in problems.found if finding.problem.place is not None}
+    is_loaded = not any(finding.severity == ERROR for finding in collector.findings)
+    reported = {finding.problem.place for finding in collector.findings if finding.problem.place is not None}
     # A mistake that loading has already reported is not reported again by a check of the same place.
     new_findings = [
         finding for finding in look_through(program, is_loaded) if finding.problem.place not in reported
     ]
-    return _sort_findings([*problems.found, *new_findings])
+    return _sort_findings([*collector.findings, *new_findings])
 
 
-def never_comes(
+def explain_missing_source(
     engine: Engine, pattern: Term, definitions: Definitions, topics: Topics, direct: Iterable[TopicType]
 ) -> str:
     """Return the reason why events of a pattern will not occur, or "" if they may occur.
@@ -117,7 +117,9 @@ def never_comes(
     return without_maker(program, pattern)
 
 
-def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: Definitions) -> str:
+def explain_unsendable(
+    subscription: CompoundTerm, topic: str, type_name: str, definitions: Definitions
+) -> str:
     """Return the reason why no output of a subscription matches the message type of its topic.
 
     Return "" if an output may match, or if the type is unknown.
@@ -125,11 +127,11 @@ def never_sent(subscription: CompoundTerm, topic: str, kind: str, definitions: D
     Args:
         subscription: the goal ``subscribe/5``.
         topic: name of the topic, for the message.
-        kind: message type of the topic.
+        type_name: message type of the topic.
         definitions: known message types.
     """
     try:
-        definition = definitions.find(kind)
+        definition = definitions.find(type_name)
     except MessageError:
         return ""
     return output_fault(definition, subscription, topic) or ""

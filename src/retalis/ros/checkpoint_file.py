@@ -8,7 +8,14 @@ from typing import Callable, Optional
 
 import rospy
 
-from ..engine.checkpoints import Checkpoint, Checkpointer, CheckpointStorage, ProgramFiles, put_aside, resume
+from ..engine.checkpoints import (
+    Checkpoint,
+    Checkpointer,
+    CheckpointStorage,
+    ProgramFiles,
+    rename_refused_file,
+    resume,
+)
 from ..engine.engine import Engine
 from ..engine.runtime.clock import Clock
 from ..engine.runtime.problem_reports import Reports
@@ -63,7 +70,7 @@ class StateFile:
         path = self._parameters.checkpoint
         assert path is not None
         try:
-            outcome = f"the file is kept as {put_aside(path)}"
+            outcome = f"the file is kept as {rename_refused_file(path)}"
         except RetalisError as rename_error:
             outcome = f"{rename_error.message}, so no state is kept"
             self._usable = False
@@ -76,7 +83,7 @@ class StateFile:
         rospy.loginfo(
             "restored from %s, written %.1f s ago: %s with %s, %s, %s",
             self._parameters.checkpoint,
-            time.time() - restored.made,
+            time.time() - restored.written_at,
             engine.summary(),
             counted(records, "record"),
             counted(engine.rules.waiting, "partial match", "partial matches"),
@@ -95,5 +102,5 @@ class StateFile:
             return
         # The files that the restored program was read from, which may have changed since.
         checkpointer = Checkpointer(engine, file, self._parameters.program, self._reports, files=self._files)
-        checkpointer.begin()
-        rospy.on_shutdown(checkpointer.end)
+        checkpointer.start()
+        rospy.on_shutdown(checkpointer.stop)

@@ -15,7 +15,7 @@ from typing import Any, Callable, Iterable, List, Mapping, Optional, Tuple
 import rospy
 
 from ..engine.engine import Engine
-from ..engine.program_check import never_comes, never_sent
+from ..engine.program_check import explain_missing_source, explain_unsendable
 from ..engine.runtime.clock import Alarm, Clock
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor
@@ -315,7 +315,7 @@ class RetalisNode:
     def _missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
         definitions = Definitions(Installed(rosbags=False))
-        return never_comes(self.engine, pattern, definitions, topics, direct)
+        return explain_missing_source(self.engine, pattern, definitions, topics, direct)
 
     def _type_mismatch(
         self, goal: CompoundTerm, topic: str, types: Mapping[str, str], definitions: Definitions
@@ -330,7 +330,7 @@ class RetalisNode:
             return ""
         # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
         type_definitions = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
-        return never_sent(goal, topic, kind, type_definitions)
+        return explain_unsendable(goal, topic, kind, type_definitions)
 
     def _load(self) -> None:
         try:

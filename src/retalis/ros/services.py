@@ -19,7 +19,7 @@ import rospy
 
 from ..engine.engine import Engine
 from ..engine.engine_status import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
-from ..engine.external_requests import add_rule, ask, await_memories, delete_rule, do_for_others
+from ..engine.external_requests import add_rule, ask, delete_rule, run_restricted, wait_for_memories
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
@@ -164,7 +164,7 @@ class EngineServices:
             self._warn_about_missing_source("subscribe", request.id, matched_fields)
             self._untyped_topics.check(request.topic.strip())
 
-        return answer(lambda: do_for_others(self._engine, work))
+        return answer(lambda: run_restricted(self._engine, work))
 
     def _add_memory(self, request: Any) -> str:
         def work() -> None:
@@ -176,7 +176,7 @@ class EngineServices:
             self._warn_about_unbound("memorize", request.id, fields)
             self._warn_about_missing_source("memorize", request.id, fields)
 
-        return answer(lambda: do_for_others(self._engine, work))
+        return answer(lambda: run_restricted(self._engine, work))
 
     def _delete_subscription(self, request: Any) -> str:
         def work() -> None:
@@ -523,7 +523,7 @@ class QueryServices:
         if not self._waiting.acquire(blocking=False):
             raise UsageError(f"{MAX_WAITING_QUERIES} queries wait already")
         try:
-            await_memories(self._engine, names, request.stamp.to_nsec(), seconds)
+            wait_for_memories(self._engine, names, request.stamp.to_nsec(), seconds)
         finally:
             self._waiting.release()
 

@@ -53,7 +53,7 @@ class Inputs(states.Inputs):
         for now, event in enumerate(states.EVENTS, 1):
             engine.event(event, now)
             kept.write()
-        kept.end()
+        kept.stop()
         self.database = self.path.read_bytes()
         LOGGED.found = None
 

@@ -101,8 +101,8 @@ class Request:
 
 
 _Result = TypeVar("_Result")
-_First = TypeVar("_First")
-_Second = TypeVar("_Second")
+_Argument1 = TypeVar("_Argument1")
+_Argument2 = TypeVar("_Argument2")
 
 _thread_id = threading.get_ident
 
@@ -207,7 +207,9 @@ class SerialExecutor:
             raise
 
     def post_each(
-        self, work: Callable[[_First, _Second], object], entries: Iterable[Tuple[_First, _Second]]
+        self,
+        work: Callable[[_Argument1, _Argument2], object],
+        entries: Iterable[Tuple[_Argument1, _Argument2]],
     ) -> None:
         """Post each pair of arguments, under one acquisition of the lock while no other thread posts or calls.
 
@@ -231,7 +233,9 @@ class SerialExecutor:
             raise
 
     def _post_under_lock(
-        self, work: Callable[[_First, _Second], object], remaining: Iterator[Tuple[_First, _Second]]
+        self,
+        work: Callable[[_Argument1, _Argument2], object],
+        remaining: Iterator[Tuple[_Argument1, _Argument2]],
     ) -> bool:
         """Do entries until another thread posts or calls, or queue one if another thread works.
 
@@ -490,7 +494,9 @@ class _UnusableExecutor(SerialExecutor):
         raise _make_refusal()
 
     def post_each(
-        self, work: Callable[[_First, _Second], object], entries: Iterable[Tuple[_First, _Second]]
+        self,
+        work: Callable[[_Argument1, _Argument2], object],
+        entries: Iterable[Tuple[_Argument1, _Argument2]],
     ) -> None:
         """Refuse the work."""
         raise _make_refusal()

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from retalis import Engine, Limits, PrologError, Settings, SyntaxFault, UsageError, atom
-from retalis.engine.external_requests import ask, await_memories
+from retalis.engine.external_requests import ask, wait_for_memories
 
 
 def values(answer):
@@ -40,14 +40,14 @@ def test_at_most_so_many():
 
 
 def test_at_most_so_long():
-    found = ask(Engine(), "between(1, 1000, X)", 1000, largest=10)
+    found = ask(Engine(), "between(1, 1000, X)", 1000, max_characters=10)
     assert [text for ((_, text, _),) in found.solutions] == ["1", "2", "3", "4", "5", "6", "7", "8", "9"]
     assert not found.complete
 
 
 def test_one_that_is_too_long_is_an_error():
     with pytest.raises(UsageError, match="more than 10 characters"):
-        ask(Engine(), "numlist(1, 1000, L)", largest=10)
+        ask(Engine(), "numlist(1, 1000, L)", max_characters=10)
 
 
 def test_limits_of_its_own_hold_and_only_for_it():
@@ -79,14 +79,14 @@ def engine():
 
 def test_data_that_are_there_are_not_waited_for(engine):
     engine.event("v(1)", 5)
-    await_memories(engine, [atom("m")], 5_000_000_000, 0)
+    wait_for_memories(engine, [atom("m")], 5_000_000_000, 0)
 
 
 def test_others_work_while_it_waits(engine):
     done = []
 
     def wait():
-        await_memories(engine, [atom("m"), atom("n")], 5_000_000_000, 60)
+        wait_for_memories(engine, [atom("m"), atom("n")], 5_000_000_000, 60)
         done.append([one[0].text for one in ask(engine, "access_mem(m, v(X), _)").solutions])
 
     thread = threading.Thread(target=wait)
@@ -107,13 +107,13 @@ def waiting(engine):
 def test_it_waits_no_longer_than_it_was_told(engine):
     engine.event("v(1)", 3)
     with pytest.raises(UsageError, match=r"in memory m \(2 s too early\), n \(nothing yet\) after 0.01 s"):
-        await_memories(engine, [atom("m"), atom("n")], 5_000_000_000, 0.01)
+        wait_for_memories(engine, [atom("m"), atom("n")], 5_000_000_000, 0.01)
     assert waiting(engine) == 0
 
 
 def test_an_unknown_memory_is_an_error(engine):
     with pytest.raises(UsageError, match="there is no memory x"):
-        await_memories(engine, [atom("x")], 0, 1)
+        wait_for_memories(engine, [atom("x")], 0, 1)
 
 
 def test_a_memory_that_is_deleted_ends_it(engine):
@@ -121,7 +121,7 @@ def test_a_memory_that_is_deleted_ends_it(engine):
 
     def wait():
         with pytest.raises(UsageError, match="deleted"):
-            await_memories(engine, [atom("m")], 5_000_000_000, 60)
+            wait_for_memories(engine, [atom("m")], 5_000_000_000, 60)
         found.append(True)
 
     thread = threading.Thread(target=wait)

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Engine, PrologError, Settings, atom
-from retalis.engine.external_requests import add_rule, ask, do_for_others
+from retalis.engine.external_requests import add_rule, ask, run_restricted
 from retalis.prolog.syntax.term_reader import read_term
 
 SET = "set_etalis_flag(event_consumption_policy, unrestricted)"
@@ -118,8 +118,8 @@ def test_rules_that_others_have_added_are_refused_after_a_change_of_flags(caplog
 def test_conditions_of_services_are_refused(caplog):
     engine = make()
     event, condition, free = terms(engine, "a(_)", SET, "_")
-    do_for_others(engine, lambda: engine.add_memory(event, [condition], free, atom("m"), 5))
-    do_for_others(engine, lambda: engine.add_subscription(event, [condition], free, atom("out"), atom("s")))
+    run_restricted(engine, lambda: engine.add_memory(event, [condition], free, atom("m"), 5))
+    run_restricted(engine, lambda: engine.add_subscription(event, [condition], free, atom("out"), atom("s")))
     engine.event("a(1)", 1)
     assert policy(engine) == "recent"
     assert "subscription s" in caplog.text and "memory m" in caplog.text and REFUSED in caplog.text
