@@ -110,11 +110,11 @@ def watched(command: List[str], kills: Optional[Callable[[int], Kills]]) -> Dict
 
 def run(case: str, bags: Path, results: Path, every: float) -> Dict[str, Any]:
     """Play the bags as a case says; return its figures."""
-    _, workers, on_cluster, killed = CASES[case]
+    _, workers, run_on_cluster, killed = CASES[case]
     if not workers:
         return one_by_one(bags, results)
     command = [*BAG, str(bags), *HOW, "--output", str(results)]
-    if not on_cluster:
+    if not run_on_cluster:
         kills = (lambda process: Kills(lambda: workers_of(process), every)) if killed else None
         return watched([*command, "--jobs", str(workers)], kills)
     with cluster(workers) as one:

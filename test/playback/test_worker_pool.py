@@ -9,13 +9,13 @@ from source import ROOT
 from worker_tasks import run_task, run_task_in_folder
 
 from retalis import UsageError
-from retalis.playback.worker_pool import MAX_WORKER_DEATHS, Unfinished, in_processes, on_cluster
+from retalis.playback.worker_pool import MAX_WORKER_DEATHS, Unfinished, run_in_processes, run_on_cluster
 
 pytestmark = pytest.mark.slow
 
 
 def test_tasks_are_shared_between_processes_that_end_with_them(tmp_path):
-    done = dict(in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
+    done = dict(run_in_processes(run_task, ["pid"] * 6, 2, str(tmp_path), pytest.fail))
     assert sorted(done) == list(range(6))
     assert os.getpid() not in done.values()
     assert len(set(done.values())) <= 2
@@ -28,7 +28,7 @@ def test_what_a_dead_worker_was_at_is_done_again_and_given_up_in_the_end(tmp_pat
     lost = []
     tasks = ["pid", "die always", "once a", "pid"]
     done = dict(
-        in_processes(run_task, tasks, 2, str(tmp_path), lambda number, how: lost.append((number, how)))
+        run_in_processes(run_task, tasks, 2, str(tmp_path), lambda number, how: lost.append((number, how)))
     )
     assert done[1] == Unfinished(f"its worker died {MAX_WORKER_DEATHS} times, at last by SIGKILL")
     assert done[2] == "once a"
@@ -61,26 +61,26 @@ def cluster():
 
 def test_a_cluster_does_again_what_a_lost_worker_was_at(cluster, tmp_path):
     done = dict(
-        on_cluster(
+        run_on_cluster(
             run_task_in_folder, [f"{task} in {tmp_path}" for task in ("once a", "pid", "die b")], cluster
         )
     )
     assert done[0] == "once a"
     assert isinstance(done[1], int)
     assert isinstance(done[2], Unfinished)
-    assert done[2].cause.startswith("KilledWorker: ")
+    assert done[2].reason.startswith("KilledWorker: ")
 
 
 def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("retalis.playback.worker_pool._CONNECT_TIMEOUT_SECONDS", 0.2)
     with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
-        list(on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
+        list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
     with pytest.raises(UsageError, match="--scheduler nonsense://: no scheduler answers: "):
-        list(on_cluster(run_task, ["pid"], "nonsense://"))
+        list(run_on_cluster(run_task, ["pid"], "nonsense://"))
 
 
 def test_the_package_for_clusters_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs the Python package distributed"):
-        list(on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
+        list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))

@@ -15,7 +15,7 @@ from ..playback.bag_locations import MergedBag
 from ..playback.decompression import MAX_CHUNK_MEGABYTES
 from ..playback.playback import Output, Playback
 from ..playback.rosbag1 import BagWriter
-from ..playback.run_records import Line, RunRecorder, output_line
+from ..playback.run_records import RunRecord, RunRecorder, output_record
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
@@ -29,7 +29,7 @@ OUTPUT = functor("output", 2)
 TIMED_OUTPUT = functor("output", 3)
 
 
-LineHandler = Callable[[Line], None]
+RecordHandler = Callable[[RunRecord], None]
 
 
 def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
@@ -44,13 +44,16 @@ def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def print_line(line: Line) -> None:
+def print_record(record: RunRecord) -> None:
     """Print a record of a run as JSON."""
-    print(json.dumps(line, ensure_ascii=False))
+    print(json.dumps(record, ensure_ascii=False))
 
 
 def play(
-    options: argparse.Namespace, report: Report, tell: LineHandler = print_line, state: Optional[bytes] = None
+    options: argparse.Namespace,
+    report: Report,
+    tell: RecordHandler = print_record,
+    state: Optional[bytes] = None,
 ) -> Playback:
     """Play the bags of the options as one recording; return the program in its final state.
 
@@ -128,7 +131,7 @@ class _RunPrinter:
         options: argparse.Namespace,
         playback: Playback,
         bar: Optional[Bar],
-        tell: LineHandler,
+        tell: RecordHandler,
         start: int,
     ):
         self._options = options
@@ -146,7 +149,7 @@ class _RunPrinter:
     def advance(self, done: int) -> None:
         """Record that another message has been processed."""
         if self._recorder is not None:
-            self._recorder.look()
+            self._recorder.update_waits()
         if self._bar is not None:
             self._bar(done)
 
@@ -155,7 +158,7 @@ class _RunPrinter:
         if self._options.quiet:
             return
         if self._options.json:
-            self._line(output_line(output))
+            self._line(output_record(output))
             return
         self._clear()
         topic = atom(output.topic)
@@ -171,7 +174,7 @@ class _RunPrinter:
     def finish(self) -> None:
         """Print the summary and the requested explanations."""
         if self._recorder is not None:
-            self._recorder.finish()
+            self._recorder.record_final_state()
         for query in self._options.explain:
             term = read_term(query, self._engine.operators, "--explain").term
             self._clear()
@@ -181,7 +184,7 @@ class _RunPrinter:
         self._clear()
         self._printer.event(*event)  # type: ignore[arg-type]
 
-    def _line(self, line: Line) -> None:
+    def _line(self, line: RunRecord) -> None:
         self._clear()
         self._tell(line)
 

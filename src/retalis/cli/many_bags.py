@@ -21,19 +21,19 @@ from typing import Any, Callable, Deque, Dict, Generator, List, NamedTuple, Opti
 from ..engine.runtime.gc_tuning import restore_gc
 from ..foundation.errors import RetalisError, UsageError
 from ..playback.bag_locations import (
-    FoundBag,
-    fetched,
+    BagLocation,
     find_bags,
-    in_parts,
+    group_recordings,
     is_folder_of_bags,
-    is_there,
     is_url,
-    remove_parts,
+    local_copy,
+    location_exists,
+    remove_incomplete_results,
     result_file,
 )
 from ..playback.run_records import RunTable
-from ..playback.worker_pool import Unfinished, in_processes, on_cluster
-from .bag_run import play, print_line
+from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
+from .bag_run import RecordHandler, play, print_record
 from .option_values import from_one
 from .stderr_report import Report, leave, progress
 
@@ -47,7 +47,7 @@ class BagTask(NamedTuple):
     """A bag to play.
 
     Attributes:
-        place: path or URL of the bag.
+        location: path or URL of the bag.
         target: path or URL for the result.
         format: format of the result, one of `FORMATS`; None for the printed output.
         options: the options of the command that apply to a single bag.
@@ -55,7 +55,7 @@ class BagTask(NamedTuple):
         state: snapshot of the program after the previous part; None without one.
     """
 
-    place: str
+    location: str
     target: str
     format: Optional[str]
     options: Dict[str, Any]
@@ -90,11 +90,11 @@ def play_bag(task: BagTask, scratch: str) -> Played:
         task: the bag.
         scratch: folder for temporary files.
     """
-    stderr, failure, bag, state = _LimitedOutput(), "", task.place, None
+    stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
     with _PROCESS_LOCK, redirect_stderr(stderr):
         report = Report().listen(events=True)
         try:
-            with fetched(task.place, scratch) as bag, result_file(task.target, scratch) as result:
+            with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
                 state = _play_into(result, bag, task, report)
         except RetalisError as error:
             failure = str(error)
@@ -105,14 +105,14 @@ def play_bag(task: BagTask, scratch: str) -> Played:
             leave()
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
-    messages, failure = (text.replace(bag, task.place) for text in (stderr.getvalue(), failure))
+    messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
     return Played(report.errors, messages, failure or None, state)
 
 
 def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional[bytes]:
     """Play a bag into a file; return the program's snapshot if a part follows."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
-    write_record = print_line
+    write_record: RecordHandler = print_record
     with ExitStack() as stack:
         if task.format == "bag":
             # The recording has the outputs, so they are not printed.
@@ -213,12 +213,12 @@ def are_many(options: argparse.Namespace) -> bool:
     for name in ("format", "parts"):
         if getattr(options, name):
             raise UsageError(f"--{name} needs --jobs or --scheduler")
-    for place in options.bags:
-        if is_url(place):
-            raise UsageError(f"{place}: --jobs plays bags of URLs, each by itself")
-        if is_folder_of_bags(place):
+    for location in options.bags:
+        if is_url(location):
+            raise UsageError(f"{location}: --jobs plays bags of URLs, each by itself")
+        if is_folder_of_bags(location):
             raise UsageError(
-                f"{place} is no bag of ROS 2: no metadata.yaml; --jobs plays all bags below a folder"
+                f"{location} is no bag of ROS 2: no metadata.yaml; --jobs plays all bags below a folder"
             )
     return False
 
@@ -232,15 +232,15 @@ def play_many(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
         tasks, ready = _create_tasks(options, _find_recordings(options), scratch)
-        stack.callback(remove_parts, [task.target for task in tasks])
+        stack.callback(remove_incomplete_results, [task.target for task in tasks])
         results = _Results(tasks, to_print=options.output is None)
         bar = stack.enter_context(progress("bags", lambda: results.done / len(tasks)))
         clear_bar = bar.clear if bar is not None else lambda: None
 
-        def warn_worker_death(number: int, how: str) -> None:
+        def warn_worker_death(number: int, description: str) -> None:
             clear_bar()
             print(
-                f"warning: {tasks[number].place}: its worker died {how}; it is played again",
+                f"warning: {tasks[number].location}: its worker died {description}; it is played again",
                 file=sys.stderr,
             )
 
@@ -268,8 +268,8 @@ def _run_tasks(
     on_worker_death: Callable[[int, str], object],
 ) -> Generator[Tuple[int, _Outcome], None, None]:
     if options.scheduler:
-        return on_cluster(play_bag, tasks, options.scheduler, ready)
-    return in_processes(play_bag, tasks, options.jobs, scratch, on_worker_death, ready)
+        return run_on_cluster(play_bag, tasks, options.scheduler, ready)
+    return run_in_processes(play_bag, tasks, options.jobs, scratch, on_worker_death, ready)
 
 
 def _check_options(options: argparse.Namespace) -> None:
@@ -296,10 +296,10 @@ def _check_options(options: argparse.Namespace) -> None:
         raise UsageError(f"--explain: --format {result_format} has no place for it, jsonl has")
     if options.output and not is_url(options.output):
         target = Path(options.output).resolve()
-        for place in options.bags:
-            if is_folder_of_bags(place) and Path(place).resolve() in (target, *target.parents):
+        for location in options.bags:
+            if is_folder_of_bags(location) and Path(location).resolve() in (target, *target.parents):
                 raise UsageError(
-                    f"--output {options.output} is below {place}: results would be played the next time"
+                    f"--output {options.output} is below {location}: results would be played the next time"
                 )
 
 
@@ -309,13 +309,13 @@ def _select_format(options: argparse.Namespace) -> Optional[str]:
     return str(options.format or ("jsonl" if options.json else "bag"))
 
 
-def _find_recordings(options: argparse.Namespace) -> List[List[FoundBag]]:
+def _find_recordings(options: argparse.Namespace) -> List[List[BagLocation]]:
     bags = find_bags(options.bags)
-    return in_parts(bags) if options.parts else [[bag] for bag in bags]
+    return group_recordings(bags) if options.parts else [[bag] for bag in bags]
 
 
 def _create_tasks(
-    options: argparse.Namespace, recordings: List[List[FoundBag]], scratch: str
+    options: argparse.Namespace, recordings: List[List[BagLocation]], scratch: str
 ) -> Tuple[List[BagTask], Deque[int]]:
     """Return all tasks in order, and the numbers of the tasks that can start: the first parts of recordings.
 
@@ -345,10 +345,10 @@ def _create_tasks(
             else:
                 target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{result_format}")
                 _check_target(target, bag, targets, options.overwrite)
-            targets[target] = bag.place
+            targets[target] = bag.location
             tasks.append(
                 BagTask(
-                    shared_path(bag.place),
+                    shared_path(bag.location),
                     target,
                     result_format,
                     bag_options,
@@ -358,13 +358,13 @@ def _create_tasks(
     return tasks, ready
 
 
-def _check_target(target: str, bag: FoundBag, targets: Dict[str, str], overwrite: bool) -> None:
+def _check_target(target: str, bag: BagLocation, targets: Dict[str, str], overwrite: bool) -> None:
     if target in targets:
         raise UsageError(
-            f"{targets[target]} and {bag.place}: the result of both would be {target}; "
+            f"{targets[target]} and {bag.location}: the result of both would be {target}; "
             "give the folder that both are below, or different ones to --output"
         )
-    if not overwrite and is_there(target):
+    if not overwrite and location_exists(target):
         raise UsageError(f"{target} already exists; --overwrite replaces it")
 
 
@@ -391,9 +391,9 @@ class _Results:
         self._outcomes[number] = outcome
         # All later parts of a recording fail with one of its parts, because they would lack its state.
         while self._tasks[number].has_next_part and _get_failure(self._outcomes[number]) is not None:
-            number, place = number + 1, self._tasks[number].place
+            number, location = number + 1, self._tasks[number].location
             self.done += 1
-            self._outcomes[number] = Unfinished(f"not played: it goes on from {place}, which failed")
+            self._outcomes[number] = Unfinished(f"not played: it goes on from {location}, which failed")
         while self._next_to_report in self._outcomes:
             self._report(self._tasks[self._next_to_report], self._outcomes.pop(self._next_to_report))
             self._next_to_report += 1
@@ -408,7 +408,7 @@ class _Results:
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed += 1
-            print(f"error: {_add_place(task.place, failure)}", file=sys.stderr)
+            print(f"error: {_prefix_location(task.location, failure)}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
@@ -419,7 +419,7 @@ class _Results:
         if not messages:
             return
         if messages not in self._message_counts:
-            print(f"{task.place}:\n{messages}", end="", file=sys.stderr)
+            print(f"{task.location}:\n{messages}", end="", file=sys.stderr)
         self._message_counts[messages] = self._message_counts.get(messages, 0) + 1
 
     def finish(self) -> int:
@@ -433,8 +433,8 @@ class _Results:
 
 
 def _get_failure(outcome: _Outcome) -> Optional[str]:
-    return outcome.cause if isinstance(outcome, Unfinished) else outcome.failure
+    return outcome.reason if isinstance(outcome, Unfinished) else outcome.failure
 
 
-def _add_place(place: str, failure: str) -> str:
-    return failure if failure.startswith(place) else f"{place}: {failure}"
+def _prefix_location(location: str, failure: str) -> str:
+    return failure if failure.startswith(location) else f"{location}: {failure}"

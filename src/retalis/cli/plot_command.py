@@ -89,15 +89,15 @@ def _record_timeline(options: argparse.Namespace, report: Report) -> TimelineBui
         with progress("messages", share_of(playback, bags)) as bar:
 
             def advance(done: int) -> None:
-                recorder.look()
+                recorder.update_waits()
                 if bar is not None:
                     bar(done)
 
             # After the program is loaded: only the objects of the run are left to the collector.
             limit_gc_pauses()
             for output in playback.run(bags, advance):
-                recorder.output(output)
-        recorder.finish()
+                recorder.record_output(output)
+        recorder.record_final_state()
     return builder
 
 

@@ -1,8 +1,8 @@
 """Locations of bags and results, and several bags merged into one.
 
 Programs are run over files, over folders with bags below them, and over URLs such as ``s3://``. `find_bags` lists the
-bags of such locations, `in_parts` groups the files of a split recording, and `MergedBag` presents several bags as
-one, whose messages are merged in the order of receipt.
+bags of such locations, `group_recordings` groups the files of a split recording, and `MergedBag` presents several
+bags as one, whose messages are merged in the order of receipt.
 
 URLs require the Python package ``fsspec`` and a file system implementation for their scheme (``s3fs``).
 """
@@ -32,17 +32,17 @@ from uuid import uuid4
 
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import SECOND
-from .decompression import MAX_CHUNK_MEGABYTES, copy_up_to, reason
+from .decompression import MAX_CHUNK_MEGABYTES, copy_up_to, describe_error
 from .rosbag1 import BagError, BagReader, PathLike, Record, Topic
 from .rosbag2 import METADATA, SUFFIXES, Ros2BagReader
 
-OneBag = Union[BagReader, Ros2BagReader]
+SingleBag = Union[BagReader, Ros2BagReader]
 
-Bag = Union[OneBag, "MergedBag"]
+Bag = Union[SingleBag, "MergedBag"]
 """Any bag that a program can be run over."""
 
 
-def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> OneBag:
+def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> SingleBag:
     """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file whose name ends with one of `SUFFIXES`).
 
     Args:
@@ -91,7 +91,7 @@ class MergedBag:
         _reject_duplicates(paths)
         # The bags that are open already are closed if a later one cannot be opened.
         with ExitStack() as stack:
-            self._bags: List[OneBag] = []
+            self._bags: List[SingleBag] = []
             for path in paths:
                 self._bags.append(open_bag(path, max_chunk_megabytes))
                 stack.callback(self._bags[-1].close)
@@ -159,59 +159,59 @@ _INCOMPLETE_SUFFIX = ".part"
 """Suffix of an incomplete result, whose name also begins with a dot."""
 
 
-class FoundBag(NamedTuple):
+class BagLocation(NamedTuple):
     """A bag that was found.
 
     Attributes:
-        place: path or URL.
+        location: path or URL.
         name: name of its result: the name of the bag without its suffix, relative to the folder that was searched.
     """
 
-    place: str
+    location: str
     name: str
 
 
-def is_url(place: str) -> bool:
+def is_url(location: str) -> bool:
     """Return whether a location is a URL rather than a path."""
-    scheme, separator, _ = place.partition("://")
+    scheme, separator, _ = location.partition("://")
     return bool(scheme and separator) and "/" not in scheme
 
 
-def find_bags(places: Sequence[str]) -> List[FoundBag]:
+def find_bags(locations: Sequence[str]) -> List[BagLocation]:
     """Return the bags at the given locations, in the given order, and sorted by name below a folder.
 
     Raises:
         BagError: if there is no bag below a folder, or a URL cannot be accessed. A missing path is reported when it
             is played.
     """
-    bags: List[FoundBag] = []
-    for place in places:
-        names_below = _list_names_below(place)
+    bags: List[BagLocation] = []
+    for location in locations:
+        names_below = _list_names_below(location)
         if names_below is None:
-            bags.append(FoundBag(place, _strip_suffix(PurePosixPath(place.rstrip("/")).name)))
+            bags.append(BagLocation(location, _strip_suffix(PurePosixPath(location.rstrip("/")).name)))
             continue
         names = _select_bag_names(names_below)
         if not names:
             raise BagError(
-                f"{place} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_BAG_SUFFIXES)}"
+                f"{location} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_BAG_SUFFIXES)}"
             )
-        bags += [FoundBag(f"{place.rstrip('/')}/{name}", _strip_suffix(name)) for name in names]
+        bags += [BagLocation(f"{location.rstrip('/')}/{name}", _strip_suffix(name)) for name in names]
     return bags
 
 
-def in_parts(bags: Iterable[FoundBag]) -> List[List[FoundBag]]:
+def group_recordings(bags: Iterable[BagLocation]) -> List[List[BagLocation]]:
     """Group the files of split recordings; every other bag forms a group of its own.
 
     ``rosbag record --split`` names the files ``NAME_0.bag``, ``NAME_1.bag``, or ``NAME_DATE_0.bag`` with the date at
     which each begins. A group consists of files of one folder with consecutive numbers. It is listed at the position
     of its first file.
     """
-    parts_by_name: Dict[Tuple[str, str], List[Tuple[str, int, int, FoundBag]]] = {}
+    parts_by_name: Dict[Tuple[str, str], List[Tuple[str, int, int, BagLocation]]] = {}
     for position, bag in enumerate(bags):
         base, date, number = _parse_part_name(bag.name)
-        key = (os.path.dirname(bag.place), base if number >= 0 else bag.place)
+        key = (os.path.dirname(bag.location), base if number >= 0 else bag.location)
         parts_by_name.setdefault(key, []).append((date, number, position, bag))
-    groups: List[Tuple[int, List[FoundBag]]] = []
+    groups: List[Tuple[int, List[BagLocation]]] = []
     for parts in parts_by_name.values():
         previous = None
         # Sorted by date first: several recordings of one name may lie in the folder, each with a part 0.
@@ -236,37 +236,37 @@ def _parse_part_name(name: str) -> Tuple[str, str, int]:
     return base, "", int(number)
 
 
-def is_folder_of_bags(place: str) -> bool:
+def is_folder_of_bags(location: str) -> bool:
     """Return whether a path is a folder that is not a ROS 2 bag itself."""
-    return os.path.isdir(place) and not os.path.exists(os.path.join(place, METADATA))
+    return os.path.isdir(location) and not os.path.exists(os.path.join(location, METADATA))
 
 
-def is_there(place: str) -> bool:
+def location_exists(location: str) -> bool:
     """Return whether a location exists."""
-    if not is_url(place):
-        return os.path.lexists(place)
-    files, path = _open_filesystem(place)
-    return bool(_call_filesystem(place, files.exists, path))
+    if not is_url(location):
+        return os.path.lexists(location)
+    files, path = _open_filesystem(location)
+    return bool(_call_filesystem(location, files.exists, path))
 
 
 @contextmanager
-def fetched(place: str, scratch: str) -> Iterator[str]:
+def local_copy(location: str, scratch: str) -> Iterator[str]:
     """Provide the local path of a bag; a bag at a URL is downloaded and deleted afterwards.
 
     Args:
-        place: path or URL.
+        location: path or URL.
         scratch: folder for the download.
 
     Raises:
         BagError: if the download fails.
     """
-    if not is_url(place):
-        yield place
+    if not is_url(location):
+        yield location
         return
-    files, path = _open_filesystem(place)
+    files, path = _open_filesystem(location)
     with TemporaryDirectory(dir=scratch) as folder:
         local = str(Path(folder) / PurePosixPath(path).name)
-        _call_filesystem(place, _download, files, path, local)
+        _call_filesystem(location, _download, files, path, local)
         yield local
 
 
@@ -321,7 +321,7 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
             os.unlink(incomplete_path)
 
 
-def remove_parts(targets: Iterable[str]) -> None:
+def remove_incomplete_results(targets: Iterable[str]) -> None:
     """Remove incomplete results of worker processes that were killed."""
     names = {os.path.split(target) for target in targets if not is_url(target)}
     for folder in {folder for folder, _ in names}:
@@ -335,7 +335,7 @@ def _call_os(target: str, function: Callable[..., object], *arguments: str, **op
     try:
         function(*arguments, **options)
     except OSError as error:
-        raise BagError(f"{target} cannot be written: {reason(error)}") from error
+        raise BagError(f"{target} cannot be written: {describe_error(error)}") from error
 
 
 def _strip_suffix(name: str) -> str:
@@ -343,19 +343,20 @@ def _strip_suffix(name: str) -> str:
     return name[: len(name) - len(suffix)]
 
 
-def _list_names_below(place: str) -> Optional[List[str]]:
+def _list_names_below(location: str) -> Optional[List[str]]:
     """Return the names of all files below a folder, relative to it; None for files and bags."""
-    if not is_url(place):
-        if not is_folder_of_bags(place):
+    if not is_url(location):
+        if not is_folder_of_bags(location):
             return None
-        return [path.relative_to(place).as_posix() for path in Path(place).rglob("*")]
-    files, path = _open_filesystem(place)
-    if not _call_filesystem(place, files.isdir, path) or _call_filesystem(
-        place, files.exists, f"{path.rstrip('/')}/{METADATA}"
+        return [path.relative_to(location).as_posix() for path in Path(location).rglob("*")]
+    files, path = _open_filesystem(location)
+    if not _call_filesystem(location, files.isdir, path) or _call_filesystem(
+        location, files.exists, f"{path.rstrip('/')}/{METADATA}"
     ):
         return None
     return [
-        PurePosixPath(name).relative_to(path).as_posix() for name in _call_filesystem(place, files.find, path)
+        PurePosixPath(name).relative_to(path).as_posix()
+        for name in _call_filesystem(location, files.find, path)
     ]
 
 
@@ -384,4 +385,4 @@ def _call_filesystem(url: str, function: Any, *arguments: Any, **options: Any) -
     try:
         return function(*arguments, **options)
     except Exception as error:
-        raise BagError(f"{url}: {reason(error)}") from error
+        raise BagError(f"{url}: {describe_error(error)}") from error

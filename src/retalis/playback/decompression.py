@@ -27,14 +27,14 @@ class ChunkLimit:
         self.bytes = megabytes * _BYTES_PER_MEGABYTE
         self._megabytes = megabytes
 
-    def check(self, size: int, what: str) -> None:
+    def check(self, size: int, subject: str) -> None:
         """Check the size of a chunk in bytes.
 
         Raises:
             ValueError: if it exceeds the limit.
         """
         if size > self.bytes:
-            raise ValueError(f"{what} {size} bytes: expected {self._describe_limit()}")
+            raise ValueError(f"{subject} {size} bytes: expected {self._describe_limit()}")
 
     def unpack_message(self, packed: bytes) -> bytes:
         """Decompress a message that was compressed with zstd, whose frame need not state the size.
@@ -66,7 +66,7 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
         Exception: of the library, if the content cannot be decompressed.
     """
     decompressor: Any
-    complete = True
+    is_complete = True
     if compression in ("", "none"):
         data = packed
     elif compression == "zstd":
@@ -83,10 +83,10 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
         # `max_length` bounds the memory even if the stream expands without end.
         data = decompressor.decompress(packed, max_length=size + 1)
         # A truncated stream can have the right number of bytes without its checksum.
-        complete = decompressor.eof
+        is_complete = decompressor.eof
     if len(data) > size:
         raise ValueError(f"it has more than the {size} bytes that its header states")
-    if len(data) < size or not complete:
+    if len(data) < size or not is_complete:
         raise ValueError(f"it ends after {len(data)} bytes: its header states {size}")
     return data
 
@@ -128,6 +128,6 @@ def zstd_reader(packed: BinaryIO) -> Any:
     return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
 
 
-def reason(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """Return the text of an exception without a final full stop, or its class if it has no text."""
     return str(error).rstrip(".") or type(error).__name__

@@ -1,7 +1,7 @@
 """Running a program over a bag without ROS, with the results that the nodes would produce live.
 
 A `Playback` has an engine whose clock is driven by the bag: before a message is processed, the clock is moved to the
-time of its receipt, and every alarm that is due earlier rings at its own time. The result therefore depends on the
+time of its receipt, and every alarm that is due earlier fires at its own time. The result therefore depends on the
 bag only, not on the speed of the machine.
 
 Messages are passed to the engine in batches (`Engine.post_each`), which is faster than one by one. A batch ends when
@@ -56,7 +56,7 @@ log = logging.getLogger("retalis")
 
 OnError = Callable[[RetalisError], None]
 
-_GET_TIME = attrgetter("time")
+_get_time = attrgetter("time")
 
 
 class Output(NamedTuple):
@@ -128,8 +128,8 @@ class Playback:
         self._reports.once = True
         self._skew_monitor = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
         self.definitions = Definitions()
-        self._report = report
-        self._learn_types(bag.topics if bag is not None else ())
+        self._on_error = report
+        self._register_types(bag.topics if bag is not None else ())
         if state is None:
             self.engine = Engine(self.clock, settings, self._reports, self.definitions)
         else:
@@ -144,13 +144,13 @@ class Playback:
         self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
         self._direct = direct_topics(direct, self._topics, by_name)
         # If a topic has several types, the last one counts: direct topics precede pub_sub.xml, as in a node.
-        self._requested_topics = [*topic_file.subscribed, *self._direct, *topics]
+        self._subscriptions = [*topic_file.subscribed, *self._direct, *topics]
         direct_is_listed = isinstance(direct, tuple)
         named_topics = {by_name(topic) for topic, _ in self._topics.subscribed}
         self._default_topics = frozenset(
             () if direct_is_listed else {by_name(topic) for topic, _ in self._direct} - named_topics
         )
-        self._subscribed_types = {by_name(topic): type_name for topic, type_name in self._requested_topics}
+        self._subscribed_types = {by_name(topic): type_name for topic, type_name in self._subscriptions}
         self._published_types = {by_name(topic): type_name for topic, type_name in topic_file.published}
         self._event_names = {by_name(topic): event for topic, event in topic_file.events}
         self._new_topics: Set[str] = set()
@@ -167,7 +167,7 @@ class Playback:
             self.engine.load_program(self._folder)
         except ProgramErrors as errors:
             for error in errors.errors:
-                self._report(error)
+                self._on_error(error)
 
     def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
         """Process a bag, and yield the outputs of the program as they are published.
@@ -184,7 +184,7 @@ class Playback:
         outputs = self._outputs
         # A further bag may have been recorded with other clocks.
         self._skew_monitor.forget()
-        self._learn_topics(bag, [topic for topic, _ in self._requested_topics], self._default_topics)
+        self._prepare_topics(bag, [topic for topic, _ in self._subscriptions], self._default_topics)
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
             log.warning("%s", warning)
         # The warnings above cover outputs without a type.
@@ -195,7 +195,7 @@ class Playback:
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         records = self._read_records(bag, topic_names, decoders)
         message_numbers = count(1)
-        # Each iteration is one batch: `records` yields None before alarms ring, outside `post_each`.
+        # Each iteration is one batch: `records` yields None before alarms fire, outside `post_each`.
         for record in records:
             if record is not None:
                 batch = chain((record,), records)
@@ -204,7 +204,7 @@ class Playback:
                 )
                 yield from outputs
                 outputs.clear()
-        # Alarms that are due before the end of the bag ring even if no further message is used.
+        # Alarms that are due before the end of the bag fire even if no further message is used.
         self.clock.move_to(bag.end)
         self.engine.advance()
         yield from outputs
@@ -248,8 +248,8 @@ class Playback:
     ) -> Iterator[Optional[Record]]:
         """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
 
-        Alarms ring before the message that follows them is yielded, and all of them after the last message. Before
-        they ring, None is yielded: the caller must leave `Engine.post_each` before it requests the next item.
+        Alarms fire before the message that follows them is yielded, and all of them after the last message. Before
+        they fire, None is yielded: the caller must leave `Engine.post_each` before it requests the next item.
         """
         stream = iter(bag.records(topics))
         while True:
@@ -259,22 +259,22 @@ class Playback:
                 limit = bag.end if record is None else record.time
                 if alarm <= limit or not self.clock.reached():
                     yield None
-                    self._ring_until(bag.start, limit)
+                    self._fire_alarms_until(bag.start, limit)
             if self._new_topics:
                 remaining = stream if record is None else chain((record,), stream)
                 # The new topics start after the current time, so no message is repeated.
-                stream = iter(merge(remaining, self._join_topics(bag, decoders), key=_GET_TIME))
+                stream = iter(merge(remaining, self._read_new_topics(bag, decoders), key=_get_time))
             elif record is None:
                 return
             else:
                 yield record
 
-    def _join_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
+    def _read_new_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
         joining_topics = {topic.name for topic in bag.topics if by_name(topic.name) in self._new_topics}
-        names = [topic for topic, _ in self._requested_topics if by_name(topic) in self._new_topics]
+        names = [topic for topic, _ in self._subscriptions if by_name(topic) in self._new_topics]
         self._new_topics.clear()
-        self._learn_topics(bag, names)
+        self._prepare_topics(bag, names)
         decoders.update(
             (id(topic), self._decoders[topic]) for topic in bag.topics if topic.name in joining_topics
         )
@@ -283,12 +283,12 @@ class Playback:
     def _subscribe(self, request: TopicRequest) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
         name = by_name(request.topic)
-        self._requested_topics.append(TopicType(request.topic, request.kind))
+        self._subscriptions.append(TopicType(request.topic, request.kind))
         self._subscribed_types[name] = request.kind
         self._event_names[name] = request.event
         self._new_topics.add(name)
 
-    def _ring_until(self, first_time: int, limit: int) -> None:
+    def _fire_alarms_until(self, first_time: int, limit: int) -> None:
         """Fire each alarm at its own time, as on a robot, instead of at the time of the next message."""
         clock = self.clock
         # Timers that were started before the bag count from its first message.
@@ -312,7 +312,7 @@ class Playback:
             self._reports.error(MessageError(message, error.place), ("in", topic.name))
         return None
 
-    def _learn_types(self, topics: Iterable[Topic]) -> None:
+    def _register_types(self, topics: Iterable[Topic]) -> None:
         """Register the unknown types of a bag; errors are reported when the bag is played."""
         for topic in topics:
             try:
@@ -320,7 +320,7 @@ class Playback:
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _learn_topics(
+    def _prepare_topics(
         self, bag: Bag, requested: Iterable[str], by_default: FrozenSet[str] = frozenset()
     ) -> None:
         """Store the decoders for the connections of topics; report types that do not fit, and missing topics.
@@ -348,7 +348,7 @@ class Playback:
             )
         dropped: Dict[Tuple[str, bool], int] = Counter()
         for topic in bag.topics:
-            problem = self._learn_topic(topic) if by_name(topic.name) in names else None
+            problem = self._prepare_topic(topic) if by_name(topic.name) in names else None
             if problem is not None:
                 text = f"topic {topic.name}: {problem}"
                 dropped[text, by_name(topic.name) in by_default] += topic.messages
@@ -357,9 +357,9 @@ class Playback:
             if is_default:
                 log.warning("%s", text)
             else:
-                self._report(MessageError(text))
+                self._on_error(MessageError(text))
 
-    def _learn_topic(self, topic: Topic) -> Optional[MessageError]:
+    def _prepare_topic(self, topic: Topic) -> Optional[MessageError]:
         """Store the decoder of a connection with the type that the program requests, or return the error."""
         type_name = self._subscribed_types[by_name(topic.name)]
         try:

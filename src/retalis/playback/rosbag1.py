@@ -42,7 +42,7 @@ from typing import (
 
 from ..foundation.errors import RetalisError
 from ..messages.type_definition import Definition
-from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, reason, unpack
+from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 
 MAX_CHUNKS_AHEAD = 3
 """Number of chunks that are decompressed before they are needed."""
@@ -70,14 +70,14 @@ class Chunk(NamedTuple):
     compression: str
 
 
-def chunks(
-    file: BinaryIO, places: Mapping[int, Chunk], positions: Iterable[int], limit: ChunkLimit
+def read_chunks(
+    file: BinaryIO, chunks_by_position: Mapping[int, Chunk], positions: Iterable[int], limit: ChunkLimit
 ) -> Generator[bytes, None, None]:
     """Yield the contents of chunks; consecutive requests for the same chunk yield it once.
 
     Args:
         file: the bag.
-        places: locations of the chunks by their position.
+        chunks_by_position: locations of the chunks by their position.
         positions: positions of the chunks in the order of the messages that need them.
         limit: maximum size of a chunk.
 
@@ -87,7 +87,7 @@ def chunks(
         Exception: any other error that the bytes of a malformed bag lead to.
     """
     order = [position for position, _ in groupby(positions)]
-    reader = _ChunkReader(file, places, limit, order)
+    reader = _ChunkReader(file, chunks_by_position, limit, order)
     # One core remains for the engine. More threads do not help, because the messages are processed serially.
     thread_count = min(2, (os.cpu_count() or 1) - 1)
     if thread_count and any(map(reader.is_slow, order)):
@@ -95,7 +95,7 @@ def chunks(
             yield from reader.read_ahead(pool.submit)
         return
     for index in range(len(order)):
-        yield reader.begin(index, _completed_future).result()
+        yield reader.start_reading(index, _completed_future).result()
 
 
 _Submit = Callable[..., "Future[bytes]"]
@@ -105,18 +105,24 @@ _Submit = Callable[..., "Future[bytes]"]
 class _ChunkReader:
     """Reader of chunks in a known order."""
 
-    def __init__(self, file: BinaryIO, places: Mapping[int, Chunk], limit: ChunkLimit, order: List[int]):
+    def __init__(
+        self,
+        file: BinaryIO,
+        chunks_by_position: Mapping[int, Chunk],
+        limit: ChunkLimit,
+        position_order: List[int],
+    ):
         self._file = file
-        self._chunks_by_position = places
+        self._chunks_by_position = chunks_by_position
         self._limit = limit
-        self._order = order
+        self._position_order = position_order
         # A chunk whose last use has passed is freed at once.
-        self._last_use = {position: index for index, position in enumerate(order)}
+        self._last_use = {position: index for index, position in enumerate(position_order)}
         self._cached: Dict[int, Tuple[int, Future[bytes]]] = {}
         self._cached_bytes = 0
         self._read_positions: Set[int] = set()
         self._rereadable_bytes = MAX_REPEATS * sum(
-            places[position].size for position in self._last_use if position in places
+            chunks_by_position[position].size for position in self._last_use if position in chunks_by_position
         )
 
     def is_slow(self, position: int) -> bool:
@@ -127,22 +133,22 @@ class _ChunkReader:
     def read_ahead(self, submit: _Submit) -> Iterator[bytes]:
         """Yield the contents of all chunks, while the next ones are decompressed."""
         pending: Deque[Future[bytes]] = deque()
-        for index, position in enumerate(self._order):
+        for index, position in enumerate(self._position_order):
             if self.is_slow(position):
-                pending.append(self.begin(index, submit))
+                pending.append(self.start_reading(index, submit))
                 if len(pending) > MAX_CHUNKS_AHEAD:
                     yield pending.popleft().result()
                 continue
             # Chunks are yielded in order, so the pending ones come first.
             while pending:
                 yield pending.popleft().result()
-            yield self.begin(index, _completed_future).result()
+            yield self.start_reading(index, _completed_future).result()
         while pending:
             yield pending.popleft().result()
 
-    def begin(self, index: int, submit: _Submit) -> "Future[bytes]":
+    def start_reading(self, index: int, submit: _Submit) -> "Future[bytes]":
         """Return a future of the contents of a chunk, given by its index in the order, or of the error."""
-        position = self._order[index]
+        position = self._position_order[index]
         if position in self._cached:
             records = self._cached[position][1]
         else:
@@ -150,7 +156,7 @@ class _ChunkReader:
                 chunk, packed = self._read_packed(position)
             # The error is raised when this chunk is next: the chunks before it are still read.
             except (OSError, ValueError) as error:
-                return _completed_future(_raise, error)
+                return _completed_future(_raise_error, error)
             # The file is read here and only decompressed elsewhere, since all threads share its position.
             records = submit(_unpack, chunk, packed, position)
             # Kept until its last use, within the limit for one chunk, so that memory does not depend on the index.
@@ -188,7 +194,7 @@ def _completed_future(function: Callable[..., bytes], *arguments: object) -> "Fu
     return future
 
 
-def _raise(error: Exception) -> bytes:
+def _raise_error(error: Exception) -> bytes:
     raise error
 
 
@@ -196,7 +202,7 @@ def _unpack(chunk: Chunk, packed: bytes, position: int) -> bytes:
     try:
         return unpack(chunk.compression, packed, chunk.size)
     except Exception as error:  # any exception of the decompression library
-        raise ValueError(f"the chunk at byte {position}: {reason(error)}") from error
+        raise ValueError(f"the chunk at byte {position}: {describe_error(error)}") from error
 
 
 _SIZE_STRUCT = Struct("<I")
@@ -290,7 +296,7 @@ class BagReader:
     def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
         self.path = Path(path)
         self._limit = ChunkLimit(max_chunk_megabytes)
-        self._reader = _open(self.path)
+        self._reader = _open_reader(self.path)
         self._topics: Dict[int, Topic] = {
             connection.id: _create_topic(connection) for connection in self._reader.connections
         }
@@ -328,10 +334,12 @@ class BagReader:
         try:
             entries = self._find_entries(connections, start, stop)
             positions = [position for _, position, _, _ in entries]
-            with closing(chunks(self._reader.bio, self._reader.chunks, positions, self._limit)) as contents:
+            with closing(
+                read_chunks(self._reader.bio, self._reader.chunks, positions, self._limit)
+            ) as contents:
                 yield from _read_messages(entries, contents)
         except Exception as error:  # malformed bags raise arbitrary exceptions
-            raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
+            raise BagError(f"{self.path}: the bag is broken: {describe_error(error)}") from error
 
     def _find_entries(
         self, connections: List[Any], start: Optional[int], stop: Optional[int]
@@ -392,7 +400,7 @@ class BagWriter:
             self._writer = writer(self.path)
             self._writer.open()
         except OSError as error:
-            raise BagError(f"{self.path} cannot be written: {reason(error)}") from error
+            raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
 
     def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> object:
         """Add a connection; return the argument for `write` that identifies it."""
@@ -469,7 +477,7 @@ def _read_messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> I
         yield Record(topic, time, data)
 
 
-def _open(path: Path) -> Any:
+def _open_reader(path: Path) -> Any:
     rosbag1 = _import_rosbag1()
     if not path.is_file():
         raise BagError(f"{path}: there is no such file")
@@ -477,9 +485,9 @@ def _open(path: Path) -> Any:
         reader = _index_reader(rosbag1)(path)
         reader.path = _BagPath(path)
         reader.open()
-        reader.bio.end_opening()
+        reader.bio.lift_read_limit()
     except Exception as error:  # malformed bags raise arbitrary exceptions
-        problem = reason(error)
+        problem = describe_error(error)
         if "index looks damaged" in problem:  # the error of rosbags for a truncated recording
             problem = "its index is missing or damaged: repair it with 'rosbag reindex'"
         raise BagError(f"{path} is not a complete ROS 1 bag: {problem}") from error
@@ -496,19 +504,19 @@ class _BagFile(io.BufferedReader):
     def __init__(self, path: Path):
         super().__init__(io.FileIO(str(path)))
         self._size = os.fstat(self.fileno()).st_size
-        self._unread: float = self._size + io.DEFAULT_BUFFER_SIZE
+        self._remaining_bytes: float = self._size + io.DEFAULT_BUFFER_SIZE
 
-    def end_opening(self) -> None:
+    def lift_read_limit(self) -> None:
         """Remove the limit on the total number of bytes that are read."""
-        self._unread = float("inf")
+        self._remaining_bytes = float("inf")
 
     def read(self, size: Optional[int] = -1) -> bytes:
         """Read at most ``size`` bytes; memory is allocated only for bytes that the file has."""
         if size is None or size < 0 or size > io.DEFAULT_BUFFER_SIZE:
             remaining = max(0, self._size - self.tell())
             size = remaining if size is None or size < 0 else min(size, remaining)
-        self._unread -= size
-        if self._unread < 0:
+        self._remaining_bytes -= size
+        if self._remaining_bytes < 0:
             raise ValueError("its index refers to the same bytes repeatedly")
         return super().read(size)
 
@@ -537,32 +545,34 @@ def _index_reader(rosbag1: Any) -> Any:
 
         def __init__(self, path: Path):
             super().__init__(path)
-            self._ids: Set[int] = set()
-            self._records: List[Tuple[int, int]] = []
+            self._connection_ids: Set[int] = set()
+            self._chunk_ranges: List[Tuple[int, int]] = []
 
         def read_connection(self) -> Any:
             connection = super().read_connection()
             # A second definition could change the type of messages that were assigned to the first one.
-            if connection.id in self._ids:
+            if connection.id in self._connection_ids:
                 raise ValueError(f"connection {connection.id} is defined twice")
-            self._ids.add(connection.id)
+            self._connection_ids.add(connection.id)
             return connection
 
         def read_chunk(self) -> Chunk:
             position = self.bio.tell()
             header = Header.read(self.bio, RecordType.CHUNK)
             (packed_size,) = _SIZE_STRUCT.unpack(self.bio.read(_SIZE_STRUCT.size))
-            data = self.bio.tell()
+            data_offset = self.bio.tell()
             self.bio.seek(packed_size, os.SEEK_CUR)
-            self._records.append((position, data + packed_size))
-            return Chunk(data, packed_size, header.get_uint32("size"), header.get_string("compression"))
+            self._chunk_ranges.append((position, data_offset + packed_size))
+            return Chunk(
+                data_offset, packed_size, header.get_uint32("size"), header.get_string("compression")
+            )
 
         def open(self) -> None:
             super().open()
             # Overlapping chunks would allow a small file to contain the same messages many times.
             # The index may list chunks in any order.
-            self._records.sort()
-            for (_, end), (position, _) in zip(self._records, self._records[1:]):
+            self._chunk_ranges.sort()
+            for (_, end), (position, _) in zip(self._chunk_ranges, self._chunk_ranges[1:]):
                 if position < end:
                     raise ValueError(f"the chunk at byte {position} is inside another one")
 

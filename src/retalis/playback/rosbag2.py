@@ -32,7 +32,7 @@ from ..foundation.errors import MessageError, beginning, counted, shortened
 from ..foundation.ros_names import plain_type, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, ros2_type
 from ..messages.type_registry import Installed
-from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, reason, unpack, zstd_reader
+from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, unpack, zstd_reader
 from .rosbag1 import BagError, PathLike, Record, Topic
 
 Message = Tuple[int, int, bytes]
@@ -475,7 +475,7 @@ class McapFile:
         try:
             data = unpack(compression, packed, size)
         except Exception as error:  # any exception of the decompression library
-            raise ValueError(f"{location}: {reason(error)}") from error
+            raise ValueError(f"{location}: {describe_error(error)}") from error
         # A checksum of 0 means that the writer has not computed one.
         if checksum and crc32(data) != checksum:
             raise ValueError(f"{location} is damaged: its checksum is wrong")
@@ -597,7 +597,7 @@ class Ros2BagReader:
         self.path = Path(path)
         self._limit = ChunkLimit(max_chunk_megabytes)
         self._stack = ExitStack()
-        self._files, self._has_packed_messages = _open(self.path, self._limit, self._stack)
+        self._files, self._has_packed_messages = _open_files(self.path, self._limit, self._stack)
         self._sources = self._read_types()
         self.topics: Tuple[Topic, ...] = tuple(source.topic for source in self._sources.values())
         self.messages = sum(connection.messages for file in self._files for connection in file.connections)
@@ -670,7 +670,7 @@ class Ros2BagReader:
                         continue
                     yield Record(topic, time, raw)
         except Exception as error:  # malformed bags raise arbitrary exceptions
-            raise BagError(f"{self.path}: the bag is broken: {reason(error)}") from error
+            raise BagError(f"{self.path}: the bag is broken: {describe_error(error)}") from error
         finally:
             for name, count in dropped.items():
                 log.warning("%s: %s on %s dropped", self.path, counted(count, "message"), name)
@@ -742,7 +742,7 @@ class _Types:
             )
             return str(store.generate_msgdef(name, ros_version=2)[0])
         except Exception as error:  # the IDL parser raises arbitrary exceptions for malformed text
-            problem = shortened(" ".join(reason(error).split()))
+            problem = shortened(" ".join(describe_error(error).split()))
             raise MessageError(f"its definition in IDL cannot be read: {problem}") from error
 
     def _find(self, type_name: str) -> Optional[str]:
@@ -758,7 +758,7 @@ def _quote_if_invalid(name: str) -> str:
     return name if topic_fault(name) is None else shortened(name)
 
 
-def _open(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage], bool]:
+def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage], bool]:
     """Return the open files of a bag, which ``stack`` closes, and whether its messages are compressed."""
     try:
         import rosbags.typesys  # noqa: F401, PLC0415 - an optional package, which brings those that decompress
@@ -778,7 +778,7 @@ def _open(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage
         except BagError:
             raise
         except Exception as error:  # malformed bags raise arbitrary exceptions
-            raise BagError(f"{path} is not a complete ROS 2 bag: {reason(error)}") from error
+            raise BagError(f"{path} is not a complete ROS 2 bag: {describe_error(error)}") from error
         # Handed over only after all files were opened: an error above closes those that are open already.
         stack.push(open_files.pop_all())
     return files, has_packed_messages

@@ -10,11 +10,11 @@ from typing import Any, Callable, Dict, List, NamedTuple, Union
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
-from .decompression import reason
+from .decompression import describe_error
 from .playback import Output, Playback
 from .rosbag1 import BagError, PathLike
 
-Line = Dict[str, Union[None, int, str, List[str]]]
+RunRecord = Dict[str, Union[None, int, str, List[str]]]
 """A record; its type is the name of its first field. Times are nanoseconds since the epoch, terms are strings."""
 
 MAX_RECORDED_QUERIES = 1000
@@ -36,27 +36,27 @@ class RunRecorder:
 
     Args:
         playback: the playback to observe.
-        tell: called with each record.
+        write_record: called with each record.
     """
 
-    def __init__(self, playback: Playback, tell: Callable[[Line], None]):
+    def __init__(self, playback: Playback, write_record: Callable[[RunRecord], None]):
         self._engine = playback.engine
         self._knowledge = playback.engine.knowledge
         self._read_clock = playback.clock.now
-        self._write_record = tell
+        self._write_record = write_record
         self._waits: Dict[int, _Wait] = {}
         self._engine.on_event(self._record_event)
 
     def _record_event(self, term: Term, start: int, end: int) -> None:
-        # Events of memories are internal; `finish` reports their result.
+        # Events of memories are internal; `record_final_state` reports their result.
         if term.__class__ is not tuple or term[0] not in MEMORY_EVENTS:
             self._write_record({"event": canonical_text(term), "start": int(start), "end": int(end)})
 
-    def output(self, output: Output) -> None:
+    def record_output(self, output: Output) -> None:
         """Report an output."""
-        self._write_record(output_line(output))
+        self._write_record(output_record(output))
 
-    def look(self) -> None:
+    def update_waits(self) -> None:
         """Update the waiting queries; to be called after each message."""
         pending = self._knowledge.waiting
         # The usual case; this is called after every message.
@@ -75,7 +75,7 @@ class RunRecorder:
     def _record_wait(self, wait: _Wait, now: int) -> None:
         self._write_record({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
 
-    def finish(self) -> None:
+    def record_final_state(self) -> None:
         """Report the queries that are still waiting, and the contents of the memories."""
         now = int(self._read_clock())
         for wait in self._waits.values():
@@ -95,7 +95,7 @@ class RunRecorder:
             )
 
 
-def output_line(output: Output) -> Line:
+def output_record(output: Output) -> RunRecord:
     """Return the record of an output."""
     output_id = None if output.id is None else canonical_text(output.id)
     return {
@@ -142,7 +142,7 @@ class RunTable:
             from pyarrow import parquet  # noqa: PLC0415
         except ImportError as error:  # also raised by a pyarrow that does not fit the installed numpy
             raise BagError(
-                f"writing Parquet needs the Python package pyarrow (pip install pyarrow): {reason(error)}"
+                f"writing Parquet needs the Python package pyarrow (pip install pyarrow): {describe_error(error)}"
             ) from None
         arrow_types = {
             "text": pyarrow.string(),
@@ -156,27 +156,27 @@ class RunTable:
             [(name, arrow_types[column_type]) for name, column_type in columns.items()]
         )
         self._writer: Any = parquet.ParquetWriter(str(path), self._schema)
-        self._lines: List[Line] = []
+        self._records: List[RunRecord] = []
 
-    def write(self, line: Line) -> None:
+    def write(self, record: RunRecord) -> None:
         """Write a record as a row."""
-        self._lines.append(line)
-        if len(self._lines) >= _ROW_GROUP_SIZE:
+        self._records.append(record)
+        if len(self._records) >= _ROW_GROUP_SIZE:
             self._flush()
 
     def _flush(self) -> None:
         # Column by column, as Parquet stores them; a missing field becomes null.
         columns = [
-            self._arrow.array([line.get(field.name) for line in self._lines], field.type)
+            self._arrow.array([record.get(field.name) for record in self._records], field.type)
             for field in self._schema
         ]
         self._writer.write_table(self._arrow.Table.from_arrays(columns, schema=self._schema))
-        self._lines.clear()
+        self._records.clear()
 
     def close(self) -> None:
         """Write the remaining rows and the index."""
         try:
-            if self._lines:
+            if self._records:
                 self._flush()
         finally:
             self._writer.close()

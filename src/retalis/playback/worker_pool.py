@@ -25,7 +25,7 @@ from typing import (
 )
 
 from ..foundation.errors import UsageError
-from .decompression import reason
+from .decompression import describe_error
 
 MAX_WORKER_DEATHS = 4
 """Number of worker deaths after which a task is given up; on a cluster, the scheduler's setting applies."""
@@ -33,31 +33,31 @@ MAX_WORKER_DEATHS = 4
 _CONNECT_TIMEOUT_SECONDS = 10
 """Timeout in seconds for connecting to a scheduler."""
 
-T = TypeVar("T")
-R = TypeVar("R")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
-Function = Callable[[T, str], R]
+Function = Callable[[Task, str], Result]
 """Function that performs a task, given a folder for temporary files; it must not raise exceptions."""
 
 
 class Unfinished(NamedTuple):
     """Result of a task that could not be completed, with the reason."""
 
-    cause: str
+    reason: str
 
 
-Done = Generator[Tuple[int, Union[R, Unfinished]], None, None]
+TaskResults = Generator[Tuple[int, Union[Result, Unfinished]], None, None]
 """Generator of task indexes and results in order of completion; closing it terminates the workers."""
 
 
-def in_processes(
-    function: "Function[T, R]",
-    tasks: Sequence[T],
+def run_in_processes(
+    function: "Function[Task, Result]",
+    tasks: Sequence[Task],
     jobs: int,
     scratch: str,
-    lost: Callable[[int, str], object],
+    on_worker_death: Callable[[int, str], object],
     ready: Optional[Deque[int]] = None,
-) -> "Done[R]":
+) -> "TaskResults[Result]":
     """Run tasks in processes of this machine, which end when the generator is closed.
 
     `ProcessPoolExecutor` is not used: when a worker dies, it fails all pending tasks, and does not report which task
@@ -68,13 +68,13 @@ def in_processes(
         tasks: the tasks.
         jobs: maximum number of concurrent processes.
         scratch: folder for temporary files.
-        lost: called with the index of each task that is repeated, and a description of its worker's death.
+        on_worker_death: called with the index of each task that is repeated, and a description of its worker's death.
         ready: indexes of the tasks to run, all by default. The consumer may add indexes while it iterates.
     """
     pending = deque(range(len(tasks))) if ready is None else ready
     deaths: Dict[int, int] = Counter()
-    idle: List[_Worker[T, R]] = []
-    busy: Dict[object, _Worker[T, R]] = {}
+    idle: List[_Worker[Task, Result]] = []
+    busy: Dict[object, _Worker[Task, Result]] = {}
     try:
         while pending or busy:
             while pending and len(busy) < jobs:
@@ -82,10 +82,10 @@ def in_processes(
                 # long.
                 worker = idle.pop() if idle else _Worker(function, scratch)
                 busy[worker.connection] = worker
-                worker.begin(pending.popleft(), tasks)
+                worker.send_task(pending.popleft(), tasks)
             for connection in wait([worker.connection for worker in busy.values()]):
                 worker = busy.pop(connection)
-                index, result = worker.number, worker.result()
+                index, result = worker.task_index, worker.receive_result()
                 if not isinstance(result, _WorkerDeath):
                     idle.append(worker)
                     yield index, result
@@ -93,69 +93,71 @@ def in_processes(
                 deaths[index] += 1
                 if deaths[index] < MAX_WORKER_DEATHS:
                     # First in the queue, so that a deadly task is given up before it delays the end of the run.
-                    lost(index, result.how)
+                    on_worker_death(index, result.death_description)
                     pending.appendleft(index)
                 else:
                     yield (
                         index,
-                        Unfinished(f"its worker died {MAX_WORKER_DEATHS} times, at last {result.how}"),
+                        Unfinished(
+                            f"its worker died {MAX_WORKER_DEATHS} times, at last {result.death_description}"
+                        ),
                     )
     finally:
         # Also after an error or Ctrl-C: worker processes must not outlive the generator.
         for worker in (*idle, *busy.values()):
-            worker.end()
+            worker.kill()
 
 
 class _WorkerDeath(NamedTuple):
-    how: str
+    death_description: str
 
 
-class _Worker(Generic[T, R]):
+class _Worker(Generic[Task, Result]):
     """A process that runs one task at a time.
 
     Attributes:
         connection: becomes readable when a result is available or the process has died.
-        number: index of its current task.
+        task_index: index of its current task.
     """
 
-    def __init__(self, function: "Function[T, R]", scratch: str):
+    def __init__(self, function: "Function[Task, Result]", scratch: str):
         # "spawn": a forked process would inherit locks that other threads of this process hold.
         context = multiprocessing.get_context("spawn")
         self.connection, child_connection = context.Pipe()
-        self.number = -1
+        self.task_index = -1
         self._process = context.Process(
-            target=_serve, args=(function, child_connection, scratch), daemon=True
+            target=_run_tasks, args=(function, child_connection, scratch), daemon=True
         )
         self._process.start()
         # Otherwise this process would keep the pipe open, and `recv` would not notice the death of the worker.
         child_connection.close()
 
-    def begin(self, number: int, tasks: Sequence[T]) -> None:
+    def send_task(self, task_index: int, tasks: Sequence[Task]) -> None:
         """Send a task to the process."""
-        self.number = number
+        self.task_index = task_index
         try:
-            self.connection.send(tasks[number])
+            self.connection.send(tasks[task_index])
         except OSError:  # the process has died, which `result` reports
             pass
 
-    def result(self) -> Union[R, _WorkerDeath]:
+    def receive_result(self) -> Union[Result, _WorkerDeath]:
         """Return the result of the task, or the death of the process."""
         try:
-            result: R = self.connection.recv()
+            result: Result = self.connection.recv()
             return result
         except (EOFError, OSError):
             self.connection.close()
             self._process.join()
             return _WorkerDeath(_describe_exit(self._process.exitcode))
 
-    def end(self) -> None:
+    def kill(self) -> None:
         """Kill the process."""
         self._process.kill()
         self._process.join()
         self.connection.close()
 
 
-def _serve(function: "Function[T, R]", connection: Connection, scratch: str) -> None:
+def _run_tasks(function: "Function[Task, Result]", connection: Connection, scratch: str) -> None:
     """Run tasks from a connection until it is closed."""
     # Ctrl-C interrupts the parent process, which kills this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -172,9 +174,12 @@ def _describe_exit(code: Optional[int]) -> str:
     return f"with status {code}"
 
 
-def on_cluster(
-    function: "Function[T, R]", tasks: Sequence[T], address: str, ready: Optional[Deque[int]] = None
-) -> "Done[R]":
+def run_on_cluster(
+    function: "Function[Task, Result]",
+    tasks: Sequence[Task],
+    address: str,
+    ready: Optional[Deque[int]] = None,
+) -> "TaskResults[Result]":
     """Run tasks on the workers of a Dask cluster on which this package is installed.
 
     The scheduler repeats the tasks of a lost worker, and gives a task up after the number of deaths in
@@ -185,7 +190,7 @@ def on_cluster(
         function: performs a task.
         tasks: the tasks.
         address: address of the scheduler, ``tcp://HOST:PORT``.
-        ready: as for `in_processes`.
+        ready: as for `run_in_processes`.
 
     Raises:
         UsageError: if no scheduler answers, or the Python package distributed is not installed.
@@ -194,7 +199,7 @@ def on_cluster(
     try:
         client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:  # includes timeouts
-        raise UsageError(f"--scheduler {address}: no scheduler answers: {reason(error)}") from error
+        raise UsageError(f"--scheduler {address}: no scheduler answers: {describe_error(error)}") from error
     with client:
         pending = deque(range(len(tasks))) if ready is None else ready
         indexes: Dict[Any, int] = {}
@@ -222,7 +227,7 @@ def _import_distributed() -> Any:
     return distributed
 
 
-def _run_on_worker(function: "Function[T, R]", task: T) -> R:
+def _run_on_worker(function: "Function[Task, Result]", task: Task) -> Result:
     """Run a task in a process of a Dask worker, in the worker's temporary folder."""
     return function(task, _import_distributed().get_worker().local_directory)
 
@@ -232,4 +237,4 @@ def _get_result(future: Any) -> Any:
         return future.result()
     # Errors of the cluster: a lost worker, a package that is missing on it, or a scheduler that is gone.
     except Exception as error:
-        return Unfinished(f"{type(error).__name__}: {reason(error)}")
+        return Unfinished(f"{type(error).__name__}: {describe_error(error)}")

@@ -121,10 +121,10 @@ def test_a_bag_of_ros_2_gives_the_events_that_ros_1_would(tmp_path, storage):
     (program / "goalPredicates.txt").write_text("")
     found, wrong = [], []
     playback = Playback(program, wrong.append)
-    look = RunRecorder(playback, found.append)
+    recorder = RunRecorder(playback, found.append)
     with MergedBag([ros2_bag(tmp_path / "two", storage)]) as bags:
         assert [topic.type for topic in bags.topics] == ["std_msgs/String", "my_msgs/Level"]
-        assert list(playback.run(bags, lambda done: look.look())) == []
+        assert list(playback.run(bags, lambda done: recorder.update_waits())) == []
     assert wrong == []
     assert [(line["event"], line["start"]) for line in found] == [
         ("std_msgs__0__String('\"hello\"')", 3 * SECOND),

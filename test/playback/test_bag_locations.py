@@ -7,12 +7,12 @@ import pytest
 
 from retalis import BagError
 from retalis.playback.bag_locations import (
-    FoundBag,
-    fetched,
+    BagLocation,
     find_bags,
-    in_parts,
-    is_there,
-    remove_parts,
+    group_recordings,
+    local_copy,
+    location_exists,
+    remove_incomplete_results,
     result_file,
 )
 
@@ -45,7 +45,7 @@ NAMES = ["r1/day", "r1/night", "r10/ros2", "r2/day"]
 
 def test_bags_below_a_folder_come_in_the_order_of_their_names(fleet):
     found = find_bags(["x/z.bag", f"{fleet}/", f"{fleet}/r10/ros2", "y"])
-    assert [bag.place for bag in found] == [
+    assert [bag.location for bag in found] == [
         "x/z.bag",
         *(f"{fleet}/{name}" for name in FOUND),
         f"{fleet}/r10/ros2",
@@ -64,7 +64,7 @@ def test_compressed_files_of_ros_2_are_bags(tmp_path):
 def test_a_url_has_the_same_bags_as_the_folder(fleet):
     pytest.importorskip("fsspec")
     found = find_bags([f"file://{fleet}", f"file://{fleet}/r10/ros2", f"file://{fleet}/r2/day.bag"])
-    assert [bag.place for bag in found] == [
+    assert [bag.location for bag in found] == [
         *(f"file://{fleet}/{name}" for name in FOUND),
         f"file://{fleet}/r10/ros2",
         f"file://{fleet}/r2/day.bag",
@@ -88,7 +88,7 @@ def test_a_url_has_the_same_bags_as_the_folder(fleet):
     ],
 )
 def test_parts_of_a_recording_are_known_by_their_names(names, recordings):
-    found = in_parts([FoundBag(f"/d/{name}.bag", name) for name in names])
+    found = group_recordings([BagLocation(f"/d/{name}.bag", name) for name in names])
     assert [[bag.name for bag in parts] for parts in found] == recordings
 
 
@@ -114,18 +114,18 @@ def test_what_a_url_cannot_be_is_said_by_who_reads_it():
 
 
 def test_a_bag_is_fetched_for_as_long_as_it_is_used(fleet, tmp_path):
-    with fetched(str(fleet / "r2/day.bag"), str(tmp_path)) as there:
+    with local_copy(str(fleet / "r2/day.bag"), str(tmp_path)) as there:
         assert there == str(fleet / "r2/day.bag")
     pytest.importorskip("fsspec")
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    with fetched(f"file://{fleet}/r2/day.bag", str(scratch)) as there:
+    with local_copy(f"file://{fleet}/r2/day.bag", str(scratch)) as there:
         assert there.startswith(f"{scratch}/") and there.endswith("/day.bag")
         assert Path(there).read_text() == "r2/day.bag"
-    with fetched(f"file://{fleet}/r10/ros2", str(scratch)) as there:
+    with local_copy(f"file://{fleet}/r10/ros2", str(scratch)) as there:
         assert Path(there, "metadata.yaml").read_text() == "r10/ros2/metadata.yaml"
     assert list(scratch.iterdir()) == []
-    with pytest.raises(BagError, match="none.bag: "), fetched(f"file://{fleet}/none.bag", str(scratch)):
+    with pytest.raises(BagError, match="none.bag: "), local_copy(f"file://{fleet}/none.bag", str(scratch)):
         pytest.fail("there is nothing to fetch")
 
 
@@ -136,8 +136,8 @@ def test_a_result_is_there_when_it_is_complete(tmp_path, kind):
     target = tmp_path / "new" / "folder" / "a.jsonl"
     with result_file(f"{kind}{target}", str(tmp_path)) as path, open(path, "w") as file:
         file.write("all")
-        assert not is_there(f"{kind}{target}")
-    assert is_there(f"{kind}{target}")
+        assert not location_exists(f"{kind}{target}")
+    assert location_exists(f"{kind}{target}")
     assert target.read_text() == "all"
     with pytest.raises(ZeroDivisionError), result_file(f"{kind}{target}", str(tmp_path)) as path:
         Path(path).write_text("half")
@@ -156,7 +156,9 @@ def test_a_result_that_cannot_be_written_is_an_error(tmp_path):
 def test_what_dead_workers_left_is_removed_and_nothing_else(tmp_path):
     for name in (".a.bag.01.part", ".b.bag.02.part", "a.bag", ".a.bag.03.parts"):
         (tmp_path / name).touch()
-    remove_parts([str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")])
+    remove_incomplete_results(
+        [str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")]
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == [".a.bag.03.parts", ".b.bag.02.part", "a.bag"]
 
 
@@ -164,12 +166,12 @@ def test_a_url_that_sends_more_than_it_states_is_an_error(tmp_path, monkeypatch)
     memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
     with memory().open("/sent.bag", "wb") as file:
         file.write(bytes(9_000_000))
-    with fetched("memory://sent.bag", str(tmp_path)) as path:
+    with local_copy("memory://sent.bag", str(tmp_path)) as path:
         assert Path(path).stat().st_size == 9_000_000
     monkeypatch.setattr(memory, "size", lambda self, path: 1000)
     with pytest.raises(
         BagError, match=r"memory://sent\.bag: .* has more than 1000 bytes, as stated or as half of"
-    ), fetched("memory://sent.bag", str(tmp_path)):
+    ), local_copy("memory://sent.bag", str(tmp_path)):
         pass
     assert list(tmp_path.iterdir()) == []
     memory().rm("/sent.bag")

@@ -25,7 +25,7 @@ class Waiting:
 def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
     engine, told, waiting = Engine(), [], Waiting()
     playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
-    look = RunRecorder(playback, told.append)
+    recorder = RunRecorder(playback, told.append)
     monkeypatch.setattr(engine.knowledge, "waiting", waiting)
-    look.look()
+    recorder.update_waits()
     assert waiting.looked_at == MAX_RECORDED_QUERIES

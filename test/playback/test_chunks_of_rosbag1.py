@@ -9,7 +9,7 @@ import pytest
 from retalis import BagReader
 from retalis.playback import rosbag1 as module
 from retalis.playback.decompression import ChunkLimit
-from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, Chunk, chunks
+from retalis.playback.rosbag1 import MAX_CHUNKS_AHEAD, MAX_REPEATS, Chunk, read_chunks
 
 LIMIT = ChunkLimit(1)
 TEXTS = [bytes([number]) * (number * 1000) for number in range(1, 9)]
@@ -39,8 +39,8 @@ def helpers():
 def test_they_come_as_they_are_asked_for(kept, cores, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: cores)
     order = [0, 0, 0, 1, 2, 2, 1, 7, 0, 0, 3]
-    assert list(chunks(*kept, order, LIMIT)) == [TEXTS[at] for at in (0, 1, 2, 1, 7, 0, 3)]
-    assert list(chunks(*kept, [], LIMIT)) == []
+    assert list(read_chunks(*kept, order, LIMIT)) == [TEXTS[at] for at in (0, 1, 2, 1, 7, 0, 3)]
+    assert list(read_chunks(*kept, [], LIMIT)) == []
     assert helpers() == []
 
 
@@ -58,7 +58,7 @@ def test_what_is_broken_is_told_when_its_turn_comes(kept):
         places[2] = broken
         if broken is None:
             del places[2]
-        found = chunks(file, places, [0, 1, 2, 3], LIMIT)
+        found = read_chunks(file, places, [0, 1, 2, 3], LIMIT)
         assert [next(found), next(found)] == TEXTS[:2]
         with pytest.raises(ValueError, match="chunk at byte 2"):
             next(found)
@@ -76,7 +76,7 @@ def test_few_are_decompressed_before_they_are_asked_for(monkeypatch):
 
     monkeypatch.setattr("os.cpu_count", lambda: 4)
     monkeypatch.setattr(module, "unpack", unpack)
-    found = chunks(*packed("bz2"), range(8), LIMIT)
+    found = read_chunks(*packed("bz2"), range(8), LIMIT)
     assert next(found) == TEXTS[0]
     for _ in range(MAX_CHUNKS_AHEAD + 1):
         assert done.acquire(timeout=60)
@@ -99,10 +99,10 @@ def test_a_chunk_that_is_asked_for_again_is_held_if_there_is_room(cores, monkeyp
     texts = [bytes(300_000), bytes(400_000), bytes(900_000)]
     file, places = packed("bz2", texts)
     order = [0, 1] * 50
-    assert [len(chunk) for chunk in chunks(file, places, order, LIMIT)] == [300_000, 400_000] * 50
+    assert [len(chunk) for chunk in read_chunks(file, places, order, LIMIT)] == [300_000, 400_000] * 50
     assert sorted(read) == [300_000, 400_000]
     read.clear()
-    found = chunks(file, places, [1, 2] * 50, LIMIT)  # both together are larger than what may be held
+    found = read_chunks(file, places, [1, 2] * 50, LIMIT)  # both together are larger than what may be held
     with pytest.raises(ValueError, match="messages of large chunks alternate in time too often"):
         for _ in found:
             pass
