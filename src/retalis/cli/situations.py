@@ -451,7 +451,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "tell two topics of one type apart",
             'event="NAME" in pub_sub.xml',
             "stuck <- bumper_left(true) seq bumper_right(true).",
-            "reference/nodes.md",
+            "reference/program-files.md",
             "topic name same type rename distinguish",
         ),
         Situation(
