@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.foundation.cancellation import BULK, in_bulks, look, watched, watched_by
+from retalis.foundation.cancellation import BULK, check_limits, in_bulks, watched, watched_by
 
 
 @pytest.fixture
@@ -15,8 +15,8 @@ def asked():
 
 
 def test_who_watches_is_told_of_work_and_bytes(asked):
-    look()
-    look(5, 1 << 20)
+    check_limits()
+    check_limits(5, 1 << 20)
     assert asked == [(len(BULK), 0), (5, 1 << 20)]
 
 

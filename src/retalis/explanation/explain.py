@@ -19,7 +19,7 @@ from ..events.language.stream_parser import subscription_event
 from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence
-from ..foundation.cancellation import look, watched_by
+from ..foundation.cancellation import check_limits, watched_by
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.system.prolog_system import PrologSystem
@@ -99,7 +99,7 @@ class WhyNotSent:
 
     def _explain_rejection(self, definition: Any, event: Term) -> str:
         """Return the reason why a subscription does not select an event, or "" if it does."""
-        look(1)
+        check_limits(1)
         # Bindings of one event must not affect the next one.
         instance: Any = copy(definition)
         trail: Trail = []
@@ -251,7 +251,7 @@ def explain(
     def create_explanation() -> Explanation:
         if seconds is None:
             return _Explainer(engine, origin).explain(term)
-        # Unification and conditions call `look` in between, which calls the function that is registered here.
+        # Unification and conditions call `check_limits` in between, which calls the function that is registered here.
         previous = watched_by(_limit_time(monotonic() + seconds, seconds))
         try:
             return _Explainer(engine, origin).explain(term)

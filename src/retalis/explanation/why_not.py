@@ -54,7 +54,7 @@ from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
 from ..events.streams.stream_operator import StreamElement, StreamOutput
 from ..foundation import codegen
-from ..foundation.cancellation import look
+from ..foundation.cancellation import check_limits
 from ..foundation.errors import RetalisError, RuleError
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_writer import by_name, write_term
@@ -229,7 +229,7 @@ class WhyNot:
     def _evaluate_occurs(self, pattern: Occurs) -> Part:
         matches = []
         for occurrence in self._occurrences:
-            look(1)
+            check_limits(1)
             trail: Trail = []
             if unify(pattern.term, copy(occurrence.term), trail):
                 matches.append(
@@ -496,7 +496,7 @@ class WhyNot:
     # ---- values ----------------------------------------------------------------------------------------
 
     def _join_values(self, first: Candidate, second: Candidate) -> Optional[Term]:
-        look(1)
+        check_limits(1)
         trail: Trail = []
         values = copy(first.values)
         result = copy(values) if unify(values, copy(second.values), trail) else None
@@ -637,7 +637,7 @@ class _WindowEvaluation:
 
     def take(self, match: Candidate) -> None:
         """Pass a match to the window, after emitting the results that are due before it."""
-        look(1)
+        check_limits(1)
         # Alarms that are due before the match come first, as in the engine.
         self._outputs += self._stream.advance_to(match.end)
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])

@@ -43,19 +43,19 @@ def test_nothing_is_left_to_look_at_without_limits(budget):
 def test_what_is_left_of_inferences(budget):
     budget.allow(Limits(inferences=1000))
     assert budget.left() == Left(None, 1000, None)
-    budget.look(400)
+    budget.check_limits(400)
     assert budget.left() == Left(None, 600, None)
 
 
 def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
-    budget.look(5000)
+    budget.check_limits(5000)
     for most in (300, 200):
         budget.add_ceiling(budget.ceiling_after(most), LimitPassed("inference", atom("ball")))
     assert budget.left() == Left(None, 200, None)
-    budget.look(150)
+    budget.check_limits(150)
     assert budget.left() == Left(None, 50, None)
     with pytest.raises(LimitPassed):
-        budget.look(51)
+        budget.check_limits(51)
 
 
 def test_what_is_left_up_to_the_nearest_alarm(budget):
@@ -79,11 +79,11 @@ def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
     budget.allow(Limits(megabytes=2))
     for used[0] in (50 * MEGABYTE, 52 * MEGABYTE):
         now[0] += 1.0
-        budget.look(1)
+        budget.check_limits(1)
     now[0] += 1.0
     used[0] += 1
     with pytest.raises(LimitError, match="memory"):
-        budget.look(1)
+        budget.check_limits(1)
 
 
 @pytest.mark.parametrize("now", [0.0, 1.0])
@@ -99,22 +99,22 @@ def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
     budget.allow(Limits(seconds=10.0))
-    budget.look(1)
+    budget.check_limits(1)
     for final in (False, True):
         now[0] += 10.5
         with pytest.raises(LimitError, match="seconds") as caught:
-            budget.look(1)
+            budget.check_limits(1)
         assert caught.value.final == final
         if not final:
-            budget.look(1)  # begins the time of the handler
+            budget.check_limits(1)  # begins the time of the handler
             now[0] += 9.5
-            budget.look(1)
+            budget.check_limits(1)
 
 
 def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_only(budget):
     budget.allow(Limits(inferences=10))
     with pytest.raises(LimitError) as caught:
-        budget.look(11)
+        budget.check_limits(11)
     budget.reset()
     saved = budget.enter()
     budget.close(caught.value)
@@ -148,12 +148,12 @@ def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
     budget.count_for(turn)
     budget.allow(Limits(inferences=1000))
     budget.goal = outer = object()
-    budget.look(900)
+    budget.check_limits(900)
 
     def inner():
         assert turn.entry == ("inner",) and budget.goal is None
         budget.goal = object()
-        budget.look(900)
+        budget.check_limits(900)
         return budget.left()
 
     assert budget.apart(("inner",), inner) == Left(None, 100, None)
@@ -190,8 +190,8 @@ def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
     monkeypatch.setattr(_budget, "open", missing, raising=False)
     budget.allow(Limits(megabytes=0))
     assert _budget.resident_bytes() == 0
-    budget.look(1)
-    budget.look(1)
+    budget.check_limits(1)
+    budget.check_limits(1)
 
 
 STEPS = st.one_of(
@@ -246,18 +246,18 @@ class Model:
             self.deadline = None
         return limit, final
 
-    def look(self, steps):
+    def check_limits(self, steps):
         return self.raised(self.count(steps))
 
     def count_slice(self):
-        return self.look(len(SLICE))
+        return self.check_limits(len(SLICE))
 
     def left(self):
-        return self.look(0)
+        return self.check_limits(0)
 
     def count_loops(self):
         self.pending += len(LOOP)
-        return self.look(0) if self.pending >= len(SLICE) else None
+        return self.check_limits(0) if self.pending >= len(SLICE) else None
 
     def count_last_steps(self, steps):
         self.pending += steps
@@ -266,7 +266,7 @@ class Model:
 
     def admit(self):
         pending, self.pending = self.pending, 0  # steps are counted when the next ones are
-        error = self.look(0)
+        error = self.check_limits(0)
         self.pending = pending
         return error
 
@@ -287,7 +287,7 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
     budget.allow(Model.LIMITS)
     budget.count_for(turn)
     budget.goal = object()
-    budget.inner = lambda: budget.apart(("inner",), lambda: budget.look(0))
+    budget.inner = lambda: budget.apart(("inner",), lambda: budget.check_limits(0))
     budget.write = budget.count_output
     try:
         with patch.object(_budget, "monotonic", lambda: model.now):

@@ -6,7 +6,7 @@ import pytest
 from prolog.support import first, prolog
 
 from retalis import Engine, Limits, ProgramErrors, PrologError, Settings, UsageError, Var, atom, functor
-from retalis.foundation.cancellation import look
+from retalis.foundation.cancellation import check_limits
 from retalis.prolog.syntax.term_writer import writeq
 
 PROGRAM = """
@@ -310,7 +310,7 @@ def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
 
     def long(value):
         calls.append(value)
-        look(1_000_000)
+        check_limits(1_000_000)
         return value
 
     logic.define_function("long", 2, long)

@@ -9,7 +9,7 @@ later ones, so recording does not become slower (just-in-time indexing, as in SW
 from bisect import bisect_left
 from typing import Any, Dict, List, Sequence, Tuple, Union
 
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
@@ -57,10 +57,10 @@ class RecordIndex:
                 self._places.setdefault(argument, []).append(index)
             elif argument is not None:
                 self._others.append(index)
-            # Updated for each record: `look` may raise, and a record must not be added twice.
+            # Updated for each record: `check_limits` may raise, and a record must not be added twice.
             self._taken = index + 1
             if not index % RECORDS_PER_CHECK:
-                look(RECORDS_PER_CHECK)
+                check_limits(RECORDS_PER_CHECK)
         positions = self._places.get(value, _NO_POSITIONS)
         return sorted(positions + self._others) if self._others else positions
 
@@ -161,7 +161,7 @@ def _unify_first(
     order = range(low, high) if step > 0 else range(high - 1, low - 1, -1)
     for count, index in enumerate(order, 1):
         if not count % RECORDS_PER_CHECK:
-            look(RECORDS_PER_CHECK)
+            check_limits(RECORDS_PER_CHECK)
         term, began, ended = memory.records[positions[index]]
         # Variables in a stored record belong to the memory; the reader gets new ones.
         record_term = copy(term) if instance.open else term

@@ -10,7 +10,7 @@ library are in library/assoc.pl.
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ...foundation.cancellation import BULK, look, watched
+from ...foundation.cancellation import BULK, check_limits, watched
 from ...foundation.errors import TermTooLarge
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
 from ..machine.machine import Machine
@@ -305,7 +305,7 @@ def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bo
                 item = (MINUS, node[1], node[2]) if position is None else node[position]
                 listed = (CONS, item, listed)
                 node = node[4]
-            look()
+            check_limits()
         raise TermTooLarge
 
     return run
@@ -340,7 +340,7 @@ def _balanced_tree(keys: List[Term], values: List[Term], start: int, end: int) -
     if start == end:
         return _EMPTY, 0
     if not start & 1023:
-        look()
+        check_limits()
     middle = start + (end - start) // 2
     left, depth = _balanced_tree(keys, values, start, middle)
     right, right_depth = _balanced_tree(keys, values, middle + 1, end)

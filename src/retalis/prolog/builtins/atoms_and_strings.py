@@ -6,7 +6,7 @@ Predicates of atoms and of strings share an implementation, which is passed the 
 
 from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import BULK, in_bulks, look, watched
+from ...foundation.cancellation import BULK, check_limits, in_bulks, watched
 from ..machine.errors import (
     domain_error,
     existence_error,
@@ -301,7 +301,7 @@ def _enumerate_substrings(
     for index, (start, end) in enumerate(spans):
         # Substrings that do not unify are skipped within one step of the machine.
         if not index & 255:
-            look()
+            check_limits()
         check_text_length(end - start)
         if machine.unify_all(
             (before, start), (length, end - start), (after, size - end), (part, make(source_text[start:end]))
@@ -384,7 +384,7 @@ def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term,
         raise domain_error("non_empty_atom", separator)
     text = atomic_text(joined)
     # Charges the memory of all parts before they are created.
-    look(size=_ATOM_BYTES * text.count(between))
+    check_limits(size=_ATOM_BYTES * text.count(between))
     return unify(parts, make_list(convert_each(atom, text.split(between))), machine.trail)
 
 
@@ -578,7 +578,7 @@ def _split(text: str, separators: str, pad: str) -> Iterator[str]:
     start = 0
     for position, char in enumerate(text):
         if not position & _CHECK_INTERVAL_MASK:
-            look()
+            check_limits()
         if position >= start and char in separators:
             yield _strip(text[start:position], pad)
             start = position + 1

@@ -8,7 +8,7 @@ end if it has none.
 from itertools import count
 from typing import Callable, Dict, List, Optional, Tuple
 
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ..compiler.clause_nodes import NOT
 from ..machine.arithmetic import bounded, evaluate
 from ..machine.errors import domain_error, error, existence_error, resource_error
@@ -175,7 +175,7 @@ class Formatter:
         line = self.line
         for directive in count(1):
             if not directive & 255:
-                look()
+                check_limits()
             tilde = text.find("~", position)
             if tilde < 0:
                 line.add(text[position:])

@@ -6,7 +6,7 @@ themselves are in `text_streams`.
 
 from typing import Callable, List, Optional
 
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ...foundation.errors import SyntaxFault
 from ..machine.errors import (
     domain_error,
@@ -395,7 +395,7 @@ def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
         steps += 1
         # The whole input may be skipped in one step of the machine.
         if not steps & 1023:
-            look()
+            check_limits()
     return True
 
 

@@ -45,7 +45,7 @@ from typing import (
     TypeVar,
 )
 
-from ...foundation.cancellation import BULK, look, watched
+from ...foundation.cancellation import BULK, check_limits, watched
 from ...foundation.errors import TermTooLarge
 from ..database.control_constructs import add_arguments
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
@@ -151,18 +151,18 @@ def order_of(keys: Sequence[Any], reverse: bool = False) -> List[int]:
     if len(keys) <= _CHUNK_ITEMS or keys[0].__class__ is _BY_PAIR:
         return sorted(range(len(keys)), key=key, reverse=reverse)
     # Charges the memory of the positions before the sort, which cannot be interrupted.
-    look(size=64 * len(keys))
+    check_limits(size=64 * len(keys))
     runs: List[List[int]] = []
     for start in range(0, len(keys), _CHUNK_ITEMS):
         runs.append(sorted(range(start, min(start + _CHUNK_ITEMS, len(keys))), key=key, reverse=reverse))
-        look(_CHUNK_ITEMS)
+        check_limits(_CHUNK_ITEMS)
     return _merged(runs, keys, reverse)
 
 
 def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[int]:
     """Return the positions of several sorted runs in sorted order."""
     size = sum(map(len, runs))
-    look(size)
+    check_limits(size)
     if size > _CHUNK_ITEMS:
         # The middle of the longest run divides the positions roughly in half.
         longest = max(runs, key=len)
@@ -206,7 +206,7 @@ def _keys_of(terms: List[Term]) -> Sequence[Any]:
             break
         keys.append(key)
         if not len(keys) & 1023:
-            look()
+            check_limits()
     else:
         return keys
     return list(map(cmp_to_key(_checked_compare()), watched(terms)))
@@ -254,7 +254,7 @@ def _checked_compare() -> Callable[[Term, Term], int]:
 
     def ordered(left: Term, right: Term) -> int:
         if not next(turns) % _COMPARISONS_PER_CHECK:
-            look(_COMPARISONS_PER_CHECK)
+            check_limits(_COMPARISONS_PER_CHECK)
         return compare(left, right)
 
     return ordered
@@ -294,7 +294,7 @@ def _open_list(size: int) -> Term:
     for index in range(size):
         result = (CONS, Var(), result)
         if not index & 1023:
-            look()
+            check_limits()
     return result
 
 
@@ -524,7 +524,7 @@ def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
             undo(trail, mark)
             tail = deref(tail[2])
         else:
-            look()
+            check_limits()
             rounds += 1
             if rounds == LATE_ROUND:
                 # Only a long list is checked for a cycle, because the check takes as long as the search.
@@ -577,7 +577,7 @@ def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
     for number in range(last, first - 1, -1):
         numbers = (CONS, number, numbers)
         if not number & 1023:
-            look()
+            check_limits()
     return first <= last and unify(result, numbers, machine.trail)
 
 
@@ -631,7 +631,7 @@ def _unify_item(machine: Machine, skipped: int, list_term: Term, item: Term) -> 
         skipped -= 1
         tail = deref(tail[2])
         if not skipped & 1023:
-            look()
+            check_limits()
     if tail.__class__ is Var:
         return unify(tail, _extended_list(skipped, item), machine.trail)
     return (
@@ -650,13 +650,13 @@ def _numbered(machine: Machine, index: Term, base: int, list_term: Term, item: T
         number += 1
         tail = rest
         if not number & 1023:
-            look()
+            check_limits()
             if number > MAX_STEPS:
                 raise TermTooLarge
     known_count = number
     # If the tail is also the index there is no solution, because a list is not a number.
     while tail.__class__ is Var and tail is not index:
-        look()
+        check_limits()
         if machine.unify_all((tail, _extended_list(number - known_count, item)), (index, number)):
             yield None
         number += 1
@@ -670,7 +670,7 @@ def _extended_list(count: int, item: Term) -> Term:
     for index in range(count):
         cells = (CONS, Var(), cells)
         if not index & 1023:
-            look()
+            check_limits()
     return cells
 
 
@@ -722,7 +722,7 @@ def bounded() -> Iterator[None]:
     """Yield for each item of a list, with regular checks of the limits; raise `TermTooLarge` for a cyclic list."""
     for _ in range(MAX_STEPS // len(_ITEMS)):
         yield from _ITEMS
-        look(len(_ITEMS))
+        check_limits(len(_ITEMS))
     raise TermTooLarge
 
 

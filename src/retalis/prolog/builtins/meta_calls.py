@@ -115,7 +115,7 @@ def call_with_time_limit(machine: Machine, args: Values, continuation: Frame) ->
     height = len(machine.choices)
     budget = machine.budget
     # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
-    previous_watch = watched_by(budget.look)
+    previous_watch = watched_by(budget.check_limits)
     machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), previous_watch, len(machine.trail)))
     budget.add_alarm(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
     return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, continuation))

@@ -6,7 +6,7 @@ are ended by a guard on the stack of choice points, so that an exception restore
 
 from typing import Any, Callable, Dict, List, Optional, Union
 
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ..machine.arithmetic import evaluate
 from ..machine.errors import (
     domain_error,
@@ -89,7 +89,7 @@ def letter_names(term: Term) -> Dict[Var, str]:
     while stack:
         steps += 1
         if not steps & 1023:
-            look()
+            check_limits()
         item = stack.pop()
         if item.__class__ is Var:
             counts[item] = counts.get(item, 0) + 1

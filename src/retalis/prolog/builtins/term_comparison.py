@@ -12,7 +12,7 @@ error.
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation import codegen
-from ...foundation.cancellation import BULK, look, watched
+from ...foundation.cancellation import BULK, check_limits, watched
 from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import COMPARISONS, ORDERS
 from ..machine.arithmetic import measure, plain
@@ -85,7 +85,7 @@ def _is_cyclic(var: Any) -> bool:
     while stack:
         steps += 1
         if not steps & 1023:
-            look()
+            check_limits()
         item = stack.pop()
         if item is var:
             return True
@@ -290,7 +290,7 @@ def is_variant(left: Term, right: Term) -> bool:
 
 def _check_steps(steps: int, left: Term, right: Term) -> None:
     """Check the limits of the goal, and raise `TermTooLarge` for cyclic or too large terms."""
-    look()
+    check_limits()
     if steps > MAX_STEPS:
         raise TermTooLarge
     if steps == LATE:
@@ -362,7 +362,7 @@ def _holds(machine: Machine, condition: Term) -> bool:
                     break
             else:
                 return holds
-        look()
+        check_limits()
     raise TermTooLarge
 
 

@@ -8,7 +8,7 @@ the goal's limits before the arguments are created. The module also has generate
 from typing import Dict, Optional, Sequence
 from zlib import crc32
 
-from ...foundation.cancellation import BULK, look, watched
+from ...foundation.cancellation import BULK, check_limits, watched
 from ..machine.arithmetic import evaluate
 from ..machine.errors import domain_error, instantiation_error, permission_error, resource_error, type_error
 from ..machine.machine import LAST, Machine
@@ -70,7 +70,7 @@ def _checked_arity(count: int) -> int:
         raise resource_error("memory")
     # A small number costs less than the check.
     if count > len(BULK):
-        look(count, _ARGUMENT_BYTES * count)
+        check_limits(count, _ARGUMENT_BYTES * count)
     return count
 
 

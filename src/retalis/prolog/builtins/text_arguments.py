@@ -7,7 +7,7 @@ far.
 
 from typing import TYPE_CHECKING, Any, Callable, List, Optional, Sequence
 
-from ...foundation.cancellation import in_bulks, look, watched
+from ...foundation.cancellation import check_limits, in_bulks, watched
 from ...foundation.errors import SyntaxFault
 from ..machine.arithmetic import Number
 from ..machine.errors import (
@@ -61,7 +61,7 @@ def check_text_length(size: int, *parts: str) -> None:
     if size > _MIN_CHECKED_CHARACTERS:
         if size > MAX_TEXT_CHARACTERS:
             raise resource_error("memory")
-        look(size=size if all(map(str.isascii, parts)) else 4 * size)
+        check_limits(size=size if all(map(str.isascii, parts)) else 4 * size)
 
 
 def convert_each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term]:

@@ -13,7 +13,7 @@ as arguments, and the compiled code runs from then on.
 
 from typing import Any, Callable, Dict, List, Optional, Set, Tuple
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator
@@ -404,7 +404,7 @@ def check_body(goal: Term) -> Term:
                 has_variables = True
             elif item.__class__ is not Atom:
                 raise type_error("callable", goal)
-        look()
+        check_limits()
         if round_number == LATE_ROUND:
             refuse_cycles(goal)
     raise TermTooLarge

@@ -12,7 +12,7 @@ marked with the generation of their removal and dropped later; lists that runnin
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ..compiler.clause_nodes import PredicateResolver
 from ..compiler.function_code import FunctionCode
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator, fact_search
@@ -284,7 +284,7 @@ class Predicate:
             return self.run(frame)
         clauses, position = self.indexes.select(self.clauses, frame)
         if len(clauses) > _SLOW_SEARCH_CLAUSES:
-            look(0)  # the search may take long, so check for cancellation first
+            check_limits(0)  # the search may take long, so check for cancellation first
         generation = self.database.generation
         if self.ground:
             # Keys serve to find out whether another fact may match; for a single candidate they are not needed.

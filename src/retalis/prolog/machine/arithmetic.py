@@ -19,7 +19,7 @@ import time
 from struct import pack, unpack
 from typing import Any, Callable, Dict, List, Tuple, TypeVar, Union
 
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ...foundation.errors import TermTooLarge, UsageError
 from ..terms import timestamps
 from ..terms.term_traversal import LATE, MAX_STEPS, refuse_cycles
@@ -210,7 +210,7 @@ def _evaluate_deep(term: Term) -> Number:
     while stack:
         steps += 1
         if not steps & 1023:
-            look()
+            check_limits()
             if steps == LATE:
                 refuse_cycles(term)
         item: Any = stack.pop()

@@ -374,7 +374,7 @@ class Machine:
         """Continue an outermost run; long steps within it check the limits as well."""
         budget = self.budget
         previous_goal, budget.goal = budget.goal, goal
-        previous_watch = watched_by(budget.look)
+        previous_watch = watched_by(budget.check_limits)
         try:
             return self._loop(frame, 0)
         finally:

@@ -5,8 +5,8 @@ An *entry* is a unit of accounting: an event or a query with everything that it 
 engine, each outermost run of the machine is an entry.
 
 The machine counts steps in slices of `SLICE` and checks the limits after each slice, so counting costs nothing for a
-single step. Long steps (sorting, copying a large term) call `look`, which counts their work and checks the limits as
-well.
+single step. Long steps (sorting, copying a large term) call `check_limits`, which counts their work and checks the
+limits as well.
 
 If an entry exceeds a limit:
 
@@ -286,7 +286,7 @@ class Budget:
         self.pattern_steps = [0]
         self.allow(NO_LIMITS)
         self.running = False
-        self._ask = self.look
+        self._ask = self.check_limits
         self.inferences = 0
         self.alarms: List[Tuple[float, LimitPassed]] = []
         self.ceilings: Dict[int, LimitPassed] = {}
@@ -551,7 +551,7 @@ class Budget:
         if self._steps >= len(SLICE):
             self._enforce()
 
-    def look(self, work: int, size: int = 0) -> None:
+    def check_limits(self, work: int, size: int = 0) -> None:
         """Count work within a step and enforce the limits, with ``size`` bytes about to be allocated."""
         self._steps += work
         self._enforce(size)

@@ -322,7 +322,7 @@ class SwiEngine:
                 self._interrupter.settle()
                 raise self._exceeded(watched.fired)
             if left.inferences is not None:
-                self._budget.look(self._inferences() - start_inferences)
+                self._budget.check_limits(self._inferences() - start_inferences)
         failure = self._stored_error
         if failure is not None and not isinstance(failure, Exception):
             self._stored_error = None
@@ -333,7 +333,7 @@ class SwiEngine:
         failure, self._stored_error = self._stored_error, None
         if isinstance(failure, LimitError):
             return failure
-        self._budget.look(0)  # raises the budget's own error if the limit is exceeded there too
+        self._budget.check_limits(0)  # raises the budget's own error if the limit is exceeded there too
         return resource_error(resource)
 
     def _inferences(self) -> int:

@@ -13,7 +13,7 @@ from ctypes import byref, c_double, c_int, c_int64, c_size_t, c_void_p, string_a
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge, beginning
 from ..machine.errors import representation_error, resource_error
 from ..syntax.literals import integer
@@ -265,7 +265,7 @@ class SwiTerms:
             ref, term = stack.pop()
             steps += 1
             if not steps & _CHECK_INTERVAL_MASK:
-                look()
+                check_limits()
                 if steps > MAX_STEPS:
                     raise TermTooLarge
             term = deref(term)
@@ -425,7 +425,7 @@ class SwiTerms:
         while True:
             steps += 1
             if not steps & _CHECK_INTERVAL_MASK:
-                look()
+                check_limits()
                 if steps > MAX_STEPS:
                     raise TermTooLarge
             part = top.next_part()
@@ -486,7 +486,7 @@ class SwiTerms:
                 if read is None:
                     return True
                 values.append(read(item))
-            look()
+            check_limits()
         raise TermTooLarge
 
     def _read_functor(self, ref: int) -> Functor:

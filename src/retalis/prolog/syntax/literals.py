@@ -14,7 +14,7 @@ from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
 from typing import Callable, Dict, Match
 
 from ...foundation.bounded_caches import Texts
-from ...foundation.cancellation import look
+from ...foundation.cancellation import check_limits
 from ...foundation.cpython_and_pypy import LONG_DECIMALS
 
 _PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
@@ -51,12 +51,12 @@ def quote(text: str, mark: str) -> str:
 
     if len(text) <= _CHUNK_CHARACTERS:
         return f"{mark}{_ESCAPED.sub(escape, text)}{mark}"
-    look(size=len(text))
+    check_limits(size=len(text))
     pieces = []
     for start in range(0, len(text), _CHUNK_CHARACTERS):
         pieces.append(_ESCAPED.sub(escape, text[start : start + _CHUNK_CHARACTERS]))
-        look()
-    look(size=sum(map(len, pieces)))
+        check_limits()
+    check_limits(size=sum(map(len, pieces)))
     return f"{mark}{''.join(pieces)}{mark}"
 
 
@@ -99,7 +99,7 @@ def integer(text: str, radix: int = 10) -> int:
     # number of multiplications is logarithmic in the number of blocks, and Python multiplies large numbers in
     # n^1.58 (Karatsuba).
     while len(values) > 1:
-        look()
+        check_limits()
         if len(values) % 2:
             values.append(0)
         values = [low + high * scale for low, high in zip(values[::2], values[1::2])]
@@ -130,12 +130,12 @@ def _decimal(value: int) -> Decimal:
         sizes.append((sizes[-1] + 1) // 2)
     parts = [value]
     for size in sizes[1:]:  # parts are in order of significance, highest first
-        look()
+        check_limits()
         mask = (1 << size) - 1
         parts = [half for part in parts for half in (part >> size, part & mask)]
     numbers = [Decimal(part) for part in parts]
     for size in reversed(sizes[1:]):
-        look()
+        check_limits()
         scale = Decimal(2) ** size
         numbers = [high * scale + low for high, low in zip(numbers[::2], numbers[1::2])]
     return numbers[0]
@@ -145,13 +145,13 @@ def _text_by_division(value: int) -> str:
     """Return the text of an integer of more than `_SAFE_DIGITS` digits by repeated division, which is slower."""
     scales = [_SAFE_MAX]
     while scales[-1] <= value:
-        look()
+        check_limits()
         scales.append(scales[-1] ** 2)
     parts = [value]
     for scale in reversed(scales[:-1]):  # parts are in order of significance, highest first
         halves = []
         for part in parts:
-            look()
+            check_limits()
             halves += divmod(part, scale)
         parts = halves
     return "".join(str(part).zfill(_SAFE_DIGITS) for part in parts).lstrip("0")

@@ -24,7 +24,7 @@ from typing import (
     Union,
 )
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import RetalisError, TermTooLarge
 from ..terms.term_traversal import is_ground, resolve, term_key, variables
 from ..terms.types import (
@@ -142,7 +142,7 @@ class _TermWriter:
 
     def _is_full(self, term: Term, steps: int) -> bool:
         """Check the limits; return whether no more needs to be written."""
-        look()
+        check_limits()
         # A cyclic term would be written until the text is too long; most terms are finished before this check.
         if steps == _CYCLE_CHECK_STEPS:
             resolve(term)  # raises for a cyclic term
@@ -156,7 +156,7 @@ class _TermWriter:
         if self.size + following > _MAX_TEXT_CHARACTERS:
             raise TermTooLarge
         if self.size + following > _LARGE_TEXT_CHARACTERS:
-            look(size=self.size + following)
+            check_limits(size=self.size + following)
 
     def _put(self, token: str) -> bool:
         """Append a token, after a space if it would merge with the previous one; return whether there is a space."""

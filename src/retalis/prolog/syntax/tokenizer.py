@@ -14,7 +14,7 @@ import unicodedata
 from bisect import bisect_right
 from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import Place, SyntaxFault, place_on
 from ..terms.list_terms import make_list
 from ..terms.types import String, Term, atom
@@ -163,7 +163,7 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
     while start < size:
         count += 1
         if not count & _CHECK_MASK:
-            look()
+            check_limits()
         token_match = match(text, start)
         token_kind = token_match.lastgroup
         end = token_match.end()

@@ -10,7 +10,7 @@ import math
 import numbers
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge, UsageError
 from ..machine.errors import instantiation_error, type_error
 from ..syntax.term_writer import writeq
@@ -80,7 +80,7 @@ def to_python(term: Term) -> Any:
     while stack:
         steps += 1
         if not steps & _CHECK_MASK:
-            look()
+            check_limits()
             if steps > MAX_STEPS:
                 raise TermTooLarge
         top = stack.pop()
@@ -173,7 +173,7 @@ def _to_compound(value: Any) -> Term:
     for count, item in enumerate(items, 1):
         terms.append(to_term(item))
         if not count & _CHECK_MASK:
-            look()
+            check_limits()
             if count > MAX_STEPS:
                 raise TermTooLarge
     return make_list(terms)
@@ -244,7 +244,7 @@ def to_json(term: Term, names: Dict[Var, str], max_length: int) -> str:
     while stack:
         steps += 1
         if not steps & _CHECK_MASK:
-            look()
+            check_limits()
         top = stack.pop()
         if isinstance(top, _ReadyText):
             text: str = top

@@ -2,7 +2,7 @@
 
 from typing import Iterable, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge
 from .term_traversal import LATE_ROUND, ROUNDS, refuse_cycles
 from .types import COMMA, CONS, NIL, TRUE, Term, deref
@@ -22,14 +22,14 @@ def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
     """
     remaining = list(items)
     if len(remaining) > _CHECKED_LENGTH:
-        look(size=_CELL_BYTES * len(remaining))
+        check_limits(size=_CELL_BYTES * len(remaining))
     # Long lists are built in blocks from the end, with a check of the limits after each block. Deleting the items of
     # a block frees them early, so that the Python list and the cells do not both exist in full.
     while len(remaining) > len(BULK):
         for item in reversed(remaining[-len(BULK) :]):
             tail = (CONS, item, tail)
         del remaining[-len(BULK) :]
-        look()
+        check_limits()
     for item in reversed(remaining):
         tail = (CONS, item, tail)
     return tail
@@ -58,7 +58,7 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
             term = term[2]
             if term.__class__ is not tuple:
                 term = deref(term)
-        look()
+        check_limits()
         if round_number == LATE_ROUND:
             _refuse_endless(term)
     raise TermTooLarge
@@ -82,7 +82,7 @@ def _refuse_endless(term: Term) -> None:
         steps += 1
         if steps == next_mark:
             marked, next_mark = term, 2 * next_mark
-            look()
+            check_limits()
 
 
 def conjuncts(term: Term) -> Iterator[Term]:
@@ -97,7 +97,7 @@ def conjuncts(term: Term) -> Iterator[Term]:
                 stack += (goal[2], goal[1])
             else:
                 yield goal
-        look()
+        check_limits()
         if round_number == LATE_ROUND:
             refuse_cycles(term)
     raise TermTooLarge

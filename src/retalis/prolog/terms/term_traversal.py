@@ -1,8 +1,8 @@
 """Traversal of terms: variables, groundness, copies, cycle detection and dictionary keys.
 
 Every walk uses an explicit stack, so the depth of a term is not limited by Python's recursion limit. A walk is
-divided into rounds of `BULK` steps. After each round it calls `look`, which counts the work as inferences and raises
-if the goal has exceeded a limit, and `MAX_STEPS` bounds the walk as a whole.
+divided into rounds of `BULK` steps. After each round it calls `check_limits`, which counts the work as inferences
+and raises if the goal has exceeded a limit, and `MAX_STEPS` bounds the walk as a whole.
 
 Unification without occurs check can build cyclic terms (``X = f(X)``), on which a plain walk does not end. Checking
 every term for cycles would double the cost of all walks, so a walk checks only after `LATE` steps, which few terms
@@ -16,7 +16,7 @@ used by shared variables of joins, by tables, and by the detection of duplicate 
 
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, overload
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge
 from .types import Atom, CompoundTerm, Lazy, String, Term, Var, deref
 
@@ -36,7 +36,7 @@ def check_steps(steps: int) -> None:
     Raises:
         TermTooLarge: if the walk has taken more than `MAX_STEPS` steps.
     """
-    look()
+    check_limits()
     if steps > MAX_STEPS:
         raise TermTooLarge
 
@@ -135,7 +135,7 @@ def variables(term: Term) -> List[Var]:
             if not stack:
                 return list(seen)
             item = stack.pop()
-        look()
+        check_limits()
         if round_number == LATE_ROUND and contains_itself(term):
             return _variables_of_cyclic_term([*stack, item], seen)
     raise TermTooLarge
@@ -189,9 +189,9 @@ def is_ground(term: Term) -> bool:
             if item_class is tuple:
                 # One step may push a whole argument list: a wide term counts by its arguments, not as one step.
                 if len(item) > MASK:
-                    look(len(item))
+                    check_limits(len(item))
                 stack.extend(item[1:])
-        look()
+        check_limits()
         if round_number == LATE_ROUND and contains_itself(term):
             return not _variables_of_cyclic_term(stack, {})
     raise TermTooLarge
@@ -255,7 +255,7 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
         position = len(arguments)
         size = len(source)
         if size > MASK and position == 1:
-            look(size)
+            check_limits(size)
         while position < size:
             item: Any = source[position]
             item_class = item.__class__
@@ -288,7 +288,7 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
 
 def _check_path(stack: List[List[Any]], steps: int) -> None:
     """Raise an error if a term on the path from the root contains itself, or if the walk is too long."""
-    look()
+    check_limits()
     depth = len(stack)
     # The path is compared at powers of two only, so that a deep term costs linear time in total. A cycle makes the
     # path grow for ever and is found at the next power of two.
@@ -434,7 +434,7 @@ def freeze(term: Term) -> Hashable:
                 raise ValueError("a key of a term with variables")
             else:
                 flat.append(item)
-        look()
+        check_limits()
         if round_number == LATE_ROUND:
             refuse_cycles(term)
     raise TermTooLarge
@@ -483,7 +483,7 @@ def variant_key(term: Term) -> Hashable:
                 flat.append((Var, numbers.setdefault(item, len(numbers))))
             else:
                 flat.append(item)
-        look()
+        check_limits()
         if round_number == LATE_ROUND:
             refuse_cycles(term)
     raise TermTooLarge

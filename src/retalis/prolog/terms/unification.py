@@ -14,7 +14,7 @@ atoms, compound terms by arity, name and arguments.
 
 from typing import Any, Callable, List, Optional
 
-from ...foundation.cancellation import BULK, look
+from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge
 from .term_traversal import LATE, LATE_ROUND, MASK, ROUNDS, VisitedPairs, check_steps, contains_itself, copy
 from .types import NUMBERED, Atom, Lazy, String, Term, Trail, Var, deref, serial
@@ -85,7 +85,7 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
             if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
                 return _unify_cyclic([*stack, right, left], trail)
         if size > MASK:
-            look(size)
+            check_limits(size)
         # The first pair of compound arguments is kept in two variables, further ones on the stack: a chain such as a
         # list then needs no stack operations.
         deeper: Any = None
@@ -268,11 +268,11 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
             if met is not None and not met.is_new(first, second):
                 continue
             if len(first) > len(BULK):
-                look(len(first))
+                check_limits(len(first))
             for position in range(len(first) - 1, 0, -1):
                 stack.append(second[position])
                 stack.append(first[position])
-        look()
+        check_limits()
         if round_number == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
             met = VisitedPairs()
     raise TermTooLarge
