@@ -124,7 +124,10 @@ def test_the_wheel_has_the_package_and_the_example(built):
     assert "Typing :: Typed" in told.get_all("Classifier")
     page = told.get_payload() or told["Description"]
     assert re.findall(r"\]\((?!https?://)[^)]*\)", page) == []  # there are no files beside it
-    assert "*(Image: A map: the robot's way" in page and "docs/reference/program-files.md has such a program" in page
+    assert (
+        "*(Image: A map: the robot's way" in page
+        and "docs/reference/program-files.md has such a program" in page
+    )
 
 
 def test_an_installation_is_a_command_with_the_example_and_completion(installed, tmp_path):

@@ -26,7 +26,7 @@ class Turn:
     def __init__(self):
         self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
 
-    def follow(self, work):
+    def call_next(self, work):
         """Note what is to be done after the entry."""
         self.following.append(work)
 
