@@ -38,22 +38,22 @@ def millions(number):
     return f"{number // MILLION} million"
 
 
-STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.DEFAULT_MAX_OPEN:,} open and {state_parser.DEFAULT_MAX_PAST:,} that are over"
+STATES = f"{event_states.MAX_STATES:,} declarations; of each {state_parser.DEFAULT_MAX_OPEN:,} open and {state_parser.DEFAULT_MAX_PAST:,} past ones"
 FIXED = {
-    "names of packages, types, slots": f"a letter first; {ros_names.MAX_NAME_CHARACTERS} characters",
-    "the text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",
-    "definitions of message types that publishers send": (
+    "names of packages, types, slots": f"beginning with a letter; {ros_names.MAX_NAME_CHARACTERS} characters",
+    "text of an event": f"{millions(MAX_EVENT_TEXT_CHARACTERS)} characters",
+    "type definitions that publishers send": (
         f"{type_registry.MAX_ADDED_TYPES:,} types, {millions(type_registry.MAX_ADDED_CHARACTERS)} characters in all; each "
         f"{millions(type_registry.MAX_DEFINITION_CHARACTERS)} characters, {type_definition.MAX_SLOTS:,} slots, depth {type_definition.MAX_TYPE_DEPTH}"
     ),
     "`pub_sub.xml`": f"{millions(topic_configuration.MAX_XML_CHARACTERS)} characters, depth {topic_configuration.MAX_XML_DEPTH}, no DOCTYPE",
-    "errors of one file that are kept and shown": f"{errors.MAX_ERRORS}, and how many more",
-    "characters of a text from outside that are kept and shown": f"{SHOWN}; of a whole error {MAX_MESSAGE_CHARACTERS:,}",
-    "streams that are open at once": f"{text_streams.MAX_OPEN_STREAMS};",
+    "errors of one file that are shown": f"{errors.MAX_ERRORS}, and the number",
+    "characters of a text from outside that are shown": f"{SHOWN}; {MAX_MESSAGE_CHARACTERS:,} of a whole error",
+    "open streams": f"{text_streams.MAX_OPEN_STREAMS}",
     "integers": f"{arithmetic.MAX_INTEGER_BITS:,} bits ({int(arithmetic.MAX_INTEGER_BITS * log10(2)) + 1:,} digits)",
     "texts that goals make": f"{millions(text_arguments.MAX_TEXT_CHARACTERS)} characters",
-    "terms that goals walk through": f"{millions(term_traversal.MAX_STEPS)} parts",
-    "timers": f"{timer_service.MAX_TIMERS:,}, each every millisecond at most; {timer_service.MAX_RINGS_PER_JUMP:,} times at once",
+    "terms that goals traverse": f"{millions(term_traversal.MAX_STEPS)} parts",
+    "timers": f"{timer_service.MAX_TIMERS:,}, each at most once a millisecond; {timer_service.MAX_RINGS_PER_JUMP:,} firings at once",
     "states": STATES,
 }
 
