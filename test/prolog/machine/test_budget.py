@@ -195,7 +195,7 @@ def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
 
 
 STEPS = st.one_of(
-    st.tuples(st.sampled_from(["look", "count_last_steps"]), st.integers(0, 1500)),
+    st.tuples(st.sampled_from(["check_limits", "count_last_steps"]), st.integers(0, 1500)),
     st.tuples(st.sampled_from(["count_slice", "count_loops", "admit", "left", "end", "inner"])),
     st.tuples(st.just("wait"), st.integers(0, 8)),
     st.tuples(st.just("write"), st.integers(0, 600_000)),
