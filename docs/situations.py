@@ -7,7 +7,7 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "src"))
 
-from retalis.cli.situations import SITUATIONS  # noqa: E402
+from retalis.cli.help_command import SITUATIONS  # noqa: E402
 
 PAGE = DOCS / "reference" / "situations.md"
 
@@ -21,7 +21,8 @@ def page_text() -> str:
         "For people who know the situation and not the operator: find it in words, and follow the link. "
         "On the command line, `retalis help WORD` searches the same list.",
         "",
-        f"<!-- The {count} situations are in src/retalis/cli/situations.py; docs/situations.py writes this page. -->",
+        f"<!-- The {count} situations are in src/retalis/cli/help_command.py; "
+        "docs/situations.py writes this page. -->",
     ]
     for title, section in SITUATIONS.items():
         lines += ["", f"## {title}", "", "| I want to ... | take | example |", "| --- | --- | --- |"]
@@ -29,7 +30,7 @@ def page_text() -> str:
             page = situation.page
             path = page[len("reference/") :] if page.startswith("reference/") else f"../{page}"
             lines.append(
-                f"| {situation.wish} | [{in_code_font(situation.take)}]({path}) | `{situation.example}` |"
+                f"| {situation.need} | [{in_code_font(situation.solution)}]({path}) | `{situation.example}` |"
             )
     lines += [
         "",

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from retalis import Engine, PrologError
-from retalis.cli.toplevel_io import bindings
+from retalis.cli.toplevel_io import format_bindings
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 
@@ -53,7 +53,7 @@ def call_goals(text, engine):
         read = read_term(goal[3:], engine.operators)
         try:
             answers = [
-                bindings(read.names, engine.operators).replace(",\n", ", ") or "true"
+                format_bindings(read.names, engine.operators).replace(",\n", ", ") or "true"
                 for _ in engine.logic.solutions(read.term)
             ]
             answer = (" ;\n".join(answers) or "false") + "."

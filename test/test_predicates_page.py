@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from retalis import Limits, PrologError, Var, functor
-from retalis.cli.toplevel_io import bindings
+from retalis.cli.toplevel_io import format_bindings
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem
@@ -58,7 +58,7 @@ def test_example(logic, keys, errors, example, answer):
     read = read_term(example, logic.operators)
     answers = []
     for _ in logic.solutions(read.term):
-        answers.append(bindings(read.names, logic.operators).replace(",\n", ", ") or "true")
+        answers.append(format_bindings(read.names, logic.operators).replace(",\n", ", ") or "true")
         if len(answers) == MOST:
             break
     shown = " ; ".join(answers) or "false"

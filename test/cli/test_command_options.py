@@ -9,7 +9,7 @@ from retalis import BagWriter, Definitions, Limits, Settings
 from retalis.cli.command_line import main
 from retalis.cli.console import Console
 from retalis.cli.stderr_report import Report
-from retalis.cli.toplevel_io import Lines
+from retalis.cli.toplevel_io import PipedInput
 
 RULES = "loop :- loop.\nloop(X) <- in(X) where (X = 2, loop).\nout(X) <- in(X).\n"
 STREAM = "event(in(1),[1,1]).\nevent(in(2),[2,2]).\nloop.\nevent(in(3),[3,3]).\n"
@@ -126,7 +126,7 @@ def test_each_command_explains_them(command, capsys):
 
 
 def test_the_time_that_a_user_takes_is_not_counted(capsys):
-    class User(Lines):
+    class User(PipedInput):
         is_terminal = True
 
         def wants_more(self):
@@ -136,7 +136,7 @@ def test_the_time_that_a_user_takes_is_not_counted(capsys):
 
     asked = []
     console = Console(Report(), Settings(limits=Limits(inferences=40_000)))
-    console.goals(
+    console.solve_goals(
         User(
             io.StringIO(
                 "nb_setval(k, 0), repeat, numlist(1, 5000, L), msort(L, _), nb_getval(k, K), J is K + 1,"

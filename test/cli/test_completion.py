@@ -20,7 +20,7 @@ def after(*words, names=lambda kind, node: []):
         patch.setattr(argparse.ArgumentParser, "parse_args", parse)
         with pytest.raises(SystemExit):
             main([])
-    return completion.candidates(whole[0], words, names)
+    return completion.list_candidates(whole[0], words, names)
 
 
 def named(kind, node):
@@ -62,7 +62,7 @@ def test_each_command_is_offered_and_each_of_its_options():
 def test_asked_by_the_shell(capsys, monkeypatch):
     assert main(["complete", "words", "1", "retalis", "demo"]) == 0
     assert capsys.readouterr().out.endswith("demo\n")
-    monkeypatch.setattr(completion, "ros_module", no_ros)
+    monkeypatch.setattr(completion, "import_ros_module", no_ros)
     assert main(["complete", "words", "3", "retalis", "query", "--node"]) == 0  # the word is not begun yet
     assert capsys.readouterr() == ("", "")
 

@@ -15,7 +15,7 @@ import pytest
 from retalis import Limits, Operators, Settings
 from retalis.cli.console import Console
 from retalis.cli.stderr_report import Report
-from retalis.cli.toplevel_io import Lines, Terminal, bindings, completions
+from retalis.cli.toplevel_io import PipedInput, TerminalInput, completions, format_bindings
 from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.syntax.term_reader import read_term
 
@@ -28,7 +28,7 @@ def ask(capsys):
 
     def ask(text, console=None):
         console = Console(Report()) if console is None else console
-        console.goals(Lines(io.StringIO(text)))
+        console.solve_goals(PipedInput(io.StringIO(text)))
         return capsys.readouterr()
 
     return ask
@@ -91,7 +91,7 @@ def test_undefined_predicate_names_what_was_meant(ask):
 
 
 def test_most(capsys):
-    Console(Report(), most=2).goals(Lines(io.StringIO("repeat.\n")))
+    Console(Report(), most=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
     assert capsys.readouterr().out == "true ;\ntrue .\n% there may be more (see --most)\n"
 
 
@@ -187,7 +187,7 @@ def test_a_terminal_too_simple_for_lines_to_be_edited(monkeypatch):
     kept = []
     monkeypatch.setattr("atexit.register", kept.append)
     monkeypatch.setitem(sys.modules, "readline", readline)
-    assert Terminal(list).is_terminal
+    assert TerminalInput(list).is_terminal
     assert not kept
 
 
@@ -201,7 +201,7 @@ def test_completions():
 def test_bindings_of_equal_names():
     read = read_term("f(_A, X)", Operators.prolog())
     read.names["X"].ref = (read.term[0], read.names["_A"], 1)
-    assert bindings(read.names, Operators.prolog()) == "X = f(_, 1)"
+    assert format_bindings(read.names, Operators.prolog()) == "X = f(_, 1)"
 
 
 def run(arguments, text=""):
@@ -316,11 +316,11 @@ class Typing:
     is_terminal = True
 
     def __init__(self, *lines):
-        self.rest = ""
+        self.unread_text = ""
         self.asked = []
         self._lines = list(lines)
 
-    def line(self, prompt):
+    def read_line(self, prompt):
         self.asked.append(prompt)
         return self._lines.pop(0) if self._lines else None
 
@@ -330,7 +330,7 @@ class Typing:
 
 def test_a_goal_asks_who_types(capsys):
     typing = Typing("write('Fever? '), read(X), read(Y).\n", "yes.\n", "39.\n", "get_char(X).\n", "\n", "z\n")
-    Console(Report()).goals(typing)
+    Console(Report()).solve_goals(typing)
     printed = capsys.readouterr().out
     assert "X = yes,\nY = 39." in printed
     assert typing.asked[:4] == ["?- ", "|: ", "|: ", "?- "]

@@ -7,9 +7,9 @@ import pytest
 
 from retalis.cli import console
 from retalis.cli.command_line import main
-from retalis.cli.console import CONSOLE, DEFAULT_SHOWN_SOLUTIONS, Console, apropos_lines, help_lines
+from retalis.cli.console import CONSOLE_HELP, DEFAULT_SHOWN_SOLUTIONS, Console, apropos_lines, help_lines
 from retalis.cli.stderr_report import Report
-from retalis.cli.toplevel_io import Lines
+from retalis.cli.toplevel_io import PipedInput
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def ask(capsys):
     console = Console(Report())
 
     def ask(text):
-        console.goals(Lines(io.StringIO(text)))
+        console.solve_goals(PipedInput(io.StringIO(text)))
         return capsys.readouterr()
 
     return ask
@@ -92,7 +92,7 @@ def test_a_pipe_gets_the_first_solutions_only(capsys, monkeypatch):
 
 
 def test_help_says_what_there_is(ask):
-    assert ask("help.\n").out == CONSOLE + "\n"
+    assert ask("help.\n").out == CONSOLE_HELP + "\n"
     assert ask("help(append).\n").out.splitlines()[:2] == [
         "append(?Left, ?Right, ?Whole)",
         "    lists one after the other",
@@ -103,7 +103,7 @@ def test_help_says_what_there_is(ask):
 
 
 def test_the_console_goes_on_where_the_page_of_predicates_is_missing(ask, monkeypatch):
-    monkeypatch.setattr(console, "PAGE", "docs/no_such_page.md")
+    monkeypatch.setattr(console, "PREDICATES_PAGE", "docs/no_such_page.md")
     found = ask("help(append).\napropos(append).\nX = 1.\n")
     assert found.out == "X = 1.\n"
     assert (

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from retalis.cli.command_line import main
-from retalis.cli.event_stream_command import is_left_unread
+from retalis.cli.event_stream_command import has_unread_input
 
 ROOT = Path(__file__).resolve().parents[2]
 RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"
@@ -492,22 +492,22 @@ def test_goals_of_a_stream_open_files_of_the_program_and_of_folders_that_are_nam
 
 def test_tells_what_waits_unread_and_never_waits_itself(tmp_path):
     reading, writing = os.pipe()
-    assert not is_left_unread(reading)
+    assert not has_unread_input(reading)
     os.write(writing, b"event(a).\n")
-    assert is_left_unread(reading)
+    assert has_unread_input(reading)
     os.read(reading, 100)
     os.close(writing)
-    assert not is_left_unread(reading)
+    assert not has_unread_input(reading)
     os.close(reading)
-    assert not is_left_unread(reading)
+    assert not has_unread_input(reading)
     with open(os.devnull, "rb") as nothing:
-        assert not is_left_unread(nothing.fileno())
+        assert not has_unread_input(nothing.fileno())
     path = tmp_path / "events.txt"
     path.write_text("event(a).\n")
     with open(path, "rb") as file:
-        assert is_left_unread(file.fileno())
+        assert has_unread_input(file.fileno())
         os.lseek(file.fileno(), 0, os.SEEK_END)
-        assert not is_left_unread(file.fileno())
+        assert not has_unread_input(file.fileno())
 
 
 @pytest.mark.parametrize("stream, warned", [((), True), (("--stream", "-"), False)])

@@ -8,9 +8,9 @@ import pytest
 from doc_pages import load_script
 
 from retalis import Engine
-from retalis.cli import situations
+from retalis.cli import help_command
 from retalis.cli.command_line import COMMANDS, main
-from retalis.cli.situations import SITUATIONS, find_situations, stem, suggest_words
+from retalis.cli.help_command import SITUATIONS, find_situations, stem, suggest_words
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 ALL = [situation for section in SITUATIONS.values() for situation in section]
@@ -59,8 +59,8 @@ def test_words_of_users_lead_to_the_page(words, page):
 
 def test_words_of_the_wish_come_before_keywords():
     first, *others = find_situations("debounce")
-    assert first.wish == "debounce a button"
-    assert find_situations("stuck")[0].wish == "detect that a robot is stuck"
+    assert first.need == "debounce a button"
+    assert find_situations("stuck")[0].need == "detect that a robot is stuck"
 
 
 def test_without_words_it_says_how_to_use_it(capsys):
@@ -80,7 +80,7 @@ def test_near_words_are_suggested(capsys):
 
 def test_words_of_a_question_are_ignored_unless_they_are_all():
     assert find_situations("I want to debounce a button") == find_situations("debounce button")
-    assert "(P and Q) within N" in {situation.take for situation in find_situations("and")}
+    assert "(P and Q) within N" in {situation.solution for situation in find_situations("and")}
     assert find_situations("") == find_situations("?") == []
 
 
@@ -98,10 +98,10 @@ def test_forms_of_a_word_have_one_stem():
 def test_the_page_has_the_list():
     page = DOCS / "reference" / "situations.md"
     assert page.read_text(encoding="utf-8") == page_text(), "run docs/situations.py"
-    assert len(ALL) >= 40 and len({situation.wish for situation in ALL}) == len(ALL)
+    assert len(ALL) >= 40 and len({situation.need for situation in ALL}) == len(ALL)
 
 
-@pytest.mark.parametrize("situation", ALL, ids=lambda situation: situation.wish)
+@pytest.mark.parametrize("situation", ALL, ids=lambda situation: situation.need)
 def test_examples_load_and_pages_exist(situation):
     assert (DOCS / situation.page).is_file()
     example = situation.example
@@ -112,7 +112,7 @@ def test_examples_load_and_pages_exist(situation):
         assert first in ELSEWHERE or arguments[0] in COMMANDS
     else:
         Engine().load(rules=example)
-    assert "\n" not in example and "|" not in f"{example}{situation.take}"
+    assert "\n" not in example and "|" not in f"{example}{situation.solution}"
 
 
 def test_every_guide_has_a_situation():
@@ -123,5 +123,5 @@ def test_every_guide_has_a_situation():
 
 
 def test_vocabulary_is_lower_case():
-    assert all(situations.words_of(situation.keywords) for situation in ALL)
+    assert all(help_command.words_of(situation.keywords) for situation in ALL)
     assert all(situation.keywords == situation.keywords.lower() for situation in ALL)

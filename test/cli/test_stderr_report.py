@@ -2,7 +2,7 @@
 
 from io import StringIO
 
-from retalis.cli.stderr_report import Bar, progress
+from retalis.cli.stderr_report import ProgressBar, show_progress
 
 
 class Clock:
@@ -14,7 +14,7 @@ class Clock:
 
 def test_a_bar_tells_rate_and_time_left():
     drawn, clock, share = StringIO(), Clock(), 0.0
-    bar = Bar("messages", lambda: share, drawn, clock)
+    bar = ProgressBar("messages", lambda: share, drawn, clock)
     bar(1)
     assert drawn.getvalue() == ""
     clock.now, share = 110.0, 0.25
@@ -29,15 +29,15 @@ def test_a_bar_tells_rate_and_time_left():
 
 
 def test_shares_outside_of_a_whole_are_shown_as_one():
-    assert Bar("x", lambda: 1.5, StringIO()).line(3, 1.0).startswith("100%")
-    assert Bar("x", lambda: -1.0, StringIO()).line(3, 1.0).startswith("  0%")
+    assert ProgressBar("x", lambda: 1.5, StringIO()).line(3, 1.0).startswith("100%")
+    assert ProgressBar("x", lambda: -1.0, StringIO()).line(3, 1.0).startswith("  0%")
 
 
 def test_what_takes_long_has_a_rate_too():
-    assert Bar("bags", lambda: 0.5, StringIO()).line(3, 12.0).endswith("3 bags, 0.2/s, 0:12 left")
+    assert ProgressBar("bags", lambda: 0.5, StringIO()).line(3, 12.0).endswith("3 bags, 0.2/s, 0:12 left")
 
 
 def test_nothing_is_drawn_where_nobody_looks(capsys):
-    with progress("messages", lambda: 0.5) as bar:
+    with show_progress("messages", lambda: 0.5) as bar:
         assert bar is None
     assert capsys.readouterr().err == ""

@@ -2,29 +2,29 @@
 
 import pytest
 
-from retalis.cli.text_tables import report, status_page
+from retalis.cli.text_tables import format_record, format_status
 
 
 def test_plain_values_and_tables():
-    found = report(
+    found = format_record(
         {"node": "/a", "memories": [{"id": "m", "size": 10}, {"id": "long", "size": 2}], "none": []}
     )
     assert found == ["node  /a", "none  -", "", "memories", "  id    size", "  m     10", "  long  2"]
 
 
 def test_what_is_long_or_has_lines_is_shown_in_one_short_line():
-    assert report({"text": "a\nb" + "c" * 100}) == ["text  a b" + "c" * 54 + "..."]
+    assert format_record({"text": "a\nb" + "c" * 100}) == ["text  a b" + "c" * 54 + "..."]
 
 
 def test_records_in_records():
-    assert report({"work": {"what": "a", "seconds": 1.5}, "x": [1, 2]}) == [
+    assert format_record({"work": {"what": "a", "seconds": 1.5}, "x": [1, 2]}) == [
         "work  what a, seconds 1.5",
         "x     1; 2",
     ]
 
 
 def test_instants_are_shown_to_the_microsecond_and_none_as_a_dash():
-    assert report({"now": 1795367020.25, "lag": 0.000012, "at": 7.0, "oldest": None}) == [
+    assert format_record({"now": 1795367020.25, "lag": 0.000012, "at": 7.0, "oldest": None}) == [
         "now     1795367020.25",
         "lag     0.000012",
         "at      7",
@@ -33,11 +33,11 @@ def test_instants_are_shown_to_the_microsecond_and_none_as_a_dash():
 
 
 def test_nothing():
-    assert report({}) == []
+    assert format_record({}) == []
 
 
 def test_of_a_path_the_end_is_shown():
-    assert report({"a": "/x" * 100 + "/rules.txt:12:1"}) == [
+    assert format_record({"a": "/x" * 100 + "/rules.txt:12:1"}) == [
         "a  ..." + ("/x" * 100 + "/rules.txt:12:1")[-57:]
     ]
 
@@ -49,7 +49,7 @@ RULE = {**RULE, "errors": 0, "waiting": 0, "dropped": 0}
 
 def test_a_status_has_rates_and_ages():
     after = {**NODE, "now": 110.0, "taken": 30, "fired": 5, "rules": [{**RULE, "fired": 7}]}
-    assert status_page({**NODE, "rules": [RULE]}, after, 10.0, 80) == [
+    assert format_status({**NODE, "rules": [RULE]}, after, 10.0, 80) == [
         "/a  idle  3.0 events/s  0.5 firings/s",
         "",
         "rules",
@@ -59,7 +59,7 @@ def test_a_status_has_rates_and_ages():
 
 
 def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_look_at():
-    (head,) = status_page(NODE, {**NODE, "inputs": [], "more_rules": 0, "waiting": []}, 1.0, 80)
+    (head,) = format_status(NODE, {**NODE, "inputs": [], "more_rules": 0, "waiting": []}, 1.0, 80)
     assert head == "/a  idle  0.0 events/s  0.0 firings/s"
     busy = {
         "work": "event a",
@@ -70,7 +70,7 @@ def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_
         "more_rules": 3,
     }
     rows = [RULE, {**RULE, "label": "second", "errors": 2}]
-    lines = status_page(NODE, {**NODE, **busy, "rules": rows}, 1.0, 100)
+    lines = format_status(NODE, {**NODE, **busy, "rules": rows}, 1.0, 100)
     assert lines[0] == (
         "/a  busy for 1m15s with event a: goal g  0.0 events/s  0.0 firings/s  errors 2  3 more rules"
     )
@@ -82,19 +82,19 @@ def test_a_status_has_no_value_that_says_nothing_and_names_what_somebody_has_to_
 
 
 def test_a_status_before_the_clock_has_begun_has_no_ages():
-    lines = status_page(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
+    lines = format_status(NODE, {**NODE, "now": None, "rules": [RULE]}, 1.0, 80)
     assert lines[-1].split()[-1] == "-"
 
 
 def test_a_counter_of_a_node_that_was_started_anew_has_no_negative_rate():
-    assert "0.0 events/s" in status_page({**NODE, "taken": 100}, {**NODE, "taken": 5}, 1.0, 80)[0]
+    assert "0.0 events/s" in format_status({**NODE, "taken": 100}, {**NODE, "taken": 5}, 1.0, 80)[0]
 
 
 def test_a_status_of_an_interface_says_nothing_of_an_engine():
     row = {"topic": "/tf", "type": "tf/tfMessage", "publishers": 0, "messages": 9, "age": 7200.0, "lag": 0.25}
     row = {**row, "dropped": 1, "refused": 2}
     found = {**NODE, "inputs": [row]}
-    assert [line.split() for line in status_page(found, found, 1.0, 80, has_engine=False)] == [
+    assert [line.split() for line in format_status(found, found, 1.0, 80, has_engine=False)] == [
         ["/a"],
         [],
         ["inputs"],
@@ -127,7 +127,7 @@ def test_a_status_fits_its_terminal():
         "waiting": [{"event": long, "since": 5.0, "memories": [waits] * 5, "left_out": 3}],
         "inputs": [{**topic, "dropped": 10**6, "refused": 0}],
     }
-    lines = status_page(found, found, 1.0, 80)
+    lines = format_status(found, found, 1.0, 80)
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
     for head in (
@@ -156,5 +156,5 @@ def test_a_status_fits_its_terminal():
     ],
 )
 def test_ages_are_short(seconds, shown):
-    lines = status_page(NODE, {**NODE, "rules": [{**RULE, "last_fired": 100.0 - seconds}]}, 1.0, 80)
+    lines = format_status(NODE, {**NODE, "rules": [{**RULE, "last_fired": 100.0 - seconds}]}, 1.0, 80)
     assert lines[-1].split()[-1] == shown

@@ -6,9 +6,9 @@ from typing import Callable
 
 from .bag_run import add_chunk_limit, play
 from .command_options import add_direct, add_folders, add_limits
-from .many_bags import add_many, are_many, play_many
-from .option_values import RELATIVE, RELATIVE_TIMES, STAMPS, from_zero
-from .output import JSON
+from .many_bags import add_many_bags_options, play_separately, plays_separately
+from .option_values import RELATIVE_TIMES_OPTION, TIMES_AS_STAMPS, TIMES_RELATIVE, non_negative
+from .output import JSON_HELP
 from .stderr_report import Report
 
 DESCRIPTION = """\
@@ -21,7 +21,7 @@ With --jobs or --scheduler each bag is a separate run, and several run at a time
 them, in the order of their names; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the
 bags one after the other.
 """
-LINES = """\
+JSON_LINES_HELP = """\
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    unless --quiet; T is the bag's time
   {"event": TERM, "start": T1, "end": T2}                  with --events, and the two below
   {"wait": TERM, "memories": [ID, ...], "start": T1, "end": T2}    a query that has waited
@@ -36,25 +36,25 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "bag",
         help="run a program over bags, without ROS",
         description=DESCRIPTION,
-        epilog=JSON + LINES,
+        epilog=JSON_HELP + JSON_LINES_HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_source(parser)
     add = parser.add_argument
     add("--output", metavar="BAG", help="write the published messages to a bag")
     add("--overwrite", action="store_true", help="replace this bag if it exists")
-    add_many(parser)
+    add_many_bags_options(parser)
     add("--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
     add(
         "--times",
         action="store_const",
-        const=STAMPS,
+        const=TIMES_AS_STAMPS,
         help="print outputs with the bag's time, as output(TERM,TOPIC,datime(...))",
     )
     add(
-        RELATIVE_TIMES,
+        RELATIVE_TIMES_OPTION,
         action="store_const",
-        const=RELATIVE,
+        const=TIMES_RELATIVE,
         dest="times",
         help="print outputs and explanations with times in seconds since the start of the run",
     )
@@ -85,14 +85,14 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
     )
     add(
         "--start",
-        type=from_zero(float),
+        type=non_negative(float),
         default=0.0,
         metavar="SECONDS",
         help="skip messages within this many seconds after the first message (0)",
     )
     add(
         "--duration",
-        type=from_zero(float),
+        type=non_negative(float),
         metavar="SECONDS",
         help="stop after this many seconds (at the end)",
     )
@@ -106,14 +106,14 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
     add_direct(parser)
     add(
         "--max-skew",
-        type=from_zero(float),
+        type=non_negative(float),
         metavar="SECONDS",
         help="skip messages whose stamp differs by more than this from the former ones on their topic and frame "
         "(0: no limit)",
     )
     add(
         "--max-gap",
-        type=from_zero(float),
+        type=non_negative(float),
         metavar="SECONDS",
         help="do not interpolate over longer gaps (0: no limit)",
     )
@@ -122,8 +122,8 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    if are_many(options):
-        return play_many(options)
-    report = Report().listen(events=True)
+    if plays_separately(options):
+        return play_separately(options)
+    report = Report().attach(events=True)
     play(options, report)
     return 1 if report.errors else 0

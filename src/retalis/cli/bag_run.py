@@ -20,13 +20,13 @@ from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
-from .command_options import allow_folders, limited
-from .option_values import RELATIVE, from_one
+from .command_options import apply_folders, apply_limits
+from .option_values import TIMES_RELATIVE, positive_integer
 from .output import Printer
-from .stderr_report import Bar, Report, progress, to_reader
+from .stderr_report import ProgressBar, Report, end_run_on_closed_pipe, show_progress
 
-OUTPUT = functor("output", 2)
-TIMED_OUTPUT = functor("output", 3)
+_OUTPUT_FUNCTOR = functor("output", 2)
+_TIMED_OUTPUT_FUNCTOR = functor("output", 3)
 
 
 RecordHandler = Callable[[RunRecord], None]
@@ -36,7 +36,7 @@ def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
     """Add the option that limits the decompressed size of chunks."""
     parser.add_argument(
         "--max-chunk-megabytes",
-        type=from_one,
+        type=positive_integer,
         default=MAX_CHUNK_MEGABYTES,
         metavar="N",
         help="refuse chunks and compressed messages of bags that are larger unpacked, and compressed files that "
@@ -52,7 +52,7 @@ def print_record(record: RunRecord) -> None:
 def play(
     options: argparse.Namespace,
     report: Report,
-    tell: RecordHandler = print_record,
+    write_record: RecordHandler = print_record,
     state: Optional[bytes] = None,
 ) -> Playback:
     """Play the bags of the options as one recording; return the program in its final state.
@@ -60,62 +60,62 @@ def play(
     Args:
         options: options of the command.
         report: receives errors.
-        tell: receives events and outputs if the options request JSON.
+        write_record: receives events and outputs if the options request JSON.
         state: snapshot of the program to continue from; None to start without state.
     """
     with ExitStack() as stack:
         # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
         # defines.
-        bags = stack.enter_context(bags_of(options))
-        playback = playback_of(options, report, bags, state)
+        bags = stack.enter_context(open_bags(options))
+        playback = create_playback(options, report, bags, state)
         # Recording costs time and memory per event, so it is switched on only for the explanations.
         if options.explain:
             record_origins(playback.engine)
-        writer = _writer(options, playback, stack)
-        bar = stack.enter_context(progress("messages", share_of(playback, bags)))
-        show = _RunPrinter(options, playback, bar, tell, bags.start)
+        writer = _open_output(options, playback, stack)
+        bar = stack.enter_context(show_progress("messages", progress_of(playback, bags)))
+        printer = _RunPrinter(options, playback, bar, write_record, bags.start)
         # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
-        for output in playback.run(bags, show.advance):
-            show.output(output)
+        for output in playback.run(bags, printer.advance):
+            printer.print_output(output)
             if writer is not None:
                 writer.write(output)
-        show.finish()
+        printer.finish()
     return playback
 
 
-def bags_of(options: argparse.Namespace) -> MergedBag:
+def open_bags(options: argparse.Namespace) -> MergedBag:
     """Open the bags of the options."""
     return MergedBag(options.bags, options.start, options.duration, options.max_chunk_megabytes)
 
 
-def playback_of(
+def create_playback(
     options: argparse.Namespace,
     report: Report,
     bag: Optional[MergedBag] = None,
     state: Optional[bytes] = None,
 ) -> Playback:
     """Load the program of the options, with the message types of ``bag`` for its rules that name fields."""
-    settings = limited(allow_folders(Settings(), options), options)
+    settings = apply_limits(apply_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
     limit = options.max_skew or None
     return Playback(
-        options.program, report, _topics(options.topic), settings, limit, bag, state, options.direct
+        options.program, report, _parse_topics(options.topic), settings, limit, bag, state, options.direct
     )
 
 
-def share_of(playback: Playback, bags: MergedBag) -> Callable[[], float]:
+def progress_of(playback: Playback, bags: MergedBag) -> Callable[[], float]:
     """Return a function that returns the elapsed share of the bags' time, from 0 to 1."""
     length = bags.end - bags.start
     return lambda: (playback.clock.now() - bags.start) / length if length > 0 else 1.0
 
 
-def _topics(texts: List[str]) -> List[TopicType]:
+def _parse_topics(texts: List[str]) -> List[TopicType]:
     topics = []
     for text in texts:
-        name, _, kind = text.partition("=")
+        name, _, type_name = text.partition("=")
         try:
-            topics.append(topic_type(name, kind))
+            topics.append(topic_type(name, type_name))
         except UsageError as error:
             raise UsageError(
                 f"--topic {shortened(text)}: expected TOPIC=package/Type: {error.message}"
@@ -130,21 +130,21 @@ class _RunPrinter:
         self,
         options: argparse.Namespace,
         playback: Playback,
-        bar: Optional[Bar],
-        tell: RecordHandler,
+        bar: Optional[ProgressBar],
+        write_record: RecordHandler,
         start: int,
     ):
         self._options = options
-        self._origin = start if options.times == RELATIVE else None
+        self._origin = start if options.times == TIMES_RELATIVE else None
         self._engine = playback.engine
         self._bar = bar
-        self._tell = tell
+        self._write_record = write_record
         self._printer = Printer(options.json, False, None)
         self._recorder: Optional[RunRecorder] = None
         if options.events and options.json:
-            self._recorder = RunRecorder(playback, to_reader(self._line))
+            self._recorder = RunRecorder(playback, end_run_on_closed_pipe(self._print_record))
         elif options.events:
-            self._engine.on_event(to_reader(self._event))
+            self._engine.on_event(end_run_on_closed_pipe(self._print_event))
 
     def advance(self, done: int) -> None:
         """Record that another message has been processed."""
@@ -153,23 +153,23 @@ class _RunPrinter:
         if self._bar is not None:
             self._bar(done)
 
-    def output(self, output: Output) -> None:
+    def print_output(self, output: Output) -> None:
         """Print an output."""
         if self._options.quiet:
             return
         if self._options.json:
-            self._line(output_record(output))
+            self._print_record(output_record(output))
             return
-        self._clear()
+        self._clear_bar()
         topic = atom(output.topic)
         # The program's clock is the bag's, so each run over a bag prints the same times.
         if self._options.times:
             instant: Term = timestamps.to_term(timestamps.WholeSeconds(output.time))
             if self._origin is not None:
                 instant = timestamps.to_seconds(output.time - self._origin)
-            print(f"{to_text((TIMED_OUTPUT, output.term, topic, instant))}.")
+            print(f"{to_text((_TIMED_OUTPUT_FUNCTOR, output.term, topic, instant))}.")
         else:
-            print(f"{to_text((OUTPUT, output.term, topic))}.")
+            print(f"{to_text((_OUTPUT_FUNCTOR, output.term, topic))}.")
 
     def finish(self) -> None:
         """Print the summary and the requested explanations."""
@@ -177,23 +177,25 @@ class _RunPrinter:
             self._recorder.record_final_state()
         for query in self._options.explain:
             term = read_term(query, self._engine.operators, "--explain").term
-            self._clear()
-            self._printer.explanation(term, explain(self._engine, term, origin=self._origin))
+            self._clear_bar()
+            self._printer.print_explanation(term, explain(self._engine, term, origin=self._origin))
 
-    def _event(self, *event: object) -> None:
-        self._clear()
-        self._printer.event(*event)  # type: ignore[arg-type]
+    def _print_event(self, *event: object) -> None:
+        self._clear_bar()
+        self._printer.print_event(*event)  # type: ignore[arg-type]
 
-    def _line(self, line: RunRecord) -> None:
-        self._clear()
-        self._tell(line)
+    def _print_record(self, record: RunRecord) -> None:
+        self._clear_bar()
+        self._write_record(record)
 
-    def _clear(self) -> None:
+    def _clear_bar(self) -> None:
         if self._bar is not None:
             self._bar.clear()
 
 
-def _writer(options: argparse.Namespace, playback: Playback, stack: ExitStack) -> "Optional[_OutputWriter]":
+def _open_output(
+    options: argparse.Namespace, playback: Playback, stack: ExitStack
+) -> "Optional[_OutputWriter]":
     """Open the bag for outputs, if there is one."""
     if options.output is None:
         return None

@@ -64,10 +64,10 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    definitions = Definitions(Installed(further=[_package(path) for path in options.msg]))
+    definitions = Definitions(Installed(further=[_definitions_folder(path) for path in options.msg]))
     # Before the check: rules with field names cannot be checked without the types.
     for path in options.bag:
-        _learn(definitions, path, options.max_chunk_megabytes)
+        _add_types_of_bag(definitions, path, options.max_chunk_megabytes)
     findings = check_program(
         options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi)
     )
@@ -76,14 +76,13 @@ def run(options: argparse.Namespace) -> int:
     warnings = len(findings) - errors - infos
     if options.format == "json":
         counts = {"errors": errors, "warnings": warnings, "infos": infos}
-        content = {"findings": [_as_json(finding) for finding in findings], **counts}
+        content = {"findings": [_finding_to_json(finding) for finding in findings], **counts}
         print(json.dumps(content, indent=1, ensure_ascii=False))
     else:
         for finding in findings:
             print(f"{finding.severity}: {finding.problem}")
-        print(
-            f"{printable(str(options.folder))}: {_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
-        )
+        counts_text = f"{_format_count(errors, 'error')}, {_format_count(warnings, 'warning')}"
+        print(f"{printable(str(options.folder))}: {counts_text}")
     # A closed pipe is reported here, where the caller handles it, and not at exit.
     sys.stdout.flush()
     if errors:
@@ -91,13 +90,13 @@ def run(options: argparse.Namespace) -> int:
     return 2 if warnings and options.strict else 0
 
 
-def _package(path: Path) -> str:
+def _definitions_folder(path: Path) -> str:
     """Return the folder to search for the definitions of a package, or of several."""
     path = path.resolve()
     return str(path.parent if path.name == "msg" else path)
 
 
-def _learn(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> None:
+def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> None:
     """Add the message types of a bag; a malformed definition is reported and skipped."""
     with open_bag(path, max_chunk_megabytes) as bag:
         for topic in bag.topics:
@@ -107,11 +106,11 @@ def _learn(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> No
                 print(f"warning: {path}: topic {printable(topic.name)}: {error}", file=sys.stderr)
 
 
-def _counted(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
     return counted(number, noun) if number else f"no {noun}s"
 
 
-def _as_json(finding: Finding) -> Dict[str, object]:
+def _finding_to_json(finding: Finding) -> Dict[str, object]:
     place = finding.problem.place
     fields: Dict[str, object] = {
         "severity": finding.severity,

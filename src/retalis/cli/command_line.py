@@ -13,8 +13,8 @@ from typing import Any, Iterable, List, Optional
 from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError
-from .option_values import join_times
-from .stderr_report import NobodyReads, leave
+from .option_values import join_times_option
+from .stderr_report import OutputClosed, detach_reports
 
 MANIFEST = Path(__file__).resolve().parents[3] / "package.xml"
 """Manifest in the source tree, which contains the version."""
@@ -88,7 +88,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         # argparse lists the subcommands in the order of their registration.
         for module in import_commands(words):
             module.add_parser(commands.add_parser)
-        options = parser.parse_args(join_times(words))
+        options = parser.parse_args(join_times_option(words))
         status: int = options.run(options)
         return status
     except RetalisError as error:
@@ -96,12 +96,12 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    except (BrokenPipeError, NobodyReads):
+    except (BrokenPipeError, OutputClosed):
         # The reader of the output has closed the pipe. Python flushes stdout at exit, and would report the error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
-        leave()
+        detach_reports()
 
 
 def import_commands(words: List[str]) -> List[Any]:

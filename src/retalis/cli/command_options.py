@@ -7,7 +7,7 @@ from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import Limits
-from .option_values import from_one, from_zero
+from .option_values import non_negative, positive_integer
 
 _DEFAULT_MAX_MEGABYTES = 2000
 
@@ -54,10 +54,10 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         "Defaults are in brackets.",
     )
     for name, number_type, default, metavar, text in _LIMIT_OPTIONS:
-        group.add_argument(name, type=from_zero(number_type), default=default, metavar=metavar, help=text)
+        group.add_argument(name, type=non_negative(number_type), default=default, metavar=metavar, help=text)
     group.add_argument(
         "--max-depth",
-        type=from_one,
+        type=positive_integer,
         default=Settings().max_depth,
         metavar="N",
         help=f"longest chain of events derived one from another ({Settings().max_depth})",
@@ -70,7 +70,7 @@ def add_swi(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-swi", action="store_true", help=text)
 
 
-def limited(settings: Settings, options: argparse.Namespace) -> Settings:
+def apply_limits(settings: Settings, options: argparse.Namespace) -> Settings:
     """Return settings of an engine with the limits of the options."""
     limits = Limits(
         options.max_seconds or None,
@@ -104,7 +104,7 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def allow_folders(settings: Settings, options: argparse.Namespace) -> Settings:
+def apply_folders(settings: Settings, options: argparse.Namespace) -> Settings:
     """Return settings of an engine with the folders of the options."""
     return settings._replace(folders=tuple(options.folder), write_folders=tuple(options.write_folder))
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Optional, Sequence
 
 from ..foundation.errors import UsageError
-from .node_commands import ros_module
+from .node_commands import import_ros_module
 
 SCRIPT = Path(__file__).with_name("retalis.bash")
 
-NAMES = {"node": "nodes", "wait_for": "memories"}
+NAME_KINDS = {"node": "nodes", "wait_for": "memories"}
 """Kind of the names that an option takes, by the option's destination."""
 
 
@@ -45,27 +45,27 @@ def run(options: argparse.Namespace) -> int:
     number, *words = options.words or ["none"]
     if not number.isdecimal() or not 0 < int(number) <= len(words):
         raise UsageError("complete words: expected the number of a word, then the words of a command line")
-    for word in candidates(options.whole, [*words, ""][1 : int(number) + 1], names):
+    for word in list_candidates(options.whole, [*words, ""][1 : int(number) + 1], list_names):
         print(word)
     return 0
 
 
-def names(kind: str, node: Optional[str]) -> List[str]:
+def list_names(kind: str, node: Optional[str]) -> List[str]:
     """Return the names of nodes, or of a node's memories; none without ROS or without an answer."""
     try:
-        candidates: List[str] = ros_module("live_commands").names(kind, node)
+        node_names: List[str] = import_ros_module("live_commands").names(kind, node)
     except UsageError:
         return []
-    return candidates
+    return node_names
 
 
-def candidates(
+def list_candidates(
     parser: argparse.ArgumentParser,
     words: Sequence[str],
     names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> List[str]:
     """Return the candidates for the last of the words, by the parser and the words before it."""
-    *previous, current = _without_equals_signs(words)
+    *previous, current = _remove_equals_signs(words)
     option_values: Dict[str, str] = {}
     open_option: Optional[argparse.Action] = None
     position = 0
@@ -75,28 +75,28 @@ def candidates(
             option_values[open_option.dest] = word
             open_option = None
         elif word.startswith("-"):
-            open_option = _option(parser, word)
-        elif _commands(parser):
-            if word not in _commands(parser):
+            open_option = _find_option(parser, word)
+        elif _get_subcommands(parser):
+            if word not in _get_subcommands(parser):
                 return []
-            parser, position = _commands(parser)[word], 0
+            parser, position = _get_subcommands(parser)[word], 0
         else:
             position += 1
     if open_option is None and current.startswith("-"):
-        completions: Iterable[str] = _options(parser)
+        completions: Iterable[str] = _list_options(parser)
     else:
-        action = open_option or _positional(parser, position)
-        completions = _options(parser) if action is None else _values(action, option_values, names)
+        action = open_option or _find_positional(parser, position)
+        completions = _list_options(parser) if action is None else _list_values(action, option_values, names)
     return [word for word in completions if word.startswith(current)]
 
 
-def _without_equals_signs(words: Sequence[str]) -> List[str]:
+def _remove_equals_signs(words: Sequence[str]) -> List[str]:
     """Return the words without ``=`` of their own: bash splits ``--option=value`` into three words."""
     *previous, current = words
     return [*(word for word in previous if word != "="), "" if current == "=" else current]
 
 
-def _option(parser: argparse.ArgumentParser, word: str) -> Optional[argparse.Action]:
+def _find_option(parser: argparse.ArgumentParser, word: str) -> Optional[argparse.Action]:
     """Return the option with a name if it takes a value."""
     for action in parser._actions:
         if word in action.option_strings and action.nargs != 0:
@@ -104,11 +104,11 @@ def _option(parser: argparse.ArgumentParser, word: str) -> Optional[argparse.Act
     return None
 
 
-def _options(parser: argparse.ArgumentParser) -> List[str]:
+def _list_options(parser: argparse.ArgumentParser) -> List[str]:
     return [name for action in parser._actions for name in action.option_strings if name.startswith("--")]
 
 
-def _positional(parser: argparse.ArgumentParser, position: int) -> Optional[argparse.Action]:
+def _find_positional(parser: argparse.ArgumentParser, position: int) -> Optional[argparse.Action]:
     """Return the positional argument at a position, without counting options; None if there is none."""
     actions = [action for action in parser._actions if not action.option_strings]
     if position < len(actions):
@@ -116,7 +116,7 @@ def _positional(parser: argparse.ArgumentParser, position: int) -> Optional[argp
     return actions[-1] if actions and actions[-1].nargs in ("*", "+") else None
 
 
-def _commands(parser: argparse.ArgumentParser) -> Dict[str, argparse.ArgumentParser]:
+def _get_subcommands(parser: argparse.ArgumentParser) -> Dict[str, argparse.ArgumentParser]:
     """Return the parsers of the subcommands by name; none if the parser has no subcommands."""
     for action in parser._actions:
         if isinstance(action.choices, dict):
@@ -124,14 +124,14 @@ def _commands(parser: argparse.ArgumentParser) -> Dict[str, argparse.ArgumentPar
     return {}
 
 
-def _values(
+def _list_values(
     action: argparse.Action,
-    given: Dict[str, str],
-    names: Callable[[str, Optional[str]], Iterable[str]],
+    option_values: Dict[str, str],
+    list_names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> Iterable[str]:
     if action.choices is not None:
         return [str(choice) for choice in action.choices if choice != "words"]
     # Names in running nodes, if ROS is installed and a master answers.
-    if action.dest in NAMES:
-        return names(NAMES[action.dest], given.get("node"))
+    if action.dest in NAME_KINDS:
+        return list_names(NAME_KINDS[action.dest], option_values.get("node"))
     return []

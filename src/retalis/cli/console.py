@@ -26,17 +26,17 @@ from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
-from .command_options import add_limits, limited
-from .node_commands import of_ros
-from .option_values import from_zero
-from .stderr_report import Report, to_reader
-from .toplevel_io import LEAVE, Lines, Terminal, bindings, read_clause
+from .command_options import add_limits, apply_limits
+from .node_commands import run_ros_command
+from .option_values import non_negative
+from .stderr_report import Report, end_run_on_closed_pipe
+from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings, read_clause
 
-PAGE = "docs/reference/predicates.md"
+PREDICATES_PAGE = "docs/reference/predicates.md"
 MAX_HELP_LINES = 50
 """Limit for the lines of an answer."""
 
-CONSOLE = """\
+CONSOLE_HELP = """\
 GOAL.                 ask a goal; ";" asks for another solution, return for none
 [FILE].               load a file or a program's folder; again, it replaces what it said before
 make.                 load again all files that have changed
@@ -113,10 +113,10 @@ def _find_page() -> Path:
         UsageError: if it is in neither.
     """
     for root in Path(__file__).resolve().parents:
-        for path in (root / PAGE, root / "share" / "retalis" / PAGE):
+        for path in (root / PREDICATES_PAGE, root / "share" / "retalis" / PREDICATES_PAGE):
             if path.is_file():
                 return path
-    raise UsageError(f"{PAGE} is neither in the source tree nor in an installed package")
+    raise UsageError(f"{PREDICATES_PAGE} is neither in the source tree nor in an installed package")
 
 
 _FileStates = Tuple[Tuple[str, int, int], ...]
@@ -208,7 +208,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this goal, then exit")
     add(
         "--most",
-        type=from_zero(int),
+        type=non_negative(int),
         default=DEFAULT_SHOWN_SOLUTIONS,
         metavar="N",
         help=f"solutions shown for a goal read from a pipe ({DEFAULT_SHOWN_SOLUTIONS})",
@@ -225,21 +225,21 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; with goals from a pipe, the status is 1 if there was an error."""
     if options.node is not None:
-        return of_ros("live_console", options)
-    report = Report().listen(events=True)
-    console = Console(report, limited(UNRESTRICTED, options), options.most)
+        return run_ros_command("live_console", options)
+    report = Report().attach(events=True)
+    console = Console(report, apply_limits(UNRESTRICTED, options), options.most)
     for path in options.files:
         console.load(path)
     # After the files are loaded: their clauses are exempted from later collections.
     limit_gc_pauses()
     if options.goal:
         for goal in options.goal:
-            console.goals(Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+            console.solve_goals(PipedInput(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
     elif sys.stdin.isatty():
-        console.goals(Terminal(console.names))
+        console.solve_goals(TerminalInput(console.names))
         return 0
     else:
-        console.goals(Lines(sys.stdin))
+        console.solve_goals(PipedInput(sys.stdin))
     console.reports.sum_up()
     return 1 if report.errors else 0
 
@@ -273,13 +273,13 @@ class Console:
         # As in other top levels, singleton variables of loaded clauses are reported.
         self._rules.warn_singletons = True
         self._files = LoadedFiles(self.engine)
-        self.engine.on_output(to_reader(self._print_output))
+        self.engine.on_output(end_run_on_closed_pipe(self._print_output))
         self.logic = self.engine.logic
         self.logic.print_to(_write_output, _write_error)
         self._report = report
         self._max_solutions = most
         self._tracing = False
-        self._input_lines: Union[Lines, Terminal] = Lines(sys.stdin)
+        self._input: Union[PipedInput, TerminalInput] = PipedInput(sys.stdin)
 
     def names(self) -> List[str]:
         """Return the names of all predicates, for completion."""
@@ -305,9 +305,9 @@ class Console:
             return False
         return True
 
-    def goals(self, lines: Union[Lines, Terminal]) -> None:
+    def solve_goals(self, lines: Union[PipedInput, TerminalInput]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
-        self._input_lines = lines
+        self._input = lines
         if lines.is_terminal:
             self.logic.ask = self._read_line
         while True:
@@ -320,14 +320,14 @@ class Console:
                 elif not self._solve_goal(clause):
                     return
             except KeyboardInterrupt:
-                lines.rest = ""
+                lines.unread_text = ""
                 print("\n% interrupted", flush=True)
 
     def _read_line(self) -> Optional[str]:
         """Return a line of input for a goal that reads; None at the end."""
         self.logic.column = 0
         with self.logic.machine.budget.paused():
-            return self._input_lines.line("|: ")
+            return self._input.read_line("|: ")
 
     def _solve_goal(self, read_goal: ReadTerm) -> bool:
         """Solve a goal; return False if it ends the console."""
@@ -335,7 +335,7 @@ class Console:
         # `?- Goal.` and `:- Goal.` are accepted, as text is often pasted from a file.
         if goal.__class__ is tuple and goal[0] in _QUERY_FUNCTORS:
             goal = deref(goal[1])
-        if goal.__class__ is Atom and goal.name in LEAVE and not self._defines(goal):
+        if goal.__class__ is Atom and goal.name in QUIT_GOALS and not self._defines(goal):
             return False
         # Alarms that became due while the user was typing precede the goal.
         self.engine.advance()
@@ -389,7 +389,7 @@ class Console:
         query = goal if goal.__class__ is tuple and goal[0] in (_HELP_FUNCTOR, _APROPOS_FUNCTOR) else None
         word = None if query is None else _get_text(query[1])
         if name == "help":
-            lines = [CONSOLE]
+            lines = [CONSOLE_HELP]
         elif query is None or word is None:
             return False
         else:
@@ -430,7 +430,7 @@ class Console:
     def _read_user_clauses(self) -> bool:
         """Read clauses up to the end of the input or ``end_of_file``, and add them."""
         while True:
-            clause = read_clause(self._input_lines, self.logic, "|: ")
+            clause = read_clause(self._input, self.logic, "|: ")
             if clause is None or (
                 not isinstance(clause, SyntaxFault) and _is_atom(clause.term, "end_of_file")
             ):
@@ -478,18 +478,18 @@ class Console:
         with closing(self.logic.solutions(goal)) as solutions:
             for _ in solutions:
                 self._start_new_line()
-                text = bindings(names, self.logic.operators) or "true"
+                text = format_bindings(names, self.logic.operators) or "true"
                 print(text, end="", flush=True)
                 shown += 1
                 if len(choices) == height:
                     # No choice point is left, so there is no further solution.
                     print(".")
                     return
-                if shown == self._max_solutions and not self._input_lines.is_terminal:
+                if shown == self._max_solutions and not self._input.is_terminal:
                     print(" .\n% there may be more (see --most)")
                     return
                 with self.logic.machine.budget.paused():
-                    wants_more = self._input_lines.wants_more()
+                    wants_more = self._input.wants_more()
                 if not wants_more:
                     print(" .")
                     return

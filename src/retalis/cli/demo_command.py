@@ -11,9 +11,9 @@ from ..foundation.errors import UsageError
 from ..playback.bag_locations import MergedBag
 from ..playback.playback import Playback
 from ..prolog.terms.term_traversal import resolve
-from .bag_run import share_of
-from .option_values import seconds, whole
-from .stderr_report import Report, progress
+from .bag_run import progress_of
+from .option_values import any_integer, positive_seconds
+from .stderr_report import Report, show_progress
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
@@ -29,20 +29,20 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     parser.add_argument(
         "--seconds",
-        type=seconds,
+        type=positive_seconds,
         default=20.0,
         metavar="N",
         help="length of the simulated bag in seconds (20)",
     )
     parser.add_argument(
-        "--seed", type=whole, default=1, metavar="N", help="random seed of the simulated bag (1)"
+        "--seed", type=any_integer, default=1, metavar="N", help="random seed of the simulated bag (1)"
     )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    report = Report().listen()
+    report = Report().attach()
     folder = example_folder()
     # The example's modules are scripts beside its data, not part of the package.
     sys.path.append(str(folder))
@@ -76,7 +76,7 @@ def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, f
     """Run the NAO program over a bag; return the last position of each marker by its name."""
     located: Dict[str, Tuple[float, float, float]] = {}
     playback = Playback(program, report)
-    with MergedBag([bag]) as bags, progress("messages", share_of(playback, bags)) as bar:
+    with MergedBag([bag]) as bags, show_progress("messages", progress_of(playback, bags)) as bar:
         for output in playback.run(bags, bar or _nothing):
             if output.topic.startswith("marker"):
                 # A geometry_msgs/PoseStamped.

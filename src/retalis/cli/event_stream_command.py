@@ -40,10 +40,10 @@ from ..prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Term, deref
-from .command_options import add_folders, add_limits, allow_folders, limited
-from .option_values import RELATIVE, RELATIVE_TIMES
-from .output import JSON, Printer
-from .stderr_report import Report, to_reader
+from .command_options import add_folders, add_limits, apply_folders, apply_limits
+from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
+from .output import JSON_HELP, Printer
+from .stderr_report import Report, end_run_on_closed_pipe
 
 
 class ReadLine(NamedTuple):
@@ -53,12 +53,12 @@ class ReadLine(NamedTuple):
     place: Place
 
 
-Read = Union[ReadTerm, ReadLine, SyntaxFault]
+StreamItem = Union[ReadTerm, ReadLine, SyntaxFault]
 
 _AMBIGUOUS_TEXT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
 
 
-def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[Read]:
+def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[StreamItem]:
     """Yield the terms of a stream as soon as their lines are complete, and a `SyntaxFault` for each error."""
     incomplete = ""
     start_line = 1
@@ -99,7 +99,7 @@ def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[
         return None
 
 
-def _is_unfinished(terms: Sequence[Read], text: str, line: int) -> bool:
+def _is_unfinished(terms: Sequence[StreamItem], text: str, line: int) -> bool:
     """Return whether the last clause may continue in the next line."""
     for term in terms:
         if isinstance(term, SyntaxFault) and term.message.startswith("this comment is never closed"):
@@ -110,7 +110,7 @@ def _is_unfinished(terms: Sequence[Read], text: str, line: int) -> bool:
     return last_term.place.line >= line
 
 
-def is_left_unread(number: int = 0) -> bool:
+def has_unread_input(number: int = 0) -> bool:
     """Return whether a pipe or file has unread data, without blocking.
 
     Args:
@@ -143,7 +143,7 @@ event(TERM,[T1,T2]). The stream is Prolog terms: event(TERM,[T1,T2])., event(TER
 stream's: event stamps and the goal sleep(Seconds) move it, and alarms follow it. Errors go to standard
 error with their place; the exit status is 1 if there was one.
 """
-LINES = """\
+JSON_LINES_HELP = """\
   {"event": TERM, "start": T1, "end": T2}           an event
   {"memory_event": TERM, "start": T1, "end": T2}    with --memory-events
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    with --outputs, into that file
@@ -158,7 +158,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "events",
         help="run a program over a stream of events",
         description=DESCRIPTION,
-        epilog=JSON + LINES,
+        epilog=JSON_HELP + JSON_LINES_HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -188,9 +188,9 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         "with variables, or event(TERM,[T1,T2])",
     )
     add(
-        RELATIVE_TIMES,
+        RELATIVE_TIMES_OPTION,
         action="store_const",
-        const=RELATIVE,
+        const=TIMES_RELATIVE,
         dest="times",
         help="print explanations with times in seconds since the first event",
     )
@@ -205,17 +205,17 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error."""
     if not (options.rules or options.goals or options.stream or options.queries or options.explain):
         options.wrong("nothing to do: give --rules, --goals, --stream, --queries or --explain")
-    report = Report().listen()
+    report = Report().attach()
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _open_output(options.outputs, stack))
         session = Session(options, report, printer)
         session.load()
         limit_gc_pauses()
-        session.feed()
-        session.ask()
+        session.process_stream()
+        session.print_results()
         session.reports.sum_up()
     sys.stdout.flush()
-    if options.stream is None and is_left_unread():
+    if options.stream is None and has_unread_input():
         print("warning: standard input was not read; --stream - takes events from it", file=sys.stderr)
     return 1 if report.errors else 0
 
@@ -240,12 +240,14 @@ class Session:
         self._printer = printer
         self._clock = StreamClock(0)
         self.reports = Reports()
-        self.engine = Engine(self._clock, limited(allow_folders(Settings(), options), options), self.reports)
+        self.engine = Engine(
+            self._clock, apply_limits(apply_folders(Settings(), options), options), self.reports
+        )
         # Registered before goals are called, because goals may cause events.
-        self.engine.on_event(to_reader(printer.event))
-        self.engine.on_output(to_reader(self._print_output))
+        self.engine.on_event(end_run_on_closed_pipe(printer.print_event))
+        self.engine.on_output(end_run_on_closed_pipe(self._print_output))
         self._first_start: Optional[int] = None
-        if options.times == RELATIVE:
+        if options.times == TIMES_RELATIVE:
             self.engine.on_event(self._update_first_start)
         self.engine.logic.define_control("sleep", 1, self._sleep)
         # Before any event: the causes of earlier events cannot be recovered.
@@ -259,7 +261,7 @@ class Session:
                 raise UsageError(f"--clock {options.clock}: {error.message}") from error
 
     def _print_output(self, term: Term, topic: str, name: Term) -> None:
-        self._printer.output(term, topic, name, self._clock.now())
+        self._printer.print_output(term, topic, name, self._clock.now())
 
     def load(self) -> None:
         """Call the goals and load the rules; a file with an error is skipped, and the others are loaded."""
@@ -271,7 +273,7 @@ class Session:
     def _load_file(self, load: Callable[[str, str, Path], None], path: Path) -> None:
         load(read_text(path), str(path), path.parent)
 
-    def feed(self) -> None:
+    def process_stream(self) -> None:
         """Process the stream."""
         name = self._options.stream
         if name is None:
@@ -287,21 +289,21 @@ class Session:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
             self._process_stream(read_stream(file, operators, name))
 
-    def _process_stream(self, stream: Iterable[Read]) -> None:
+    def _process_stream(self, stream: Iterable[StreamItem]) -> None:
         try:
-            for read in stream:
-                if isinstance(read, SyntaxFault):
-                    self._report(read)
+            for item in stream:
+                if isinstance(item, SyntaxFault):
+                    self._report(item)
                 else:
-                    self._call_reporting_errors(self._process_term, read)
+                    self._call_reporting_errors(self._process_term, item)
         except UnicodeDecodeError as error:
             raise UsageError(f"the stream is not UTF-8 text: {error}") from error
 
-    def _process_term(self, read: Union[ReadLine, ReadTerm]) -> None:
+    def _process_term(self, item: Union[ReadLine, ReadTerm]) -> None:
         try:
-            self._execute(goal_of(read.term))
+            self._execute(goal_of(item.term))
         except RetalisError as error:
-            raise (error if error.place else RuleError(error.message, read.place)) from error
+            raise (error if error.place else RuleError(error.message, item.place)) from error
 
     def _execute(self, goal: Term) -> None:
         event = event_of(goal)
@@ -315,7 +317,7 @@ class Session:
             self._clock.move_to(event.end)
         self.engine.event_at(event.term, event.start, event.end)
 
-    def ask(self) -> None:
+    def print_results(self) -> None:
         """Print the solutions of the queries, and the explanations."""
         if self._options.queries is not None:
             path = self._options.queries
@@ -332,7 +334,7 @@ class Session:
 
     def _print_explanation(self, text: str) -> None:
         term = read_term(text, self.engine.operators, "--explain").term
-        self._printer.explanation(term, explain(self.engine, term, origin=self._first_start))
+        self._printer.print_explanation(term, explain(self.engine, term, origin=self._first_start))
 
     def _print_solutions(self, goal: ReadTerm) -> None:
         instances: List[Term] = []
@@ -345,7 +347,7 @@ class Session:
         except RetalisError as error:
             raise RuleError(error.message, goal.place) from error
         finally:
-            self._printer.solutions(term, instances)
+            self._printer.print_solutions(term, instances)
 
     def _sleep(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
         """Advance the stream's clock: the goal ``sleep(Seconds)``."""

@@ -12,10 +12,10 @@ from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_top
 from ..foundation.errors import ProgramErrors, UsageError
 from ..messages.type_definition import functor_name
 from ..visualization.program_graph import FORMATS, GraphTopic, dot_text, draw, program_graph
-from .command_options import add_limits, limited
+from .command_options import add_limits, apply_limits
 from .stderr_report import Report
 
-AS_TEXT = ("dot", "gv")
+TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""
 
 DESCRIPTION = """\
@@ -50,47 +50,50 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    report = Report().listen()
+    report = Report().attach()
     # Before the program is loaded: a wrong suffix is reported at once.
-    kind = _format_of(options.output)
+    suffix = _get_output_format(options.output)
     folder = options.folder
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
-    engine = Engine(settings=limited(Settings(), options))
+    engine = Engine(settings=apply_limits(Settings(), options))
     input_topics = engine.input_topics
     # Goals may subscribe topics during loading. They are recorded for the graph, and nothing is subscribed.
-    input_topics.begin(lambda wanted: None)
+    input_topics.begin(lambda request: None)
     try:
         engine.load_program(folder)
     except ProgramErrors as errors:
         for error in errors.errors:
             report(error)
     # A program with errors is drawn as far as it was loaded.
-    text = dot_text(program_graph(engine, _topics(folder, input_topics)), folder.resolve().name)
+    text = dot_text(program_graph(engine, _collect_topics(folder, input_topics)), folder.resolve().name)
     if options.output is None:
         sys.stdout.write(text)
-    elif kind in AS_TEXT:
-        _write(options.output, text)
+    elif suffix in TEXT_SUFFIXES:
+        _write_file(options.output, text)
     else:
         draw(text, options.output)
     return 1 if report.errors else 0
 
 
-def _format_of(path: Optional[Path]) -> str:
+def _get_output_format(path: Optional[Path]) -> str:
     """Return the output format by the suffix of a file; ``dot`` without a file."""
-    kind = "dot" if path is None else path.suffix[1:].lower()
-    if kind not in (*FORMATS, *AS_TEXT):
-        endings = ", ".join(f".{ending}" for ending in (*FORMATS, *AS_TEXT))
+    suffix = "dot" if path is None else path.suffix[1:].lower()
+    if suffix not in (*FORMATS, *TEXT_SUFFIXES):
+        endings = ", ".join(f".{ending}" for ending in (*FORMATS, *TEXT_SUFFIXES))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
-    return kind
+    return suffix
 
 
-def _topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
+def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
     topics = input_topics.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
-    return [GraphTopic(name, topics.event_of(name) or functor_name(kind)) for name, kind in topics.subscribed]
+    return [
+        GraphTopic(name, topics.event_of(name) or functor_name(type_name))
+        for name, type_name in topics.subscribed
+    ]
 
 
-def _write(path: Path, text: str) -> None:
+def _write_file(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

@@ -2,8 +2,8 @@
 
 Each bag is a `BagTask`, which a worker plays from the program's initial state (`play_bag`). With ``--parts``, the
 parts of a split recording form a chain: a part is ready when the former one has finished, and continues from its
-snapshot. `play_many` schedules the tasks; `_Results` holds finished results back until all earlier ones have been
-printed, so that the output does not depend on the number of workers.
+snapshot. `play_separately` schedules the tasks; `_Results` holds finished results back until all earlier ones have
+been printed, so that the output does not depend on the number of workers.
 """
 
 import argparse
@@ -34,8 +34,8 @@ from ..playback.bag_locations import (
 from ..playback.run_records import RunTable
 from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
 from .bag_run import RecordHandler, play, print_record
-from .option_values import from_one
-from .stderr_report import Report, leave, progress
+from .option_values import positive_integer
+from .stderr_report import Report, detach_reports, show_progress
 
 FORMATS = ("bag", "parquet", "jsonl")
 
@@ -63,7 +63,7 @@ class BagTask(NamedTuple):
     state: Optional[bytes] = None
 
 
-class Played(NamedTuple):
+class BagOutcome(NamedTuple):
     """The outcome of a bag.
 
     Attributes:
@@ -83,7 +83,7 @@ _PROCESS_LOCK = threading.Lock()
 """Lock of standard output and the reports, which exist once per process: a Dask worker may have several threads."""
 
 
-def play_bag(task: BagTask, scratch: str) -> Played:
+def play_bag(task: BagTask, scratch: str) -> BagOutcome:
     """Play a bag and write its result; all errors are part of the returned outcome.
 
     Args:
@@ -92,7 +92,7 @@ def play_bag(task: BagTask, scratch: str) -> Played:
     """
     stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
     with _PROCESS_LOCK, redirect_stderr(stderr):
-        report = Report().listen(events=True)
+        report = Report().attach(events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
                 state = _play_into(result, bag, task, report)
@@ -102,11 +102,11 @@ def play_bag(task: BagTask, scratch: str) -> Played:
             # An internal error in one bag must not stop the others.
             failure = f"{type(error).__name__}: {error}"
         finally:
-            leave()
+            detach_reports()
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    return Played(report.errors, messages, failure or None, state)
+    return BagOutcome(report.errors, messages, failure or None, state)
 
 
 def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional[bytes]:
@@ -173,7 +173,7 @@ _OPTIONS = (
 """The options that apply to a single bag."""
 
 
-def add_many(parser: argparse.ArgumentParser) -> None:
+def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for many bags."""
     group = parser.add_argument_group(
         "many bags",
@@ -181,7 +181,12 @@ def add_many(parser: argparse.ArgumentParser) -> None:
         "played. A bag whose worker dies is played again by another worker.",
     )
     add = group.add_argument
-    add("--jobs", type=from_one, metavar="N", help="play N bags at a time, in processes of this machine")
+    add(
+        "--jobs",
+        type=positive_integer,
+        metavar="N",
+        help="play N bags at a time, in processes of this machine",
+    )
     add(
         "--scheduler",
         metavar="ADDRESS",
@@ -202,7 +207,7 @@ def add_many(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def are_many(options: argparse.Namespace) -> bool:
+def plays_separately(options: argparse.Namespace) -> bool:
     """Return whether the options request a separate run for each bag.
 
     Raises:
@@ -223,10 +228,10 @@ def are_many(options: argparse.Namespace) -> bool:
     return False
 
 
-_Outcome = Union[Played, Unfinished]
+_TaskOutcome = Union[BagOutcome, Unfinished]
 
 
-def play_many(options: argparse.Namespace) -> int:
+def play_separately(options: argparse.Namespace) -> int:
     """Play each bag in a run of its own, and print or store the results in order; return the exit status."""
     _check_options(options)
     with ExitStack() as stack:
@@ -234,7 +239,7 @@ def play_many(options: argparse.Namespace) -> int:
         tasks, ready = _create_tasks(options, _find_recordings(options), scratch)
         stack.callback(remove_incomplete_results, [task.target for task in tasks])
         results = _Results(tasks, to_print=options.output is None)
-        bar = stack.enter_context(progress("bags", lambda: results.done / len(tasks)))
+        bar = stack.enter_context(show_progress("bags", lambda: results.done / len(tasks)))
         clear_bar = bar.clear if bar is not None else lambda: None
 
         def warn_worker_death(number: int, description: str) -> None:
@@ -247,7 +252,7 @@ def play_many(options: argparse.Namespace) -> int:
         outcomes = stack.enter_context(closing(_run_tasks(options, tasks, ready, scratch, warn_worker_death)))
         for number, outcome in outcomes:
             clear_bar()
-            if isinstance(outcome, Played) and outcome.state is not None:
+            if isinstance(outcome, BagOutcome) and outcome.state is not None:
                 # The next part runs before other bags, so that few snapshots exist at a time: they are large.
                 tasks[number + 1] = tasks[number + 1]._replace(state=outcome.state)
                 ready.appendleft(number + 1)
@@ -266,7 +271,7 @@ def _run_tasks(
     ready: Deque[int],
     scratch: str,
     on_worker_death: Callable[[int, str], object],
-) -> Generator[Tuple[int, _Outcome], None, None]:
+) -> Generator[Tuple[int, _TaskOutcome], None, None]:
     if options.scheduler:
         return run_on_cluster(play_bag, tasks, options.scheduler, ready)
     return run_in_processes(play_bag, tasks, options.jobs, scratch, on_worker_death, ready)
@@ -378,14 +383,14 @@ class _Results:
     def __init__(self, tasks: List[BagTask], to_print: bool):
         self._tasks = tasks
         self._to_print = to_print
-        self._outcomes: Dict[int, _Outcome] = {}
+        self._outcomes: Dict[int, _TaskOutcome] = {}
         self._next_to_report = 0
         self._errors = 0
         self._failed = 0
         self._message_counts: Dict[str, int] = {}
         self.done = 0
 
-    def take(self, number: int, outcome: _Outcome) -> None:
+    def take(self, number: int, outcome: _TaskOutcome) -> None:
         """Store the outcome of a bag; report all outcomes whose predecessors have been reported."""
         self.done += 1
         self._outcomes[number] = outcome
@@ -398,9 +403,9 @@ class _Results:
             self._report(self._tasks[self._next_to_report], self._outcomes.pop(self._next_to_report))
             self._next_to_report += 1
 
-    def _report(self, task: BagTask, outcome: _Outcome) -> None:
+    def _report(self, task: BagTask, outcome: _TaskOutcome) -> None:
         failure = _get_failure(outcome)
-        if isinstance(outcome, Played):
+        if isinstance(outcome, BagOutcome):
             self._errors += outcome.errors
             self._report_messages(task, outcome.stderr_text)
         # A worker of a cluster may have written to a folder of its own machine with the same path.
@@ -432,7 +437,7 @@ class _Results:
         return 1 if self._failed or self._errors else 0
 
 
-def _get_failure(outcome: _Outcome) -> Optional[str]:
+def _get_failure(outcome: _TaskOutcome) -> Optional[str]:
     return outcome.reason if isinstance(outcome, Unfinished) else outcome.failure
 
 

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any, Callable
 
 from ..foundation.errors import UsageError
-from .option_values import any_number, from_zero
+from .option_values import any_number, non_negative
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
@@ -48,17 +48,17 @@ def _add_query(add_command: AddCommand) -> None:
     query.description = f"{query.description} {EXIT_STATUS_HELP}"
     add = query.add_argument
     add("goal", metavar="GOAL", help="as in 'access_mem(odom,P,[T1,T2])'")
-    add("--most", type=from_zero(int), metavar="N", default=100, help="solutions at most (100)")
+    add("--most", type=non_negative(int), metavar="N", default=100, help="solutions at most (100)")
     add(
         "--seconds",
-        type=from_zero(float),
+        type=non_negative(float),
         default=0.0,
         metavar="N",
         help="limit for the goal, besides the node's own",
     )
     add(
         "--inferences",
-        type=from_zero(int),
+        type=non_negative(int),
         metavar="N",
         default=0,
         help="the same in inferences; 0 is no limit, for both (0)",
@@ -71,7 +71,7 @@ def _add_query(add_command: AddCommand) -> None:
         help="wait until it has a record at --stamp or later",
     )
     add("--stamp", type=any_number, default=0.0, metavar="SECONDS", help="for --wait-for, since the epoch")
-    add("--timeout", type=from_zero(float), default=10.0, metavar="SECONDS", help="how long to wait (10)")
+    add("--timeout", type=non_negative(float), default=10.0, metavar="SECONDS", help="how long to wait (10)")
 
 
 def _add_watch(add_command: AddCommand) -> None:
@@ -85,7 +85,7 @@ def _add_watch(add_command: AddCommand) -> None:
         help="print these events, too, with a temporary subscription",
     )
     add("--inputs", action="store_true", help="print the input events that arrive as text, too")
-    add("--count", type=from_zero(int), metavar="N", default=0, help="stop after N lines; 0: never (0)")
+    add("--count", type=non_negative(int), metavar="N", default=0, help="stop after N lines; 0: never (0)")
 
 
 def _add_node_command(add_command: AddCommand, name: str, summary: str) -> argparse.ArgumentParser:
@@ -98,20 +98,20 @@ def _add_node_command(add_command: AddCommand, name: str, summary: str) -> argpa
 
 def run(options: argparse.Namespace) -> int:
     """Run a command for a running node."""
-    return of_ros("live_commands", options)
+    return run_ros_command("live_commands", options)
 
 
-def of_ros(module: str, options: argparse.Namespace) -> int:
+def run_ros_command(module: str, options: argparse.Namespace) -> int:
     """Run the command of a module in package ``ros``.
 
     Raises:
         UsageError: if ROS is not installed.
     """
-    status: int = ros_module(module).run(options)
+    status: int = import_ros_module(module).run(options)
     return status
 
 
-def ros_module(name: str) -> Any:
+def import_ros_module(name: str) -> Any:
     """Import a module of package ``ros``.
 
     Raises:

@@ -3,55 +3,59 @@
 import argparse
 from typing import Callable, List, Optional
 
-Reader = Callable[[str], float]
+NumberReader = Callable[[str], float]
 
-STAMPS, RELATIVE = "stamps", "relative"
-RELATIVE_TIMES = "--times=relative"
+TIMES_AS_STAMPS, TIMES_RELATIVE = "stamps", "relative"
+RELATIVE_TIMES_OPTION = "--times=relative"
 """Option for times relative to the start of a run; ``--times relative`` is the same."""
 
 
-def from_zero(kind: Callable[[str], float]) -> Reader:
+def non_negative(number_type: Callable[[str], float]) -> NumberReader:
     """Return a converter for numbers of 0 or more.
 
     Args:
-        kind: ``int`` or ``float``.
+        number_type: ``int`` or ``float``.
     """
-    name = "a whole number" if kind is int else "a number"
-    return _reader(kind, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
+    name = "a whole number" if number_type is int else "a number"
+    return _make_reader(number_type, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
 
 
-def _reader(kind: Callable[[str], float], fits: Callable[[float], bool], expected: str) -> Reader:
+def _make_reader(
+    number_type: Callable[[str], float], is_allowed: Callable[[float], bool], expected: str
+) -> NumberReader:
     def read(text: str) -> float:
-        number = _number(kind, text)
-        if number is None or not fits(number):
+        number = _parse_number(number_type, text)
+        if number is None or not is_allowed(number):
             raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
         return number
 
     return read
 
 
-def _number(kind: Callable[[str], float], text: str) -> Optional[float]:
+def _parse_number(number_type: Callable[[str], float], text: str) -> Optional[float]:
     try:
-        return kind(text)
+        return number_type(text)
     except ValueError:
         return None
 
 
-from_one = _reader(int, lambda number: number >= 1, "a whole number of 1 or more")
-whole = _reader(int, lambda number: True, "a whole number")
-any_number = _reader(float, lambda number: True, "a number")
-seconds = _reader(float, lambda number: 0 < number < float("inf"), "a positive number of seconds")
+positive_integer = _make_reader(int, lambda number: number >= 1, "a whole number of 1 or more")
+any_integer = _make_reader(int, lambda number: True, "a whole number")
+any_number = _make_reader(float, lambda number: True, "a number")
+positive_seconds = _make_reader(
+    float, lambda number: 0 < number < float("inf"), "a positive number of seconds"
+)
 
 
-def join_times(arguments: List[str]) -> List[str]:
+def join_times_option(arguments: List[str]) -> List[str]:
     """Join ``--times relative`` to one argument.
 
     ``--times`` alone takes no value, so that a bag may follow it. argparse cannot distinguish the two forms.
     """
     joined: List[str] = []
     for argument in arguments:
-        if argument == RELATIVE and joined and joined[-1] == "--times":
-            joined[-1] = RELATIVE_TIMES
+        if argument == TIMES_RELATIVE and joined and joined[-1] == "--times":
+            joined[-1] = RELATIVE_TIMES_OPTION
         else:
             joined.append(argument)
     return joined

@@ -6,15 +6,14 @@ from typing import IO, Dict, List, Optional
 
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.explain import Explanation, ExplanationLine
-from ..prolog.syntax.term_writer import add_full_stop
-from ..prolog.syntax.term_writer import canonical_text as text
+from ..prolog.syntax.term_writer import add_full_stop, canonical_text
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 
 EVENT_FUNCTOR = functor("event", 2)
 MEMORY_EVENT_FUNCTOR = functor("memory_event", 2)
 OUTPUT_FUNCTOR = functor("output", 3)
-JSON = """\
+JSON_HELP = """\
 with --json each line is one object. Terms are strings that read back; T, T1 and T2 are whole nanoseconds since
 the epoch, whatever form the stamps have in terms:
 """
@@ -34,15 +33,15 @@ class Printer:
         self._memory_events = memory_events
         self._outputs = outputs
 
-    def event(self, term: Term, start: int, end: int) -> None:
+    def print_event(self, term: Term, start: int, end: int) -> None:
         """Print an event."""
         is_memory_event = term.__class__ is tuple and term[0] in MEMORY_EVENTS
         if is_memory_event and not self._memory_events:
             return
         if self._json:
-            self.line(
+            self.print_json(
                 {
-                    "memory_event" if is_memory_event else "event": text(term),
+                    "memory_event" if is_memory_event else "event": canonical_text(term),
                     "start": int(start),
                     "end": int(end),
                 }
@@ -50,40 +49,56 @@ class Printer:
         else:
             interval = timestamps.interval_term(start, end)
             print(
-                f"{text((MEMORY_EVENT_FUNCTOR if is_memory_event else EVENT_FUNCTOR, term, interval))}.",
+                f"{canonical_text((MEMORY_EVENT_FUNCTOR if is_memory_event else EVENT_FUNCTOR, term, interval))}.",
                 flush=True,
             )
 
-    def output(self, term: Term, topic: str, name: Term, instant: int) -> None:
+    def print_output(self, term: Term, topic: str, name: Term, instant: int) -> None:
         """Print an output to a subscriber."""
         if self._outputs is None:
             return
         if self._json:
-            content = {"output": text(term), "topic": topic, "id": text(name), "time": int(instant)}
-            self.line(content, self._outputs)
+            content = {
+                "output": canonical_text(term),
+                "topic": topic,
+                "id": canonical_text(name),
+                "time": int(instant),
+            }
+            self.print_json(content, self._outputs)
         else:
-            print(f"{text((OUTPUT_FUNCTOR, term, atom(topic), name))}.", file=self._outputs, flush=True)
+            print(
+                f"{canonical_text((OUTPUT_FUNCTOR, term, atom(topic), name))}.",
+                file=self._outputs,
+                flush=True,
+            )
 
-    def solutions(self, goal: Term, instances: List[Term]) -> None:
+    def print_solutions(self, goal: Term, instances: List[Term]) -> None:
         """Print the solutions of a query, each as an instance of the goal."""
         if self._json:
-            self.line({"query": text(goal), "solutions": [text(solution) for solution in instances]})
+            self.print_json(
+                {
+                    "query": canonical_text(goal),
+                    "solutions": [canonical_text(solution) for solution in instances],
+                }
+            )
             return
         for solution in instances:
-            print(add_full_stop(text(solution)), flush=True)
+            print(add_full_stop(canonical_text(solution)), flush=True)
 
-    def explanation(self, term: Term, answer: Explanation) -> None:
+    def print_explanation(self, term: Term, answer: Explanation) -> None:
         """Print the explanation of an event that happened or did not happen."""
         if self._json:
             because = [_line_to_json(line) for line in answer.lines]
-            self.line({"explain": text(term), "happened": answer.happened, "because": because})
+            self.print_json(
+                {"explain": canonical_text(term), "happened": answer.happened, "because": because}
+            )
             return
-        print(f"% {text(term)} {'happened' if answer.happened else 'did not happen'}")
+        print(f"% {canonical_text(term)} {'happened' if answer.happened else 'did not happen'}")
         for line in answer.lines:
             for part in line.indented(1):
                 print(f"% {part}")
 
-    def line(self, content: Dict[str, object], file: Optional[IO[str]] = None) -> None:
+    def print_json(self, content: Dict[str, object], file: Optional[IO[str]] = None) -> None:
         """Print a line of JSON."""
         print(json.dumps(content, ensure_ascii=False), file=file or sys.stdout, flush=True)
 

@@ -9,9 +9,9 @@ from ..foundation.errors import UsageError
 from ..playback.run_records import RunRecorder
 from ..visualization.timeline import PICTURES, Timeline, TimelineBuilder, draw_timeline, page, read_run
 from .bag_command import add_source
-from .bag_run import bags_of, playback_of, share_of
+from .bag_run import create_playback, open_bags, progress_of
 from .command_options import add_folders, add_limits
-from .stderr_report import Report, progress
+from .stderr_report import Report, show_progress
 
 PAGE_SUFFIXES = ("html", "htm")
 
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     if suffix not in (*PAGE_SUFFIXES, *PICTURES):
         endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURES))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
-    report = Report().listen()
+    report = Report().attach()
     if options.run_file is not None:
         if options.bags:
             options.wrong("give bags or --from, not both")
@@ -83,10 +83,10 @@ def _read_timeline(path: Path) -> Timeline:
 def _record_timeline(options: argparse.Namespace, report: Report) -> TimelineBuilder:
     """Run the program over the bags, and record its timeline."""
     builder = TimelineBuilder()
-    with bags_of(options) as bags:
-        playback = playback_of(options, report)
+    with open_bags(options) as bags:
+        playback = create_playback(options, report)
         recorder = RunRecorder(playback, builder.take)
-        with progress("messages", share_of(playback, bags)) as bar:
+        with show_progress("messages", progress_of(playback, bags)) as bar:
 
             def advance(done: int) -> None:
                 recorder.update_waits()

@@ -13,21 +13,21 @@ _event_logger = logging.getLogger("retalis.events")
 """Logger of the events that a program requests to be shown."""
 
 
-class NobodyReads(BaseException):
+class OutputClosed(BaseException):
     """Raised in a callback of the engine to end the run when the reader of the output has closed the pipe.
 
     It is not an `Exception`, because the engine reports exceptions of callbacks and continues.
     """
 
 
-def to_reader(callback: Callable[..., None]) -> Callable[..., None]:
+def end_run_on_closed_pipe(callback: Callable[..., None]) -> Callable[..., None]:
     """Wrap a printing callback of the engine, so that a closed pipe ends the run."""
 
     def print_or_end_run(*arguments: object) -> None:
         try:
             callback(*arguments)
         except BrokenPipeError:
-            raise NobodyReads from None
+            raise OutputClosed from None
 
     return print_or_end_run
 
@@ -61,8 +61,12 @@ class Report(logging.Handler):
             self.errors += 1
         print(f"{record.levelname.lower()}: {text}", file=sys.stderr)
 
-    def listen(self, events: bool = False) -> "Report":
-        """Report the log records of the package until `leave`, on request also the events that a program shows."""
+    def attach(self, events: bool = False) -> "Report":
+        """Report the log records of the package until `detach_reports` is called.
+
+        Args:
+            events: whether to report the events that the program requests to be shown, too.
+        """
         if events:
             _event_logger.setLevel(logging.INFO)
         _package_logger.addHandler(self)
@@ -70,7 +74,7 @@ class Report(logging.Handler):
         return self
 
 
-def leave() -> None:
+def detach_reports() -> None:
     """End all reports, and restore the loggers."""
     for handler in [candidate for candidate in _package_logger.handlers if isinstance(candidate, Report)]:
         _package_logger.removeHandler(handler)
@@ -87,11 +91,11 @@ BAR_WIDTH = 30
 _CLEAR_LINE = "\r\033[K"
 
 
-class Bar:
+class ProgressBar:
     """Progress bar in one line: share, count, rate and remaining time.
 
     Args:
-        what: name of the counted items.
+        item_name: name of the counted items.
         share: returns the completed share, from 0 to 1.
         file: terminal to draw on.
         clock: clock in seconds.
@@ -99,12 +103,12 @@ class Bar:
 
     def __init__(
         self,
-        what: str,
+        item_name: str,
         share: Callable[[], float],
         file: IO[str],
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._item_name = what
+        self._item_name = item_name
         self._share = share
         self._file = file
         self._clock = clock
@@ -134,12 +138,12 @@ class Bar:
 
 
 @contextmanager
-def progress(what: str, share: Callable[[], float]) -> Iterator[Optional[Bar]]:
+def show_progress(item_name: str, share: Callable[[], float]) -> Iterator[Optional[ProgressBar]]:
     """Yield a progress bar; None if standard error is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return
-    bar = Bar(what, share, sys.stderr)
+    bar = ProgressBar(item_name, share, sys.stderr)
     try:
         yield bar
     finally:

@@ -1,7 +1,8 @@
 """Input and answers of a Prolog top level.
 
-Input comes from a terminal with history and completion, or from a pipe (`Lines`, `Terminal`); `read_clause` reads
-lines until they contain a complete term. Answers have the form ``X = f(Y), Z = 1`` (`bindings`).
+Input comes from a pipe (`PipedInput`), or from a terminal with history and completion (`TerminalInput`);
+`read_clause` reads lines until they contain a complete term. Answers have the form ``X = f(Y), Z = 1``
+(`format_bindings`).
 """
 
 import atexit
@@ -33,7 +34,7 @@ class _VariableGroup(NamedTuple):
     value: Term
 
 
-def bindings(names: Dict[str, Var], operators: Operators) -> str:
+def format_bindings(names: Dict[str, Var], operators: Operators) -> str:
     """Return the values of a goal's variables as text; empty if there are none to show.
 
     Variables whose names begin with ``_`` are not shown. Variables with the same value share a line. Variables in
@@ -135,25 +136,25 @@ def _is_too_large(term: Term) -> bool:
 
 HISTORY_PATH = Path.home() / ".retalis_history"
 
-LEAVE = ("halt", "quit", "exit", "end_of_file")
+QUIT_GOALS = ("halt", "quit", "exit", "end_of_file")
 """Goals that end a top level."""
 
 _PLAIN_ATOM = re.compile(r"[a-z]\w*\Z")
 
-Read = Union[ReadTerm, SyntaxFault]
+ParsedTerm = Union[ReadTerm, SyntaxFault]
 
 
-class Lines:
+class PipedInput:
     """Input lines of a pipe or a file."""
 
     is_terminal = False
 
     def __init__(self, file: IO[str]):
         self._file = file
-        self.rest = ""
+        self.unread_text = ""
         """Text after the full stop in the last line."""
 
-    def line(self, prompt: str) -> Optional[str]:
+    def read_line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end."""
         return self._file.readline() or None
 
@@ -162,14 +163,14 @@ class Lines:
         return True
 
 
-class Terminal:
+class TerminalInput:
     """Input lines of a terminal, edited with readline if it is available."""
 
     is_terminal = True
 
     def __init__(self, names: Callable[[], Iterable[str]]):
         self._list_names = names
-        self.rest = ""
+        self.unread_text = ""
         self._candidates: List[str] = []
         self._set_up_readline()
 
@@ -199,7 +200,7 @@ class Terminal:
             self._candidates = completions(text, self._list_names())
         return self._candidates[number] if number < len(self._candidates) else None
 
-    def line(self, prompt: str) -> Optional[str]:
+    def read_line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end (ctrl-D)."""
         try:
             return input(prompt) + "\n"
@@ -252,12 +253,14 @@ def completions(text: str, names: Iterable[str]) -> List[str]:
     return sorted({name for name in names if name.startswith(text) and re.match(r"[a-z]\w*\Z", name)})
 
 
-def read_clause(lines: Union[Lines, Terminal], logic: PrologSystem, prompt: str) -> Optional[Read]:
+def read_clause(
+    lines: Union[PipedInput, TerminalInput], logic: PrologSystem, prompt: str
+) -> Optional[ParsedTerm]:
     """Return the next term of the input, a `SyntaxFault`, or None at the end.
 
     Text after the term's full stop in the same line is stored for the next call; after an error it is discarded.
     """
-    incomplete, lines.rest = lines.rest, ""
+    incomplete, lines.unread_text = lines.unread_text, ""
     while True:
         # Only a full stop can complete a term.
         if "." in incomplete:
@@ -268,17 +271,17 @@ def read_clause(lines: Union[Lines, Terminal], logic: PrologSystem, prompt: str)
                 incomplete = ""
             elif not _is_incomplete(term, incomplete):
                 if not isinstance(term, SyntaxFault) and incomplete[program.end :].strip():
-                    lines.rest = incomplete[program.end :]
+                    lines.unread_text = incomplete[program.end :]
                 return term
         elif not incomplete.strip():
             incomplete = ""
-        line = lines.line("|    " if incomplete.strip() else prompt)
+        line = lines.read_line("|    " if incomplete.strip() else prompt)
         if line is None:
             return next(iter(read_program(incomplete, logic.operators, "user", _get_read_flags(logic))), None)
         incomplete += line
 
 
-def _is_incomplete(term: Read, text: str) -> bool:
+def _is_incomplete(term: ParsedTerm, text: str) -> bool:
     """Return whether a term is incomplete and may continue in the next line."""
     if not isinstance(term, SyntaxFault) or text.rstrip().endswith("."):
         return False

@@ -288,7 +288,9 @@ def _listed(node: LiveNode) -> Dict[str, Any]:
 
 def _list(options: argparse.Namespace) -> int:
     answer = _listed(LiveNode(options.node, interfaces=True))
-    print(json.dumps(answer) if options.json else "\n".join(map(printable, text_tables.report(answer))))
+    print(
+        json.dumps(answer) if options.json else "\n".join(map(printable, text_tables.format_record(answer)))
+    )
     return 0
 
 
@@ -351,7 +353,7 @@ def _ros_node(name: str) -> Iterator[IO[str]]:
 def _page(node: LiveNode, before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Iterator[str]:
     """Yield the lines of a node's status, cut at the width of the terminal."""
     columns = shutil.get_terminal_size().columns
-    for line in text_tables.status_page(before, answer, seconds, columns, node.has_engine):
+    for line in text_tables.format_status(before, answer, seconds, columns, node.has_engine):
         yield printable(line)[:columns]
 
 

@@ -24,13 +24,15 @@ def run(options: argparse.Namespace) -> int:
     console = LiveConsole(LiveNode(options.node), options.most)
     if options.goal:
         for goal in options.goal:
-            console.goals(toplevel_io.Lines(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+            console.goals(
+                toplevel_io.PipedInput(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n"))
+            )
     elif sys.stdin.isatty():
         print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
-        console.goals(toplevel_io.Terminal(list))
+        console.goals(toplevel_io.TerminalInput(list))
         return 0
     else:
-        console.goals(toplevel_io.Lines(sys.stdin))
+        console.goals(toplevel_io.PipedInput(sys.stdin))
     return 1 if console.errors else 0
 
 
@@ -51,7 +53,7 @@ class LiveConsole:
         self._most = most
         self._logic = PrologSystem()
 
-    def goals(self, lines: Union[toplevel_io.Lines, toplevel_io.Terminal]) -> None:
+    def goals(self, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
         while True:
             try:
@@ -62,20 +64,20 @@ class LiveConsole:
                     self._say(str(read))
                     continue
                 goal = deref(read.term)
-                if isinstance(goal, Atom) and goal.name in toplevel_io.LEAVE:
+                if isinstance(goal, Atom) and goal.name in toplevel_io.QUIT_GOALS:
                     return
                 self._ask(read, lines)
             except UsageError as error:
                 self._say(str(error))
             except KeyboardInterrupt:
-                lines.rest = ""
+                lines.unread_text = ""
                 print("\n% interrupted", flush=True)
 
     def _say(self, text: str) -> None:
         self.errors += 1
         print(text, file=sys.stderr, flush=True)
 
-    def _ask(self, read: ReadTerm, lines: Union[toplevel_io.Lines, toplevel_io.Terminal]) -> None:
+    def _ask(self, read: ReadTerm, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
         names = {var: name for name, var in read.names.items()}
         # Parsed and written again: the node gets a single goal without comments, with the names of its variables.
         goal = write_term(read.term, self._logic.operators, quoted=True, variable_names=names)
