@@ -81,7 +81,7 @@ class Stream:
         self.status = status
         self._file = file
 
-    def next(self, name="look"):
+    def next(self, name="snapshot"):
         """Return the data of the next event of a name."""
         while True:
             line = self._file.readline()

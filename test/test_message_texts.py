@@ -75,9 +75,9 @@ def test_such_texts_are_in_snapshots_and_on_the_dashboard():
     engine = Engine(StreamClock(0))
     engine.load(rules=RULES, goals=GOALS)
     recent = RecentEvents(engine)
-    recent.watch(True)
+    recent.set_observing(True)
     engine.post(decoded(message("Jürgen")), SECOND)
-    assert "my_msgs__0__Note('\"Jürgen\"','\"bytes\"')" in [event.text for event in recent.latest()]
+    assert "my_msgs__0__Note('\"Jürgen\"','\"bytes\"')" in [event.text for event in recent.take_latest()]
     other = Engine.restore(engine.snapshot())
     assert other.query("access_mem(memory, met(_, '\"Jürgen\"'), _)")
     other.post(decoded(message("Jürgen")), 2 * SECOND)

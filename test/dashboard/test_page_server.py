@@ -285,7 +285,7 @@ def test_a_port_that_is_taken_is_an_error_with_its_number(page):
 
 
 def test_next_ports_are_tried_on_request(page):
-    other = Dashboard(DashboardSource(engine(), "x"), page.port, tries=20)
+    other = Dashboard(DashboardSource(engine(), "x"), page.port, port_count=20)
     try:
         assert page.port < other.port < page.port + 20
     finally:
@@ -294,7 +294,7 @@ def test_next_ports_are_tried_on_request(page):
 
 def test_ports_end_at_65535():
     with pytest.raises(UsageError, match="port 70000 of 127.0.0.1"):
-        Dashboard(DashboardSource(engine(), "x"), 70_000, tries=20)
+        Dashboard(DashboardSource(engine(), "x"), 70_000, port_count=20)
 
 
 def test_without_tornado_it_says_what_is_missing(monkeypatch):

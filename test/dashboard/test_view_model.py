@@ -9,7 +9,7 @@ from retalis.dashboard.view_model import (
     MAX_SHOWN_EVENTS,
     MAX_WRITTEN_PER_SNAPSHOT,
     RecentEvents,
-    event_beginning,
+    format_event_beginning,
 )
 from retalis.events.dispatch.listeners import NOT_READ
 from retalis.prolog.terms.types import CONS, Lazy
@@ -26,15 +26,15 @@ def engine():
 @pytest.fixture
 def recent(engine):
     it = RecentEvents(engine)
-    it.watch(True)
+    it.set_observing(True)
     return it
 
 
 def test_events_are_kept_while_that_is_wanted(engine, recent):
     engine.event("smoke(hall)", 1, 2)
-    recent.watch(False)
+    recent.set_observing(False)
     engine.event("heat(hall)", 3)
-    (found,) = recent.latest()
+    (found,) = recent.take_latest()
     assert (found.text, found.whole, found.start, found.end) == ("smoke(hall)", True, 10**9, 2 * 10**9)
     assert recent.counts() == {"smoke/1": (1, 2 * 10**9)}
 
@@ -43,7 +43,7 @@ def test_rare_events_stay_beside_many(engine, recent):
     engine.event("smoke(hall)", 1)
     for second in range(2, 1000):
         engine.event("tick", second)
-    found = recent.latest()
+    found = recent.take_latest()
     assert len(found) == 1 + MAX_WRITTEN_PER_SNAPSHOT
     assert found[-1].text == "smoke(hall)"
     assert recent.counts()["tick/0"].number == 998
@@ -52,7 +52,7 @@ def test_rare_events_stay_beside_many(engine, recent):
 def test_all_is_bounded(engine, recent):
     for number in range(3 * MAX_FUNCTORS):
         engine.event(f"e{number}(1)", number + 1)
-    assert len(recent.latest()) == MAX_SHOWN_EVENTS
+    assert len(recent.take_latest()) == MAX_SHOWN_EVENTS
     assert len(recent.counts()) == MAX_FUNCTORS + 1
     assert recent.counts()["others"].number == 2 * MAX_FUNCTORS
 
@@ -69,7 +69,7 @@ def test_all_is_bounded(engine, recent):
     ],
 )
 def test_large_events_are_cut_and_not_even_made(engine, term):
-    text, whole = event_beginning(engine.show, term)
+    text, whole = format_event_beginning(engine.show, term)
     assert "..." in text
     assert len(text) <= MAX_EVENT_CHARACTERS + 3
     assert not whole
@@ -79,7 +79,7 @@ def test_deep_events_are_cut(engine):
     term = atom("deep")
     for _ in range(100_000):
         term = functor("f", 1)(term)
-    text, whole = event_beginning(engine.show, term)
+    text, whole = format_event_beginning(engine.show, term)
     assert text.endswith("..." + ")" * text.count("f("))
     assert not whole
 
@@ -87,18 +87,18 @@ def test_deep_events_are_cut(engine):
 @pytest.mark.parametrize("text", ["f(A,_,A)", "f([],[a|B])", "f('A b',\"text\",-1.5)", "atom", "1 + 2"])
 def test_short_events_are_whole(engine, recent, text):
     engine.event(text, 1)
-    (found,) = recent.latest()
+    (found,) = recent.take_latest()
     assert found.whole
     assert engine.logic.once((functor("=@=", 2), engine.query(f"X = ({text})")[0]["X"], recent_term(recent)))
 
 
 def recent_term(recent):
-    return recent.find(recent.latest()[0].serial)[1]
+    return recent.find(recent.take_latest()[0].serial)[1]
 
 
 def test_an_event_that_is_kept_can_be_explained(engine, recent):
     engine.event("smoke(hall)", 1.000000001)
     engine.event("heat(hall)", 2)
-    alarm = recent.latest()[0]
+    alarm = recent.take_latest()[0]
     assert explain(engine, recent.find(alarm.serial)).happened
     assert recent.find(alarm.serial + 1) is None

@@ -57,7 +57,7 @@ def opened(port, path="/"):
 
 def next_look(stream):
     for line in stream:
-        if line == b"event: look\n":
+        if line == b"event: snapshot\n":
             return json.loads(next(stream)[len("data: ") :])
     return pytest.fail("the stream has ended")
 

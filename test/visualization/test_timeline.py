@@ -13,12 +13,12 @@ from retalis import UsageError
 from retalis.visualization.timeline import (
     MAX_LANES,
     MAX_MARKS,
-    TRACKS,
+    MAX_ROWS_PER_LANE,
     TimelineBuilder,
+    assign_rows,
     draw_timeline,
-    page,
     read_run,
-    tracks,
+    timeline_page,
 )
 
 SECOND = 10**9
@@ -63,10 +63,10 @@ def test_a_long_run_is_thinned_over_its_whole_length():
     builder = TimelineBuilder()
     number = 2 * MAX_MARKS + 7
     for at in range(number):
-        builder.take({"event": "a", "start": at, "end": at})
+        builder.add_record({"event": "a", "start": at, "end": at})
     for at in range(MAX_LANES + 3):
-        builder.take({"event": f"e{at}", "start": at, "end": at})
-    run = builder.timeline()
+        builder.add_record({"event": f"e{at}", "start": at, "end": at})
+    run = builder.build()
     lane = run.lanes[0]
     assert lane.number == number and MAX_MARKS / 2 <= len(lane.marks) <= MAX_MARKS
     assert round(lane.marks[-1][0] * SECOND) > number - 5
@@ -98,17 +98,17 @@ MARKS = some.lists(some.tuples(some.integers(0, 20), some.integers(0, 5)).map(la
 @settings(max_examples=30)
 @given(MARKS.map(sorted))
 def test_marks_of_a_row_overlap_only_where_all_rows_are_taken(marks):
-    rows = tracks(marks)
+    rows = assign_rows(marks)
     for at, (start, end, _) in enumerate(marks):
         assert (rows[at] is None) == (start == end)
         before = {row for (_, until, _), row in zip(marks[:at], rows) if row is not None and until > start}
         if rows[at] in before:
-            assert before == set(range(TRACKS))
+            assert before == set(range(MAX_ROWS_PER_LANE))
 
 
 def test_the_page_holds_the_run_and_no_text_of_it_is_markup():
     run = of([{"event": "</script><b>(1)", "start": 0, "end": SECOND}, *RUN])
-    text = page(run, "<i>title</i>")
+    text = timeline_page(run, "<i>title</i>")
     found = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
     assert found["title"] == "<i>title</i>"
     assert found["lanes"][0]["marks"] == [[0.0, 1.0, "</script><b>(1)", 0]]
@@ -119,12 +119,12 @@ def test_the_page_holds_the_run_and_no_text_of_it_is_markup():
 
 def test_half_a_character_is_part_of_the_page():
     run = of([{"event": "'\ud800'", "start": 0, "end": SECOND}])
-    assert "\\ud800" in page(run, "run").encode("utf-8").decode()
+    assert "\\ud800" in timeline_page(run, "run").encode("utf-8").decode()
 
 
 def test_the_page_shows_control_characters_as_escapes():
     run = of([{"output": "x\x1b", "topic": "z\u202e", "id": "i", "time": 7 * SECOND}])
-    text = page(run, "\x9b")
+    text = timeline_page(run, "\x9b")
     (held,) = re.findall(r">(\{.*\})<", text)
     found = json.loads(held)
     assert found["title"] == r"\x9b"

@@ -11,7 +11,7 @@ from ..engine.event_input import InputTopics
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.errors import ProgramErrors, UsageError
 from ..messages.type_definition import functor_name
-from ..visualization.program_graph import FORMATS, GraphTopic, dot_text, draw, program_graph
+from ..visualization.program_graph import PICTURE_SUFFIXES, GraphTopic, dot_text, draw_graph, program_graph
 from .command_options import add_limits, apply_limits
 from .stderr_report import Report
 
@@ -72,15 +72,15 @@ def run(options: argparse.Namespace) -> int:
     elif suffix in TEXT_SUFFIXES:
         _write_file(options.output, text)
     else:
-        draw(text, options.output)
+        draw_graph(text, options.output)
     return 1 if report.errors else 0
 
 
 def _get_output_format(path: Optional[Path]) -> str:
     """Return the output format by the suffix of a file; ``dot`` without a file."""
     suffix = "dot" if path is None else path.suffix[1:].lower()
-    if suffix not in (*FORMATS, *TEXT_SUFFIXES):
-        endings = ", ".join(f".{ending}" for ending in (*FORMATS, *TEXT_SUFFIXES))
+    if suffix not in (*PICTURE_SUFFIXES, *TEXT_SUFFIXES):
+        endings = ", ".join(f".{ending}" for ending in (*PICTURE_SUFFIXES, *TEXT_SUFFIXES))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
     return suffix
 

@@ -7,7 +7,14 @@ from typing import Callable
 from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..foundation.errors import UsageError
 from ..playback.run_records import RunRecorder
-from ..visualization.timeline import PICTURES, Timeline, TimelineBuilder, draw_timeline, page, read_run
+from ..visualization.timeline import (
+    PICTURE_FORMATS,
+    Timeline,
+    TimelineBuilder,
+    draw_timeline,
+    read_run,
+    timeline_page,
+)
 from .bag_command import add_source
 from .bag_run import create_playback, open_bags, progress_of
 from .command_options import add_folders, add_limits
@@ -50,8 +57,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     path, suffix = options.output, options.output.suffix[1:].lower()
-    if suffix not in (*PAGE_SUFFIXES, *PICTURES):
-        endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURES))
+    if suffix not in (*PAGE_SUFFIXES, *PICTURE_FORMATS):
+        endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURE_FORMATS))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
     report = Report().attach()
     if options.run_file is not None:
@@ -61,10 +68,10 @@ def run(options: argparse.Namespace) -> int:
     else:
         if not options.bags or options.program is None:
             options.wrong("give bags with --program, or --from")
-        timeline = _record_timeline(options, report).timeline()
+        timeline = _record_timeline(options, report).build()
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
     if suffix in PAGE_SUFFIXES:
-        _write_page(path, page(timeline, title))
+        _write_page(path, timeline_page(timeline, title))
     else:
         draw_timeline(timeline, title, path)
     return 1 if report.errors else 0
@@ -85,7 +92,7 @@ def _record_timeline(options: argparse.Namespace, report: Report) -> TimelineBui
     builder = TimelineBuilder()
     with open_bags(options) as bags:
         playback = create_playback(options, report)
-        recorder = RunRecorder(playback, builder.take)
+        recorder = RunRecorder(playback, builder.add_record)
         with show_progress("messages", progress_of(playback, bags)) as bar:
 
             def advance(done: int) -> None:

@@ -7,15 +7,15 @@ from errno import EADDRINUSE
 from typing import Any, List
 
 from ..foundation.errors import UsageError
-from .request_handlers import Answers
-from .view_model import PERIOD, DashboardSource, LiveUpdates, Snapshots
+from .request_handlers import AnswerService
+from .view_model import UPDATE_PERIOD_SECONDS, DashboardSource, LiveUpdates, Snapshots
 
 ADDRESS = "127.0.0.1"
 
 DASHBOARD_PORT = 8088
 """Default port."""
 
-_PORT_COUNT = 1 << 16
+_MAX_PORT_COUNT = 1 << 16
 """Number of TCP ports."""
 
 BACKLOG = 16
@@ -30,7 +30,7 @@ class Dashboard:
     Args:
         source: the program to show.
         port: port to bind; 0 for any free one.
-        tries: number of ports to try, from ``port`` on.
+        port_count: number of ports to try, from ``port`` on.
         period: seconds between two updates.
 
     Attributes:
@@ -41,17 +41,21 @@ class Dashboard:
     """
 
     def __init__(
-        self, source: DashboardSource, port: int = DASHBOARD_PORT, period: float = PERIOD, tries: int = 1
+        self,
+        source: DashboardSource,
+        port: int = DASHBOARD_PORT,
+        period: float = UPDATE_PERIOD_SECONDS,
+        port_count: int = 1,
     ):
         try:
-            from .request_handlers import server  # noqa: PLC0415 - tornado is an optional dependency
+            from .request_handlers import create_server  # noqa: PLC0415 - tornado is an optional dependency
         except ImportError as error:
             raise UsageError(f"the dashboard needs the package tornado (python3-tornado): {error}") from None
-        self._server = server
+        self._create_server = create_server
         self._source = source
         self._period = period
         # The port is bound here and not in the thread, so that the caller gets the error.
-        self._sockets = _listen_on_free_port(port, tries)
+        self._sockets = _listen_on_free_port(port, port_count)
         self.port: int = self._sockets[0].getsockname()[1]
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True, name="dashboard")
@@ -76,15 +80,15 @@ class Dashboard:
         # Everything that uses the loop is created in its own thread: asyncio objects are not thread-safe.
         asyncio.set_event_loop(self._loop)
         snapshots = Snapshots(self._source)
-        streams = LiveUpdates(snapshots, self._period)
-        answers = Answers(self._source, snapshots)
-        server = self._server(streams, answers)
+        live_updates = LiveUpdates(snapshots, self._period)
+        answer_service = AnswerService(self._source, snapshots)
+        server = self._create_server(live_updates, answer_service)
         server.add_sockets(self._sockets)
         try:
             self._loop.run_forever()
         finally:
             server.stop()
-            streams.close()
+            live_updates.close()
             self._loop.run_until_complete(_cancel_tasks())
             self._loop.close()
 
@@ -99,13 +103,13 @@ async def _cancel_tasks() -> None:
     await asyncio.gather(*other_tasks, return_exceptions=True)
 
 
-def _listen_on_free_port(port: int, tries: int) -> List[Any]:
+def _listen_on_free_port(port: int, port_count: int) -> List[Any]:
     """Return a listening socket on a port, or on one of the next ones if it is in use.
 
     Raises:
         UsageError: if all ports are in use.
     """
-    ports = range(port, max(port + 1, min(port + tries, _PORT_COUNT)))
+    ports = range(port, max(port + 1, min(port + port_count, _MAX_PORT_COUNT)))
     for candidate in ports:
         try:
             return [_bind_socket(candidate)]

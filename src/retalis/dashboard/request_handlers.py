@@ -55,7 +55,7 @@ BUSY_ANSWER = "other answers are still awaited: the engine is busy"
 Json = Dict[str, Any]
 
 
-class Answers:
+class AnswerService:
     """Answers to requests of the page, each in a thread: a busy engine must not block the server's loop.
 
     Args:
@@ -69,19 +69,19 @@ class Answers:
         self._events = snapshots.events
         self._answer_slots = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
 
-    async def run(self, work: Callable[[], Json]) -> Json:
+    async def answer_in_thread(self, work: Callable[[], Json]) -> Json:
         """Run ``work`` in a thread; return its result, or a dictionary with the key ``error``."""
         if not self._answer_slots.acquire(blocking=False):
             return {"error": BUSY_ANSWER}
         loop = asyncio.get_event_loop()
-        done: asyncio.Future[Json] = loop.create_future()
+        answer: asyncio.Future[Json] = loop.create_future()
 
-        def deliver(result: Json) -> None:
-            if not done.done():
+        def set_answer(result: Json) -> None:
+            if not answer.done():
                 # Cancelled if the page was closed.
-                done.set_result(result)
+                answer.set_result(result)
 
-        def run() -> None:
+        def run_work() -> None:
             result: Json = {"error": "internal error"}
             try:
                 result = work()
@@ -93,10 +93,10 @@ class Answers:
                 self._answer_slots.release()
                 # The server may have been closed while the thread was working.
                 if not loop.is_closed():
-                    loop.call_soon_threadsafe(deliver, result)
+                    loop.call_soon_threadsafe(set_answer, result)
 
-        threading.Thread(target=run, daemon=True, name="dashboard answer").start()
-        return await done
+        threading.Thread(target=run_work, daemon=True, name="dashboard answer").start()
+        return await answer
 
     def explain(self, request: Json) -> Json:
         """Return the explanation of a recent event, which the page identifies by its serial number."""
@@ -123,9 +123,9 @@ class Answers:
         goal = request.get("goal")
         if not isinstance(goal, str) or len(goal) > MAX_GOAL_CHARACTERS:
             return {"error": f"expected a goal of {MAX_GOAL_CHARACTERS} characters at most"}
-        answers = ask(self._engine, goal, MAX_PAGE_SOLUTIONS, LIMITS, MAX_PAGE_ANSWER_CHARACTERS)
-        solutions = [[[value.name, value.text] for value in solution] for solution in answers.solutions]
-        return {"solutions": solutions, "complete": answers.complete}
+        answer = ask(self._engine, goal, MAX_PAGE_SOLUTIONS, LIMITS, MAX_PAGE_ANSWER_CHARACTERS)
+        solutions = [[[value.name, value.text] for value in solution] for solution in answer.solutions]
+        return {"solutions": solutions, "complete": answer.complete}
 
 
 PAGE = Path(__file__).resolve().parent / "page"
@@ -216,7 +216,7 @@ class LocalHandler(RequestHandler):
         ):
             self.set_header(name, value)
 
-    def write_error(self, status_code: int, **known: object) -> None:
+    def write_error(self, status_code: int, **options: object) -> None:
         """Answer with the status and reason in one line, without internals such as a traceback."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")
@@ -239,44 +239,44 @@ class FileHandler(LocalHandler):
 class StreamHandler(LocalHandler):
     """Serves the live data as server-sent events."""
 
-    def initialize(self, streams: LiveUpdates) -> None:
+    def initialize(self, live_updates: LiveUpdates) -> None:
         """Store the source of the data; tornado calls this for each request."""
-        self._streams = streams
+        self._live_updates = live_updates
 
     async def get(self) -> None:
         """Send updates until the page is closed."""
         # Without events no listener is registered in the engine; see `RecentEvents`.
-        client = self._streams.enter(self.get_query_argument("events", "1") == "1")
-        if client is None:
+        connection = self._live_updates.add_page(self.get_query_argument("events", "1") == "1")
+        if connection is None:
             raise HTTPError(503, reason="Too many pages are open")
-        self._client = client
+        self._page_connection = connection
         self.set_header("Content-Type", "text/event-stream; charset=utf-8")
         try:
-            data = await client.next()
+            data = await connection.next()
             while data:
                 self.write(data)
                 await self.flush()
-                data = await client.next()
+                data = await connection.next()
         except StreamClosedError:
             pass
         finally:
-            self._streams.leave(client)
+            self._live_updates.remove_page(connection)
 
     def on_connection_close(self) -> None:
         """Remove the page."""
-        client = getattr(self, "_client", None)
-        if client is not None:
-            self._streams.leave(client)
-            client.end()
+        connection = getattr(self, "_page_connection", None)
+        if connection is not None:
+            self._live_updates.remove_page(connection)
+            connection.end_stream()
 
 
 class AnswerHandler(LocalHandler):
     """Answers requests in JSON with JSON."""
 
-    def initialize(self, answer: Callable[[Dict[str, Any]], Any], answers: Answers) -> None:
+    def initialize(self, answer: Callable[[Dict[str, Any]], Any], answer_service: AnswerService) -> None:
         """Store the answering function; tornado calls this for each request."""
         self._answer = answer
-        self._answers = answers
+        self._answer_service = answer_service
 
     async def post(self) -> None:
         """Answer a request, which must be JSON: browsers do not send JSON for foreign pages without permission."""
@@ -288,11 +288,11 @@ class AnswerHandler(LocalHandler):
             fields = None
         if not isinstance(fields, dict):
             raise HTTPError(400, reason="Expected an object of JSON")
-        answer = await self._answers.run(lambda: self._answer(fields))
+        answer = await self._answer_service.answer_in_thread(lambda: self._answer(fields))
         self.finish(printable_json(answer))
 
 
-class NothingHandler(LocalHandler):
+class NotFoundHandler(LocalHandler):
     """Answers all other requests with status 404."""
 
     def prepare(self) -> None:
@@ -312,9 +312,9 @@ def _host_name(host: str) -> Optional[str]:
 class BoundedServer(HTTPServer):
     """HTTP server with a limit for its connections."""
 
-    def initialize(self, *arguments: Any, **known: Any) -> None:
+    def initialize(self, *arguments: Any, **options: Any) -> None:
         """Initialize the list of connections; tornado calls this from its constructor."""
-        super().initialize(*arguments, **known)
+        super().initialize(*arguments, **options)
         self._streams: List[IOStream] = []
 
     def handle_stream(self, stream: IOStream, address: Any) -> None:
@@ -332,19 +332,19 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
 
-def server(streams: LiveUpdates, answers: Answers) -> HTTPServer:
+def create_server(live_updates: LiveUpdates, answer_service: AnswerService) -> HTTPServer:
     """Return the server, without a socket."""
     paths = "|".join(path.replace(".", "[.]") for path in FILES)
     routes: Any = [
         (f"({paths})", FileHandler),
-        ("/stream", StreamHandler, {"streams": streams}),
-        ("/explain", AnswerHandler, {"answer": answers.explain, "answers": answers}),
-        ("/query", AnswerHandler, {"answer": answers.query, "answers": answers}),
+        ("/stream", StreamHandler, {"live_updates": live_updates}),
+        ("/explain", AnswerHandler, {"answer": answer_service.explain, "answer_service": answer_service}),
+        ("/query", AnswerHandler, {"answer": answer_service.query, "answer_service": answer_service}),
     ]
     # Weak references: a connection that tornado drops without `on_finish` must not stay marked as busy.
     settings: Any = {BUSY_CONNECTIONS: WeakSet()}
     application = Application(
-        routes, default_handler_class=NothingHandler, log_function=lambda handler: None, **settings
+        routes, default_handler_class=NotFoundHandler, log_function=lambda handler: None, **settings
     )
     return BoundedServer(
         application,

@@ -4,7 +4,7 @@
 derives rates from the last few snapshots. `LiveUpdates` takes one snapshot per second for all open pages, and none
 while no page is open, so that the dashboard costs nothing unless it is used.
 
-A page that reads slowly skips snapshots: each `Client` has room for the newest one only.
+A page that reads slowly skips snapshots: each `PageConnection` has room for the newest one only.
 """
 
 import asyncio
@@ -111,14 +111,14 @@ class RecentEvents:
         self._events_by_functor: Dict[Optional[Functor], _FunctorEvents] = {}
 
     @property
-    def watching(self) -> bool:
+    def is_observing(self) -> bool:
         """True if events are observed, or will be as soon as the engine executes the request."""
         return self._is_requested
 
-    def watch(self, wanted: bool) -> None:
+    def set_observing(self, observing: bool) -> None:
         """Start or stop to observe events, as soon as the engine executes the request; stored events remain."""
-        if wanted != self._is_requested:
-            self._is_requested = wanted
+        if observing != self._is_requested:
+            self._is_requested = observing
             self._executor.post(self._apply_observation)
 
     def _apply_observation(self) -> None:
@@ -148,13 +148,13 @@ class RecentEvents:
         functor_events.end = end
         if functor_events.written_count < MAX_WRITTEN_PER_SNAPSHOT and key is not _MEMORY_UPDATED_FUNCTOR:
             functor_events.written_count += 1
-            text, whole = event_beginning(self._show, term)
+            text, whole = format_event_beginning(self._show, term)
             functor_events.last_events.append(
                 RecentEvent(next(self._serial), text, whole, int(start), int(end))
             )
         return after
 
-    def latest(self) -> List[RecentEvent]:
+    def take_latest(self) -> List[RecentEvent]:
         """Return the last events, the newest first, and allow further ones to be written."""
         events: List[RecentEvent] = []
         for functor_events in list(self._events_by_functor.values()):
@@ -183,7 +183,7 @@ class RecentEvents:
         return None
 
 
-def event_beginning(show: Any, term: Term) -> Tuple[str, bool]:
+def format_event_beginning(show: Any, term: Term) -> Tuple[str, bool]:
     """Return the beginning of an event's text, and whether it is complete.
 
     The term is cut before it is written: an image or a point cloud would take milliseconds.
@@ -323,7 +323,7 @@ class Snapshots:
         self._graph_key: object = None
         self.graph: Json = {}
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Discard former snapshots, which are too old for rates after a time without an open page."""
         self._history.clear()
 
@@ -346,13 +346,13 @@ class Snapshots:
             "title": self._source.title,
             "queries": self._source.queries,
             "explains": records_origins(self._engine),
-            "watching": self.events.watching,
+            "watching": self.events.is_observing,
             "memory": resident_bytes(),
             "rates": self._compute_rates(numbers),
             "topics": rows,
             "events": [
                 {**event._asdict(), "start": event.start / SECOND, "end": event.end / SECOND}
-                for event in self.events.latest()
+                for event in self.events.take_latest()
             ],
             **_status_to_json(status),
         }
@@ -424,11 +424,11 @@ log = logging.getLogger("retalis")
 MAX_OPEN_PAGES = 8
 """Limit for open pages."""
 
-PERIOD = 1.0
+UPDATE_PERIOD_SECONDS = 1.0
 """Default time in seconds between two snapshots."""
 
 
-class Client:
+class PageConnection:
     """An open page, with room for one snapshot: a newer one replaces it if the page has not read it.
 
     Attributes:
@@ -449,7 +449,7 @@ class Client:
         self._graph_data = graph_data or self._graph_data
         self._ready.set()
 
-    def end(self) -> None:
+    def end_stream(self) -> None:
         """End the stream of the page."""
         self._snapshot = self._graph_data = b""
         self._ready.set()
@@ -471,48 +471,48 @@ class LiveUpdates:
         period: seconds between two snapshots.
     """
 
-    def __init__(self, snapshots: Snapshots, period: float = PERIOD):
+    def __init__(self, snapshots: Snapshots, period: float = UPDATE_PERIOD_SECONDS):
         self._snapshots = snapshots
         self._period = period
-        self._clients: List[Client] = []
+        self._connections: List[PageConnection] = []
         self._sending_task: Optional[asyncio.Task[None]] = None
         self._last_logged_error = ""
 
-    def enter(self, events: bool) -> Optional[Client]:
+    def add_page(self, events: bool) -> Optional[PageConnection]:
         """Add and return a page; return None if there are too many.
 
         Args:
             events: whether the page shows recent events, for which a listener is registered in the engine.
         """
-        if len(self._clients) >= MAX_OPEN_PAGES:
+        if len(self._connections) >= MAX_OPEN_PAGES:
             return None
-        client = Client(events)
-        self._clients.append(client)
+        connection = PageConnection(events)
+        self._connections.append(connection)
         self._update_observation()
         if self._sending_task is None:
-            self._snapshots.begin()
+            self._snapshots.reset()
             self._sending_task = asyncio.ensure_future(self._run())
-        return client
+        return connection
 
-    def leave(self, client: Client) -> None:
+    def remove_page(self, connection: PageConnection) -> None:
         """Remove a closed page; further calls have no effect."""
-        if client in self._clients:
-            self._clients.remove(client)
+        if connection in self._connections:
+            self._connections.remove(connection)
             self._update_observation()
 
     def close(self) -> None:
         """Remove all pages, and end their streams."""
-        for client in self._clients:
-            client.end()
-        self._clients = []
+        for connection in self._connections:
+            connection.end_stream()
+        self._connections = []
         self._update_observation()
 
     def _update_observation(self) -> None:
-        self._snapshots.events.watch(any(client.events for client in self._clients))
+        self._snapshots.events.set_observing(any(connection.events for connection in self._connections))
 
     async def _run(self) -> None:
         """Send a snapshot to all pages periodically, until none is open."""
-        while self._clients:
+        while self._connections:
             try:
                 self._send_snapshot()
             # The status is read while the engine works. A failure must not end the stream of the open pages; it is
@@ -525,17 +525,17 @@ class LiveUpdates:
         self._sending_task = None
 
     def _send_snapshot(self) -> None:
-        snapshot = _format_server_event("look", self._snapshots.take())
+        snapshot = _format_server_event("snapshot", self._snapshots.take())
         graph = self._snapshots.graph
         graph_data = b""
-        for client in list(self._clients):
+        for connection in list(self._connections):
             # The graph is large and rarely changes, so it is sent only when the page does not have this object.
-            if client.graph is graph:
-                client.put(snapshot)
+            if connection.graph is graph:
+                connection.put(snapshot)
                 continue
             graph_data = graph_data or _format_server_event("graph", graph)
-            client.graph = graph
-            client.put(snapshot, graph_data)
+            connection.graph = graph
+            connection.put(snapshot, graph_data)
 
 
 def _format_server_event(event: str, data: Dict[str, Any]) -> bytes:

@@ -28,7 +28,7 @@ from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import Atom, Term, Trail, Var, atom, deref, functor, functor_name
 from ..prolog.terms.unification import undo, unify
-from .why_not import Part, TimeFormat, WhyNot, own_names, show_term
+from .why_not import Part, TimeFormat, WhyNot, names_of_bound_variables, show_term
 
 _COMMA_FUNCTOR = functor(",", 2)
 _MAX_SUBSCRIPTIONS = 20
@@ -54,7 +54,7 @@ class WhyNotSent:
         self._subscriptions = subscriptions
         self._show = show
 
-    def of(self, event: Term) -> Iterator[str]:
+    def explain_rejections(self, event: Term) -> Iterator[str]:
         """Yield the reason for each subscription to events with this functor that does not select the event."""
         count = 0
         for name, definition in self._copy_definitions():
@@ -67,7 +67,7 @@ class WhyNotSent:
             if count == _MAX_SUBSCRIPTIONS:
                 return
 
-    def sending(self, asked: Term) -> Iterator[Tuple[str, Any]]:
+    def find_publishing(self, asked: Term) -> Iterator[Tuple[str, Any]]:
         """Yield the subscriptions that would publish the message as their template: description and definition."""
         count = 0
         for name, definition in self._copy_definitions():
@@ -82,7 +82,9 @@ class WhyNotSent:
                 count += 1
                 yield f"{name} sends it of {self._show(definition[1])}", definition
 
-    def reasons(self, definition: Any, occurrences: Sequence[Occurrence]) -> Iterator[Tuple[Occurrence, str]]:
+    def explain_events(
+        self, definition: Any, occurrences: Sequence[Occurrence]
+    ) -> Iterator[Tuple[Occurrence, str]]:
         """Yield the events with the functor of a subscription, and the reason if it did not select them, or ""."""
         for occurrence in occurrences:
             if _get_functor(occurrence.term) == _get_functor(definition[1]):
@@ -300,7 +302,9 @@ class _Explainer:
         ]
         # An event that happened can still be missing on a topic.
         for occurrence, line in zip(occurrences, lines):
-            line.below.extend(ExplanationLine(text, []) for text in self._why_not_sent.of(occurrence.term))
+            line.below.extend(
+                ExplanationLine(text, []) for text in self._why_not_sent.explain_rejections(occurrence.term)
+            )
         if len(occurrences) > _MAX_SHOWN_OCCURRENCES:
             lines.append(
                 ExplanationLine(f"and {counted(len(occurrences) - _MAX_SHOWN_OCCURRENCES, 'more time')}", [])
@@ -346,7 +350,7 @@ class _Explainer:
             trail: Trail = []
             if unify(_get_head_event(head), copy(term), trail):
                 why_not = WhyNot(self._engine.logic, self._occurrences, rule, self._origin)
-                part = why_not.of(rule.definition.pattern)
+                part = why_not.evaluate(rule.definition.pattern)
                 lines.append(
                     ExplanationLine(self._format_rule(rule), [self._explain_part(part, (*above, rule))])
                 )
@@ -366,8 +370,8 @@ class _Explainer:
     def _explain_missing_messages(self, term: Term) -> List[ExplanationLine]:
         """Return the subscriptions that publish such messages, and the reasons for their events."""
         lines = []
-        for text, definition in self._why_not_sent.sending(term):
-            reasons = list(self._why_not_sent.reasons(definition, self._occurrences))[
+        for text, definition in self._why_not_sent.find_publishing(term):
+            reasons = list(self._why_not_sent.explain_events(definition, self._occurrences))[
                 -_MAX_SHOWN_OCCURRENCES:
             ]
             below = [
@@ -416,11 +420,15 @@ class _Explainer:
         place = "" if rule.place is None else f" ({rule.place.source}:{rule.place.line})"
         label = "" if rule.label is None else f"{self._show(rule.label)}: "
         names = rule.definition.names
-        text = show_term(rule.definition.term, self._engine.logic.operators, own_names(names), names)
+        text = show_term(
+            rule.definition.term, self._engine.logic.operators, names_of_bound_variables(names), names
+        )
         return f"rule {label}{text}{place}"
 
     def _format_event(self, occurrence: Occurrence) -> str:
-        return f"{self._show(occurrence.term)} {self._times.interval(occurrence.start, occurrence.end)}"
+        return (
+            f"{self._show(occurrence.term)} {self._times.format_interval(occurrence.start, occurrence.end)}"
+        )
 
     def _show(self, term: Term) -> str:
         return show_term(term, self._engine.logic.operators, {})

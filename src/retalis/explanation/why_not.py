@@ -110,8 +110,8 @@ class Candidate(NamedTuple):
     gap: Optional[Tuple[int, int]] = None
 
 
-_EMPTY_VALUES: Term = (_VALUES_FUNCTOR,)
-_ANY_MATCH = Candidate(_EMPTY_VALUES, 0, 0)
+_NO_VALUES: Term = (_VALUES_FUNCTOR,)
+_PLACEHOLDER_MATCH = Candidate(_NO_VALUES, 0, 0)
 
 
 class Part(NamedTuple):
@@ -152,7 +152,7 @@ class TimeFormat:
         self._show = show
         self._origin = origin
 
-    def interval(self, start: int, end: int) -> str:
+    def format_interval(self, start: int, end: int) -> str:
         """Return the text of an interval."""
         if start == end:
             return f"at {self._format_instant(start)}{self._unit_suffix}"
@@ -201,8 +201,8 @@ class WhyNot:
         # A match is represented by a copy of all variables of the rule: two matches are joined by unifying them.
         self._rule_variables = (_VALUES_FUNCTOR, *dict.fromkeys(own_variables))
         # After the head was unified, variables of the rule may be bound to variables of the explained event.
-        self._names = own_names(rule.definition.names)
-        self._named = rule.definition.names
+        self._names = names_of_bound_variables(rule.definition.names)
+        self._field_named_variables = rule.definition.names
         self._times = TimeFormat(self._show, origin)
         self._evaluators: Dict[type, Callable[[Any], Part]] = {
             Occurs: self._evaluate_occurs,
@@ -220,7 +220,7 @@ class WhyNot:
             Awaited: self._evaluate_awaited,
         }
 
-    def of(self, pattern: Any) -> Part:
+    def evaluate(self, pattern: Any) -> Part:
         """Return the result for a pattern."""
         return self._evaluators[type(pattern)](pattern)
 
@@ -240,7 +240,7 @@ class WhyNot:
         return Part(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
 
     def _evaluate_pair(self, pattern: Pair) -> Part:
-        left, right = self.of(pattern.left), self.of(pattern.right)
+        left, right = self.evaluate(pattern.left), self.evaluate(pattern.right)
         spans = _spans(OPERATORS[pattern.operator])
         values_agree = False
         matches = []
@@ -265,15 +265,15 @@ class WhyNot:
 
     def _evaluate_repeated(self, pattern: Repeated) -> Part:
         # A repetition of many events is cut off: the first missing event is among the first repetitions.
-        return self.of(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).as_sequence())
+        return self.evaluate(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).as_sequence())
 
     def _evaluate_either(self, pattern: Either) -> Part:
-        parts = [self.of(branch) for branch in pattern.branches]
+        parts = [self.evaluate(branch) for branch in pattern.branches]
         matches = [match for part in parts for match in part.matches]
         return Part(f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}", matches, parts)
 
     def _evaluate_absent(self, pattern: Absent) -> Part:
-        part, negated = self.of(pattern.pattern), self.of(pattern.negated)
+        part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         matches = [
             match
             for match in part.matches
@@ -292,7 +292,7 @@ class WhyNot:
         return match.gap[0] < negated.start and negated.end < match.gap[1]
 
     def _evaluate_star(self, pattern: Star) -> Part:
-        first_part, repeated_part = self.of(pattern.first), self.of(pattern.repeated)
+        first_part, repeated_part = self.evaluate(pattern.first), self.evaluate(pattern.repeated)
         extended = [
             Candidate(values, match.start, last.end)
             for match, last, values in self._find_ordered_pairs(first_part, repeated_part)
@@ -305,7 +305,7 @@ class WhyNot:
         )
 
     def _evaluate_aggregate(self, pattern: Aggregate) -> Part:
-        first_part, collected_part = self.of(pattern.first), self.of(pattern.collected)
+        first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
         names = variables(value)
         evaluate = Evaluators(self._rule).evaluating(pattern.kind, value, names)
@@ -318,7 +318,7 @@ class WhyNot:
             values = self._extend(start.values, [(pattern.result, result)])
             if values is not None:
                 matches.append(Candidate(values, start.start, end))
-            results.append(f"{self._shorten(result)} {self._times.interval(start.start, end)}")
+            results.append(f"{self._shorten(result)} {self._times.format_interval(start.start, end)}")
 
         problem = ""
         for match in first_part.matches:
@@ -351,7 +351,7 @@ class WhyNot:
                         yield match, later, values
 
     def _evaluate_condition(self, pattern: Condition) -> Part:
-        part = self.of(pattern.pattern)
+        part = self.evaluate(pattern.pattern)
         matches = []
         problems: Dict[str, None] = {}
         for match in part.matches:
@@ -374,7 +374,7 @@ class WhyNot:
         return Part(text, matches, [part])
 
     def _evaluate_within(self, pattern: Within) -> Part:
-        part = self.of(pattern.pattern)
+        part = self.evaluate(pattern.pattern)
         matches = [match for match in part.matches if match.end - match.start <= pattern.span]
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.matches else "not tested"
@@ -387,7 +387,7 @@ class WhyNot:
         )
 
     def _evaluate_action(self, pattern: Action) -> Part:
-        part = self.of(pattern.pattern)
+        part = self.evaluate(pattern.pattern)
         text = f"{_ACTION_NAMES[pattern.every]} {self._show(pattern.goal)}"
         if not part.matches:
             return Part(f"{text}: not called", [], [part], None, False)
@@ -396,7 +396,7 @@ class WhyNot:
     def _evaluate_windowed(self, pattern: Windowed) -> Part:
         # The window is evaluated separately from its input, so that missing events and unfinished windows can be told
         # apart.
-        part = self.of(pattern.collected)
+        part = self.evaluate(pattern.collected)
         text = f"aggregate over {self._show(window_term(pattern.window))}"
         if len(part.matches) >= MAX_CANDIDATES:
             text += f" (run again over the newest {MAX_CANDIDATES} events only)"
@@ -420,7 +420,7 @@ class WhyNot:
             if extended is not None:
                 matches.append(Candidate(extended, output.start, output.end))
             shown_results = ", ".join(self._shorten(result) for result in output.found)
-            results.append(f"{shown_results} {self._times.interval(output.start, output.end)}")
+            results.append(f"{shown_results} {self._times.format_interval(output.start, output.end)}")
         parts = [part]
         reason = self._format_other_results(results) or "no window has ended"
         # Without any result, the steps show how far the best candidate sequence got.
@@ -445,12 +445,14 @@ class WhyNot:
             else:
                 events = "1 event" if count == 1 else f"{count} events"
                 missing = "" if is_complete else f" of {step.least}"
-                parts.append(Part(f"{text}: took {events}{missing}", [_ANY_MATCH] if is_complete else [], []))
+                parts.append(
+                    Part(f"{text}: took {events}{missing}", [_PLACEHOLDER_MATCH] if is_complete else [], [])
+                )
             reached = reached and is_complete
         return parts
 
     def _evaluate_shaped(self, pattern: Shaped) -> Part:
-        part = self.of(pattern.pattern)
+        part = self.evaluate(pattern.pattern)
         stream = rate_operator(pattern)
         node = self._rule.stream_node(pattern)
         if node is not None:
@@ -472,7 +474,7 @@ class WhyNot:
         return Part(text, matches, [part], None, bool(part.matches))
 
     def _evaluate_awaited(self, pattern: Awaited) -> Part:
-        part, negated = self.of(pattern.pattern), self.of(pattern.negated)
+        part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         elapsed_matches = [match for match in part.matches if match.end + pattern.span <= self._current_time]
         matches = [
             match._replace(end=match.end + pattern.span, event=None)
@@ -535,7 +537,7 @@ class WhyNot:
 
     # ---- text ------------------------------------------------------------------------------------------
 
-    def _format_result(self, matches: List[Candidate], reason: str, term: Term = _EMPTY_VALUES) -> str:
+    def _format_result(self, matches: List[Candidate], reason: str, term: Term = _NO_VALUES) -> str:
         """Return a text of the matches with the values of a term's variables, or the reason if there are none."""
         return self._format_candidates(matches, term) if matches else reason
 
@@ -547,7 +549,7 @@ class WhyNot:
             bindings = ", ".join(
                 f"{name} = {self._shorten(value)}" for name, value in values if value.__class__ is not Var
             )
-            time = self._times.interval(match.start, match.end)
+            time = self._times.format_interval(match.start, match.end)
             shown.append(f"{bindings} {time}" if bindings else time)
         text = ("; " if names else ", ").join(shown)
         return text if len(matches) <= MAX_SHOWN_CANDIDATES else f"{len(matches)} times, the last ones {text}"
@@ -568,10 +570,12 @@ class WhyNot:
         )
 
     def _show(self, term: Term) -> str:
-        return show_term(term, self._logic.operators, self._names, self._named)
+        return show_term(term, self._logic.operators, self._names, self._field_named_variables)
 
 
-def show_term(term: Term, operators: Operators, names: Mapping[Var, str], named: Collection[Var] = ()) -> str:
+def show_term(
+    term: Term, operators: Operators, names: Mapping[Var, str], field_named_variables: Collection[Var] = ()
+) -> str:
     """Return the text of a term.
 
     Args:
@@ -579,7 +583,7 @@ def show_term(term: Term, operators: Operators, names: Mapping[Var, str], named:
         operators: operators of the term's syntax.
         names: names of variables. Other variables are written as ``_`` if they occur once, otherwise as A, B, and so
             on.
-        named: variables of a rule that was written with named message slots.
+        field_named_variables: variables of a rule that was written with named message slots.
     """
     counts = occurrences([term], None)
     used_names = set(names.values())
@@ -587,11 +591,11 @@ def show_term(term: Term, operators: Operators, names: Mapping[Var, str], named:
     shown_names = {}
     for var in variables(term):
         shown_names[var] = names.get(var) or ("_" if counts[var] == 1 else next(letters, "_"))
-    portray = by_name(term, operators, named, quoted=True, variable_names=shown_names)
+    portray = by_name(term, operators, field_named_variables, quoted=True, variable_names=shown_names)
     return write_term(term, operators, quoted=True, wide=True, variable_names=shown_names, portray=portray)
 
 
-def own_names(names: Mapping[Var, str]) -> Dict[Var, str]:
+def names_of_bound_variables(names: Mapping[Var, str]) -> Dict[Var, str]:
     """Return the names of a rule's variables, by the variables that they are bound to now.
 
     A variable of the head may be bound to an unbound variable of the event that is explained.
@@ -610,7 +614,7 @@ def _create_negated_part(negated: Part) -> Part:
     # A condition that was not tested explains nothing: the missing event is below it.
     while not reason.tested and reason.parts:
         reason = reason.parts[0]
-    return Part(f"must not happen: {reason.text}", negated.matches or [_ANY_MATCH], [])
+    return Part(f"must not happen: {reason.text}", negated.matches or [_PLACEHOLDER_MATCH], [])
 
 
 class _WindowEvaluation:

@@ -68,7 +68,7 @@ class NodeDashboard:
             return
         source = DashboardSource(engine, rospy.get_name(), self.topics, queries)
         try:
-            page = Dashboard(source, port, tries=MAX_PORTS_TRIED)
+            page = Dashboard(source, port, port_count=MAX_PORTS_TRIED)
         except UsageError as error:
             rospy.logwarn("%s; the node goes on without it", error)
             return

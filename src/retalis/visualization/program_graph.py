@@ -2,7 +2,7 @@
 
 `program_graph` derives the graph from the engine's rules, memories and subscriptions. Goals of rules are searched for
 events that they create and memories that they read, also in the clauses that they call, up to a limit. `dot_text`
-writes the graph in the DOT language of Graphviz, and `draw` renders it with the command ``dot``.
+writes the graph in the DOT language of Graphviz, and `draw_graph` renders it with the command ``dot``.
 """
 
 import re
@@ -294,7 +294,7 @@ def _get_file_name(source: Optional[str]) -> str:
     return (source or "").rpartition("/")[2]
 
 
-FORMATS = ("svg", "png", "pdf")
+PICTURE_SUFFIXES = ("svg", "png", "pdf")
 """Formats that ``dot`` can render."""
 
 DOT_TIMEOUT_SECONDS = 60
@@ -318,7 +318,7 @@ class _NodeStyle(NamedTuple):
     legend: str
 
 
-KINDS = {
+NODE_STYLES = {
     "topic": _NodeStyle("cds", "#d7e9f5", "topic"),
     "event": _NodeStyle("box", "#eceff3", "event"),
     "rule": _NodeStyle("box", "#e8defa", "rule"),
@@ -366,7 +366,7 @@ def dot_text(graph: Graph, title: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(text: str, path: Path) -> None:
+def draw_graph(text: str, path: Path) -> None:
     """Render a text in the DOT language to a file, in the format of the file's suffix.
 
     Raises:
@@ -395,7 +395,7 @@ def draw(text: str, path: Path) -> None:
 
 
 def _format_node(node: GraphNode) -> str:
-    style = KINDS[node.kind]
+    style = NODE_STYLES[node.kind]
     label = "\n".join([_first_line(node), *_further_lines(node)])
     rounded = ' style="filled,rounded"' if node.kind == "event" else ""
     tooltip = _quote(_UNNAMED_VARIABLE.sub("_", node.text))
@@ -436,7 +436,7 @@ def _format_legend(kinds: Iterable[str], edge_kinds: Iterable[str]) -> Iterator[
     # The legend shows only what occurs in this graph.
     rows = [
         f'<tr><td bgcolor="{style.colour}" width="24"> </td><td align="left">{style.legend}</td></tr>'
-        for kind, style in KINDS.items()
+        for kind, style in NODE_STYLES.items()
         if kind in kinds
     ]
     edge_legend = {"absent": ("- - -|", "must not happen"), "reads": (". . .&gt;", "is read")}

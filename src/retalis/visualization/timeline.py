@@ -4,7 +4,8 @@
 number of lanes and of marks per lane is limited: when a lane is full, every second mark is dropped, and from then on
 only every second new one is added, so that the remaining marks are spread evenly over the playback.
 
-`page` returns an HTML page that can be zoomed in any browser; `draw_timeline` draws a picture with matplotlib.
+`timeline_page` returns an HTML page that can be zoomed in any browser; `draw_timeline` draws a picture with
+matplotlib.
 """
 
 import json
@@ -25,10 +26,10 @@ MAX_MARKS = 20_000
 MAX_MARK_CHARACTERS = 200
 """Maximum length of the text of a mark."""
 
-KINDS = ("event", "wait", "memory", "output")
+LANE_KINDS = ("event", "wait", "memory", "output")
 """Kinds of lanes, from top to bottom of the picture."""
 
-TRACKS = 3
+MAX_ROWS_PER_LANE = 3
 """Maximum number of rows in a lane; marks that overlap in time are drawn in different rows."""
 
 _NULL_EVENT = "null_event"
@@ -44,7 +45,7 @@ class TimelineLane(NamedTuple):
     """All marks of one name.
 
     Attributes:
-        kind: one of `KINDS`.
+        kind: one of `LANE_KINDS`.
         name: name of an event or topic, or id of a memory.
         marks: the marks in order of arrival.
         number: number of marks including omitted ones.
@@ -97,31 +98,31 @@ class TimelineBuilder:
     def __init__(self) -> None:
         self._lanes: Dict[Tuple[str, str], _LaneBuilder] = {}
         self._left_out: Dict[Tuple[str, str], None] = {}
-        self._lane_counts = dict.fromkeys(KINDS, 0)
+        self._lane_counts = dict.fromkeys(LANE_KINDS, 0)
 
-    def take(self, line: Dict[str, Any]) -> None:
+    def add_record(self, record: Dict[str, Any]) -> None:
         """Add a record; records of unknown kinds are ignored.
 
         Raises:
             UsageError: if a field is missing or has an invalid value.
         """
-        kind = next(iter(line), "")
+        kind = next(iter(record), "")
         read_mark = _MARK_READERS.get(kind)
         if read_mark is None:
             return
-        name, start, end, text = read_mark(line)
+        name, start, end, text = read_mark(record)
         # An empty memory has no time range.
         if start is None or end is None or name == _NULL_EVENT:
             return
-        lane = self._lane(kind, name)
+        lane = self._get_lane(kind, name)
         if lane is not None:
             lane.add(start, end, text)
             # A memory has one mark for all its records.
             if kind == "memory":
-                total = line.get("taken")
+                total = record.get("taken")
                 lane.number = total if isinstance(total, int) else lane.number
 
-    def _lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:
+    def _get_lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:
         key = (kind, beginning(name))
         lane = self._lanes.get(key)
         if lane is None:
@@ -135,7 +136,7 @@ class TimelineBuilder:
             lane = self._lanes[key] = _LaneBuilder()
         return lane
 
-    def timeline(self) -> Timeline:
+    def build(self) -> Timeline:
         """Return the timeline of the records so far."""
         begin = min((mark[0] for lane in self._lanes.values() for mark in lane.marks), default=0)
         end = max((mark[1] for lane in self._lanes.values() for mark in lane.marks), default=0)
@@ -151,17 +152,17 @@ class TimelineBuilder:
             )
             for (kind, name), lane in self._lanes.items()
         ]
-        lanes.sort(key=lambda lane: (KINDS.index(lane.kind), lane.name if lane.kind == "output" else ""))
+        lanes.sort(key=lambda lane: (LANE_KINDS.index(lane.kind), lane.name if lane.kind == "output" else ""))
         return Timeline(begin, (end - begin) / SECOND, lanes, len(self._left_out))
 
 
-def tracks(marks: Iterable[Mark]) -> List[Optional[int]]:
+def assign_rows(marks: Iterable[Mark]) -> List[Optional[int]]:
     """Return the row of each mark, counted from 0; None for marks without duration.
 
-    >>> tracks([(0, 2, "a"), (1, 1, "b"), (1, 3, "c"), (2, 3, "d")])
+    >>> assign_rows([(0, 2, "a"), (1, 1, "b"), (1, 3, "c"), (2, 3, "d")])
     [0, None, 1, 0]
     """
-    free = [float("-inf")] * TRACKS
+    row_ends = [float("-inf")] * MAX_ROWS_PER_LANE
     rows: List[Optional[int]] = []
     for start, end, _ in marks:
         if start == end:
@@ -169,9 +170,10 @@ def tracks(marks: Iterable[Mark]) -> List[Optional[int]]:
             continue
         # The first free row, or the one that becomes free next if more marks overlap than there are rows.
         row = next(
-            (index for index, end_of_row in enumerate(free) if end_of_row <= start), free.index(min(free))
+            (index for index, end_of_row in enumerate(row_ends) if end_of_row <= start),
+            row_ends.index(min(row_ends)),
         )
-        free[row] = max(free[row], end)
+        row_ends[row] = max(row_ends[row], end)
         rows.append(row)
     return rows
 
@@ -188,59 +190,60 @@ def read_run(lines: Iterable[str], source: str) -> Timeline:
             record = json.loads(line)
             if not isinstance(record, dict):
                 raise UsageError("this is not a JSON object")
-            builder.take(record)
+            builder.add_record(record)
         except (ValueError, RecursionError) as error:
             raise UsageError(f"{source}:{number}: this is not JSON: {error}") from None
         except UsageError as error:
             raise UsageError(f"{source}:{number}: {error.message}") from None
-    return builder.timeline()
+    return builder.build()
 
 
 _MarkData = Tuple[str, Optional[int], Optional[int], str]
 
 
-def _interval(kind: str) -> Callable[[Dict[str, Any]], _MarkData]:
-    def read_mark(line: Dict[str, Any]) -> _MarkData:
-        text = _text(line, kind)
-        start, end = _instant(line, "start"), _instant(line, "end")
+def _make_interval_reader(kind: str) -> Callable[[Dict[str, Any]], _MarkData]:
+    def read_mark(record: Dict[str, Any]) -> _MarkData:
+        text = _get_text(record, kind)
+        start, end = _get_instant(record, "start"), _get_instant(record, "end")
         if kind == "wait":
-            memories = line.get("memories")
+            memories = record.get("memories")
             names = ", ".join(map(str, memories)) if isinstance(memories, list) else ""
-            return f"{_name(text)} waits", start, end, f"for {names}: {text}"
-        return _name(text), start, end, text
+            return f"{_get_functor_name(text)} waits", start, end, f"for {names}: {text}"
+        return _get_functor_name(text), start, end, text
 
     return read_mark
 
 
-def _memory(line: Dict[str, Any]) -> _MarkData:
+def _read_memory_mark(record: Dict[str, Any]) -> _MarkData:
     """Return the mark of a memory; its times are None if the memory is empty."""
-    times = [None if line.get(name) is None else _instant(line, name) for name in ("start", "end")]
-    text = f"{line.get('records')} of {line.get('size')} records, {line.get('taken')} taken: {line.get('pattern')}"
-    return _text(line, "memory"), times[0], times[1], text
+    times = [None if record.get(name) is None else _get_instant(record, name) for name in ("start", "end")]
+    counts = f"{record.get('records')} of {record.get('size')} records, {record.get('taken')} taken"
+    text = f"{counts}: {record.get('pattern')}"
+    return _get_text(record, "memory"), times[0], times[1], text
 
 
-def _output(line: Dict[str, Any]) -> _MarkData:
-    instant = _instant(line, "time")
-    return _text(line, "topic"), instant, instant, _text(line, "output")
+def _read_output_mark(record: Dict[str, Any]) -> _MarkData:
+    instant = _get_instant(record, "time")
+    return _get_text(record, "topic"), instant, instant, _get_text(record, "output")
 
 
 _MARK_READERS: Dict[str, Callable[[Dict[str, Any]], _MarkData]] = {
-    "event": _interval("event"),
-    "wait": _interval("wait"),
-    "memory": _memory,
-    "output": _output,
+    "event": _make_interval_reader("event"),
+    "wait": _make_interval_reader("wait"),
+    "memory": _read_memory_mark,
+    "output": _read_output_mark,
 }
 
 
-def _text(line: Dict[str, Any], name: str) -> str:
-    value = line.get(name)
+def _get_text(record: Dict[str, Any], name: str) -> str:
+    value = record.get(name)
     if not isinstance(value, str):
         raise UsageError(f'expected a text as "{name}"')
     return value
 
 
-def _instant(line: Dict[str, Any], name: str) -> int:
-    value = line.get(name)
+def _get_instant(record: Dict[str, Any], name: str) -> int:
+    value = record.get(name)
     # In Python, booleans are integers.
     if not isinstance(value, int) or isinstance(value, bool):
         raise UsageError(f'expected whole nanoseconds as "{name}"')
@@ -249,13 +252,13 @@ def _instant(line: Dict[str, Any], name: str) -> int:
     return value
 
 
-def _name(term: str) -> str:
+def _get_functor_name(term: str) -> str:
     """Return the functor name in the text of a term, without the package of a message."""
     match = _NAME.match(term)
     return "" if match is None else match.group().rpartition("__0__")[2].strip("'")
 
 
-PICTURES = ("png", "svg", "pdf")
+PICTURE_FORMATS = ("png", "svg", "pdf")
 """Formats that matplotlib can render."""
 
 _PAGE = Path(__file__).resolve().parent / "page" / "timeline.html"
@@ -268,30 +271,33 @@ _LANE_HEIGHT, _WIDTH = 0.24, 12.0
 """Height of a lane and width of the picture in inches."""
 
 
-def page(timeline: Timeline, title: str) -> str:
+def timeline_page(timeline: Timeline, title: str) -> str:
     """Return a timeline as a self-contained HTML page."""
     data: Dict[str, Any] = {
         "title": title,
-        "about": _about(timeline),
+        "about": _describe_timeline(timeline),
         "length": timeline.length,
-        "lanes": [{**lane._asdict(), "marks": _marks(lane), "rows": _rows(lane)} for lane in timeline.lanes],
+        "lanes": [
+            {**lane._asdict(), "marks": _marks_with_rows(lane), "rows": _count_rows(lane)}
+            for lane in timeline.lanes
+        ],
     }
     # "<" is escaped, so that no text of the program can close the script element.
     json_text = printable_json(data).replace("<", "\\u003c")
     return _PAGE.read_text(encoding="utf-8").replace(_DATA_PLACEHOLDER, f">{json_text}<", 1)
 
 
-def _marks(lane: TimelineLane) -> List[Any]:
+def _marks_with_rows(lane: TimelineLane) -> List[Any]:
     """Return the marks of a lane with their rows, in microsecond precision."""
-    rows = tracks(lane.marks)
+    rows = assign_rows(lane.marks)
     return [
         [round(start, 6), round(end, 6), text, row or 0] for (start, end, text), row in zip(lane.marks, rows)
     ]
 
 
-def _rows(lane: TimelineLane) -> int:
+def _count_rows(lane: TimelineLane) -> int:
     """Return the number of rows that the marks of a lane need."""
-    return 1 + max((row for row in tracks(lane.marks) if row is not None), default=0)
+    return 1 + max((row for row in assign_rows(lane.marks) if row is not None), default=0)
 
 
 def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
@@ -314,16 +320,16 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
     axes = figure.subplots()
     draw_lanes(axes, lanes)
     axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
-    axes.set_title(f"{_literal(title)}\n{_about(timeline)}", fontsize=10, loc="left")
-    _name_rows(axes.twinx(), [f"{lane.number:,}" for lane in lanes], fontsize=8, color="#5b6675")
-    kinds = [kind for kind in KINDS if any(lane.kind == kind for lane in lanes)]
+    axes.set_title(f"{_escape_formulas(title)}\n{_describe_timeline(timeline)}", fontsize=10, loc="left")
+    _label_rows(axes.twinx(), [f"{lane.number:,}" for lane in lanes], fontsize=8, color="#5b6675")
+    kinds = [kind for kind in LANE_KINDS if any(lane.kind == kind for lane in lanes)]
     patches = [Patch(color=_COLOURS[kind], label=_NAMES[kind]) for kind in kinds]
     legend_position = (1.0, -0.3 / height)
     axes.legend(
         handles=patches,
         loc="upper right",
         bbox_to_anchor=legend_position,
-        ncol=len(KINDS),
+        ncol=len(LANE_KINDS),
         fontsize=8,
         frameon=False,
     )
@@ -340,15 +346,15 @@ def draw_lanes(axes: Any, lanes: Sequence[TimelineLane]) -> None:
     axes.set_xlabel("seconds")
     axes.grid(axis="x", color="#e1e5ea")
     axes.set_axisbelow(True)
-    _name_rows(axes, [_literal(lane.name) for lane in lanes], fontsize=9)
+    _label_rows(axes, [_escape_formulas(lane.name) for lane in lanes], fontsize=9)
 
 
-def _literal(text: str) -> str:
+def _escape_formulas(text: str) -> str:
     """Return a text that matplotlib displays literally: text between two ``$`` would be parsed as a formula."""
     return printable(text).replace("$", "\\$")
 
 
-def _name_rows(axes: Any, names: List[str], **style: Any) -> None:
+def _label_rows(axes: Any, names: List[str], **style: Any) -> None:
     """Label each row with a name."""
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_yticks(range(len(names)))
@@ -361,11 +367,13 @@ def _name_rows(axes: Any, names: List[str], **style: Any) -> None:
 def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
     """Draw a lane: bars for marks with duration, lines for others."""
     colour = _COLOURS[lane.kind]
-    rows, row_height = tracks(lane.marks), 0.64 / _rows(lane)
+    rows, row_height = assign_rows(lane.marks), 0.64 / _count_rows(lane)
     points = [start for start, end, _ in lane.marks if start == end]
-    for index in range(_rows(lane)):
+    for index in range(_count_rows(lane)):
         top = row - 0.32 + index * row_height
-        bars = [(start, end - start) for (start, end, _), track in zip(lane.marks, rows) if track == index]
+        bars = [
+            (start, end - start) for (start, end, _), row_index in zip(lane.marks, rows) if row_index == index
+        ]
         if bars:
             axes.broken_barh(bars, (top, 0.9 * row_height), facecolor=colour, alpha=0.45, linewidth=0)
             edges = [edge for start, size in bars for edge in (start, start + size)]
@@ -374,7 +382,7 @@ def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
         axes.vlines(points, row - 0.32, row + 0.32, color=colour, linewidth=0.8)
 
 
-def _about(timeline: Timeline) -> str:
+def _describe_timeline(timeline: Timeline) -> str:
     """Return a summary of the timeline in one line."""
     year, month, day, hour, minute, second, _ = timestamps.fields(timeline.begin)
     lanes = f"; {timeline.left_out} further lanes are left out" if timeline.left_out else ""

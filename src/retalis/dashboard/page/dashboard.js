@@ -243,14 +243,14 @@ function redraw() {
   if (last) setRates(last.rates);
 }
 
-function show(look) {
-  last = look;
-  document.title = `${look.title} – retalis`;
-  set(find("title"), look.title);
-  find("asking").hidden = !look.queries;
+function show(snapshot) {
+  last = snapshot;
+  document.title = `${snapshot.title} – retalis`;
+  set(find("title"), snapshot.title);
+  find("asking").hidden = !snapshot.queries;
   for (const part of [showTiles, showWork, showTopics, showSubscriptions, showMemories, showWaiting, showRules,
-    showEvents]) part(look);
-  if (graph) showGraph(look.rates);
+    showEvents]) part(snapshot);
+  if (graph) showGraph(snapshot.rates);
   document.body.dataset.looks = Number(document.body.dataset.looks || 0) + 1;
 }
 
@@ -308,7 +308,7 @@ function open() {
   close();
   source = new EventSource(`stream?events=${find("follow").checked ? 1 : 0}`);
   source.addEventListener("graph", (event) => { graph = JSON.parse(event.data); redraw(); });
-  source.addEventListener("look", (event) => { state("live", "live"); show(JSON.parse(event.data)); });
+  source.addEventListener("snapshot", (event) => { state("live", "live"); show(JSON.parse(event.data)); });
   source.onerror = () => {
     const refused = source.readyState === EventSource.CLOSED;
     state(refused ? "refused: too many pages are open" : "the node does not answer", "lost");

@@ -13,12 +13,12 @@ from hypothesis import strategies as some
 
 from retalis import Engine, UsageError
 from retalis.visualization.program_graph import (
-    KINDS,
+    NODE_STYLES,
     Graph,
     GraphEdge,
     GraphNode,
     dot_text,
-    draw,
+    draw_graph,
     program_graph,
 )
 
@@ -39,7 +39,7 @@ def test_a_program_has_nodes_ways_and_a_legend():
 
 def test_colours_are_those_of_the_page():
     page = (ROOT / "src/retalis/dashboard/page/dashboard.css").read_text(encoding="utf-8")
-    for kind, look in KINDS.items():
+    for kind, look in NODE_STYLES.items():
         assert re.search(rf"--{kind}: (#\w+)", page).group(1) == look.colour
 
 
@@ -61,7 +61,7 @@ FORGING = "\x1b[31m\x9b\u202e\x00\ud800\uffff &#27; &amp; &x; a & b"
 
 
 def test_texts_have_only_what_xml_has_and_no_entities():
-    nodes = [GraphNode("a", kind, FORGING, FORGING) for kind in KINDS]
+    nodes = [GraphNode("a", kind, FORGING, FORGING) for kind in NODE_STYLES]
     text = dot_text(Graph(nodes, [], 0), FORGING)
     ElementTree.fromstring(f"<t>{escape(text)}</t>")
     shown = r"\x1b[31m\x9b\u202e\x00\ud800\uffff \x26#27; \x26amp; \x26x; a & b"
@@ -70,14 +70,16 @@ def test_texts_have_only_what_xml_has_and_no_entities():
 
 @pytest.mark.skipif(which("dot") is None, reason="Graphviz is not there")
 def test_graphviz_draws_any_text_as_well_formed_xml(tmp_path):
-    draw(dot_text(Graph([GraphNode("a", "topic", FORGING, FORGING)], [], 0), FORGING), tmp_path / "x.svg")
+    draw_graph(
+        dot_text(Graph([GraphNode("a", "topic", FORGING, FORGING)], [], 0), FORGING), tmp_path / "x.svg"
+    )
     assert "\\x1b[31m" in "".join(ElementTree.parse(tmp_path / "x.svg").getroot().itertext())
 
 
 def test_without_graphviz_the_error_says_what_to_do(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match=r"apt install graphviz.*program\.dot can be written"):
-        draw("digraph {}", tmp_path / "program.svg")
+        draw_graph("digraph {}", tmp_path / "program.svg")
 
 
 def test_what_dot_cannot_read_is_an_error(monkeypatch, tmp_path):
@@ -85,7 +87,7 @@ def test_what_dot_cannot_read_is_an_error(monkeypatch, tmp_path):
     (tmp_path / "dot").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     with pytest.raises(UsageError, match="dot cannot draw .*syntax error"):
-        draw("digraph {", tmp_path / "program.svg")
+        draw_graph("digraph {", tmp_path / "program.svg")
 
 
 @pytest.mark.slow
