@@ -18,6 +18,9 @@ LAYOUT = {
 SHARED = ("application_source", "examples/nao")
 """Folders that the command ``demo`` needs; catkin installs them by itself."""
 
+SITE = "docs/_build/html"
+"""The documentation site, which ``./install.py docs`` builds; a wheel that is built without it has none."""
+
 EXTRAS = {
     "dashboard": ["tornado>=6"],
     "plot": ["matplotlib"],
@@ -29,12 +32,24 @@ EXTRAS = {
 
 def shared() -> list:
     """Return the files of the example and where an installation has them."""
-    files = [path for folder in SHARED for path in sorted(Path(folder).rglob("*")) if path.is_file()]
+    return [entry for folder in SHARED for entry in placed(folder, f"share/retalis/{folder}")]
+
+
+def placed(source: str, target: str) -> list:
+    """Return the files of a folder and its subfolders, and where an installation has them.
+
+    Args:
+        source: Folder, which may be missing.
+        target: Its place in an installation.
+    """
+    files = [path for path in sorted(Path(source).rglob("*")) if path.is_file()]
     kept = [path for path in files if "__pycache__" not in path.parts]
-    folders = sorted({path.parent for path in kept})
     return [
-        (f"share/retalis/{folder.as_posix()}", [path.as_posix() for path in kept if path.parent == folder])
-        for folder in folders
+        (
+            f"{target}/{folder.relative_to(source).as_posix()}",
+            [path.as_posix() for path in kept if path.parent == folder],
+        )
+        for folder in sorted({path.parent for path in kept})
     ]
 
 
@@ -103,6 +118,7 @@ def described() -> dict:
         "entry_points": {"console_scripts": ["retalis = retalis.__main__:main"]},
         "data_files": [
             *shared(),
+            *placed(SITE, "share/retalis/docs/html"),
             ("share/retalis/docs/reference", ["docs/reference/predicates.md"]),
             ("share/bash-completion/completions", ["src/retalis/cli/retalis.bash"]),
         ],

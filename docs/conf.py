@@ -38,6 +38,8 @@ html_title = f"retalis {release}"
 html_copy_source = False
 html_show_sourcelink = False
 html_show_copyright = False
+# A browser refuses to read summaries of search results from files.
+html_show_search_summary = False
 
 # Copy the commands of a console block without their prompts and their output.
 copybutton_prompt_text = r"\$ |\?- |>>> |\.\.\. "

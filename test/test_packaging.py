@@ -62,6 +62,11 @@ def built(tmp_path_factory):
     for path in ROOT.iterdir():
         if path.is_file() and not path.name.startswith("."):
             shutil.copy(path, sources)
+    # Instead of a site that Sphinx has built: two pages, and what Sphinx keeps for its next build.
+    shutil.rmtree(sources / "docs" / "_build", ignore_errors=True)
+    for page in ("html/index.html", "html/reference/index.html", "doctrees/index.doctree"):
+        (sources / "docs" / "_build" / page).parent.mkdir(parents=True, exist_ok=True)
+        (sources / "docs" / "_build" / page).write_text(page)
     seen = os.pathsep.join(place for place in sys.path if place)  # where setuptools and wheel are
     run(sys.executable, "setup.py", "-q", "sdist", "-d", there, cwd=sources, PYTHONPATH=seen)
     (archive,) = there.glob("*.tar.gz")
@@ -130,10 +135,43 @@ def test_the_wheel_has_the_package_and_the_example(built):
     )
 
 
+def test_the_archive_and_the_wheel_have_the_documentation_site(built):
+    with tarfile.open(built.archive) as found:
+        names = {
+            name.partition("/docs/_build/")[2] for name in found.getnames() if found.getmember(name).isfile()
+        }
+    assert names == {"", "html/index.html", "html/reference/index.html"}
+    with zipfile.ZipFile(built.wheel) as found:
+        pages = [name for name in found.namelist() if "/share/retalis/docs/html/" in name]
+    assert [name.partition("/docs/")[2] for name in pages] == ["html/index.html", "html/reference/index.html"]
+
+
+def test_a_wheel_is_built_without_a_site(tmp_path):
+    shutil.copytree(
+        ROOT, tmp_path / "sources", ignore=shutil.ignore_patterns(".*", "_build", "test", "bench", "build")
+    )
+    seen = os.pathsep.join(place for place in sys.path if place)
+    run(
+        sys.executable,
+        "setup.py",
+        "-q",
+        "bdist_wheel",
+        "-d",
+        tmp_path,
+        cwd=tmp_path / "sources",
+        PYTHONPATH=seen,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as found:
+        assert not [name for name in found.namelist() if "/docs/html" in name]
+
+
 def test_an_installation_is_a_command_with_the_example_and_completion(installed, tmp_path):
     command = installed / "bin" / "retalis"
     assert run(command, "--version", cwd=tmp_path) == "retalis 1.0.0\n"
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)
+    site = installed / "share" / "retalis" / "docs" / "html" / "index.html"
+    assert run(command, "docs", "--print-path", cwd=tmp_path) == f"{site}\n" and site.exists()
     assert "lists one after the other" in run(command, "console", "--goal", "help(append)", cwd=tmp_path)
     script = (
         "source <(retalis complete bash);"

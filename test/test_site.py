@@ -42,3 +42,8 @@ def test_the_index_page_of_a_section_links_to_all_of_its_pages(section):
     folder = DOCS / section
     pages = {*folder.glob("*.md"), *folder.glob("*/index.md")}
     assert pages - {folder / "index.md"} <= links(folder / "index.md")
+
+
+def test_ci_builds_the_site():
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert 'install.py --workspace "$work/workspace" docs ||' in script

@@ -53,6 +53,7 @@ COMMANDS = {
     "check": "check_command",
     "console": "console",
     "demo": "demo_command",
+    "docs": "docs_command",
     "events": "event_stream_command",
     "graph": "graph_command",
     "help": "help_command",
