@@ -171,8 +171,8 @@ def test_stamps():
 
 
 def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
-    monkeypatch.setattr(field_values.texts, "entries", 10)
-    field_values.texts.clear()  # what other tests have left there
+    monkeypatch.setattr(field_values.cached_texts, "entries", 10)
+    field_values.cached_texts.clear()  # what other tests have left there
     found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     tail = struct.pack("<d", 1.0)
     for number in range(50):
@@ -181,7 +181,7 @@ def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
         first, again = found.decode(data), found.decode(data)
         assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
         assert args(first)[1] is atom(f'"child{number}"')
-    assert len(field_values.texts) <= 10
+    assert len(field_values.cached_texts) <= 10
 
 
 def section(name, text):

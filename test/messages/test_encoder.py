@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from messages.wire import messages, serialize
 from retalis import Decoder, Definitions, Encoder, MessageError, String, Var, atom, functor, make_list
 from retalis.messages.type_registry import Installed
-from retalis.messages.validating_encoder import CheckingEncoder
+from retalis.messages.validating_encoder import ValidatingEncoder
 from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.term_traversal import copy
 from retalis.prolog.terms.types import CONS, NIL, Lazy
@@ -330,7 +330,7 @@ MSG: pkg/Nothing
 """
 MIXED_TYPE = Definitions(Installed([], [], rosbags=False)).add("pkg/Mixed", MIXED)
 DECODE = Decoder(MIXED_TYPE).decode
-ENCODE, CHECK = Encoder(MIXED_TYPE).encode, CheckingEncoder(MIXED_TYPE).encode
+ENCODE, CHECK = Encoder(MIXED_TYPE).encode, ValidatingEncoder(MIXED_TYPE).encode
 
 odd_terms = st.one_of(
     st.sampled_from(

@@ -271,7 +271,7 @@ def test_types_of_any_slots(slots, data):
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
     decoder = definitions.decoder(definition)
     write = text_writer(decoder)
-    with patch.object(encoder, "CheckingEncoder", _Refusing):
+    with patch.object(encoder, "ValidatingEncoder", _Refusing):
         encode = encoder.Encoder(definition).encode
     for values in data.draw(st.lists(messages(definition, printable), min_size=1, max_size=3)):
         values = _without_codes(definition, values)

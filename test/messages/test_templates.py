@@ -49,7 +49,7 @@ def check(definition):
     for text in (positional(definition), by_names(definition)):
         term, names = read(text)
         assert (shape(term), names) == expected(definition), text
-    data = bytes(definition.measure.least)
+    data = bytes(definition.measure.min_size)
     text = zero(definition, DEFINITIONS)
     assert term_key(read(text)[0]) == term_key(DEFINITIONS.decoder(definition).decode(data))
     assert DEFINITIONS.encoder(definition).encode(read(text)[0]) == data

@@ -65,8 +65,8 @@ FLOATS = [0.0, -0.0, 1.0, 1e-7, -1e22, 1.5e-9, 123456.789, float("inf"), float("
 
 
 def twisted(x, y, z, t, w):
-    texts = packed(b"map") + packed(b"one")
-    return struct.pack("<III", 1, 2, 3) + texts + struct.pack("<ddfb3dd", x, y, z, 7, *t, w)
+    cached_texts = packed(b"map") + packed(b"one")
+    return struct.pack("<III", 1, 2, 3) + cached_texts + struct.pack("<ddfb3dd", x, y, z, 7, *t, w)
 
 
 @settings(deadline=None, max_examples=50)

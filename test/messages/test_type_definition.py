@@ -6,7 +6,7 @@ from retalis.messages.type_definition import (
     MAX_MESSAGE_BYTES,
     MAX_SLOTS,
     MAX_TYPE_DEPTH,
-    VARIABLE,
+    VARIABLE_LENGTH,
     Measure,
     functor_name,
     parse,
@@ -36,7 +36,7 @@ def test_slots():
     definition = read("# a comment\n\nfloat64 x # metres\nint32[]  many\nuint8[4] four\r\n\tstring name\n")
     assert [(slot.name, slot.type, slot.length) for slot in definition.fields] == [
         ("x", "float64", None),
-        ("many", "int32", VARIABLE),
+        ("many", "int32", VARIABLE_LENGTH),
         ("four", "uint8", 4),
         ("name", "string", None),
     ]
@@ -254,27 +254,33 @@ def test_long_digits_and_blanks(text, column, part):
 
 
 def test_a_type_may_be_as_large_as_is_allowed():
-    for field, most in (("slots", MAX_SLOTS), ("depth", MAX_TYPE_DEPTH), ("least", MAX_MESSAGE_BYTES)):
-        assert Measure(**{field: most}).problem() == ""
-        assert str(most) in Measure(**{field: most + 1}).problem()
+    for field, most in (("slots", MAX_SLOTS), ("depth", MAX_TYPE_DEPTH), ("min_size", MAX_MESSAGE_BYTES)):
+        assert Measure(**{field: most}).exceeded_limit() == ""
+        assert str(most) in Measure(**{field: most + 1}).exceeded_limit()
 
 
 @pytest.mark.parametrize(
     ("text", "measure"),
     [
         ("", Measure()),
-        ("int8 a\nfloat64 b", Measure(least=9, slots=2, depth=1)),
-        ("time t\nduration[2] d", Measure(least=24, slots=2, depth=1)),
-        ("string s", Measure(least=4, fixed=False, slots=1, depth=1)),
-        ("string[3] s", Measure(least=12, fixed=False, slots=1, depth=1)),
-        ("int16[] a\nint8[3] b", Measure(least=7, fixed=False, slots=2, depth=1)),
-        ("Part p", Measure(least=3, slots=4, depth=2)),
-        ("Part[2] p", Measure(least=6, slots=4, depth=2)),
-        ("Part[] p", Measure(least=4, fixed=False, slots=4, depth=2)),
+        ("int8 a\nfloat64 b", Measure(min_size=9, slots=2, depth=1)),
+        ("time t\nduration[2] d", Measure(min_size=24, slots=2, depth=1)),
+        ("string s", Measure(min_size=4, is_fixed_size=False, slots=1, depth=1)),
+        ("string[3] s", Measure(min_size=12, is_fixed_size=False, slots=1, depth=1)),
+        ("int16[] a\nint8[3] b", Measure(min_size=7, is_fixed_size=False, slots=2, depth=1)),
+        ("Part p", Measure(min_size=3, slots=4, depth=2)),
+        ("Part[2] p", Measure(min_size=6, slots=4, depth=2)),
+        ("Part[] p", Measure(min_size=4, is_fixed_size=False, slots=4, depth=2)),
         ("Nothing n", Measure(slots=1, depth=1)),
-        ("Nothing[5] n\nNothing[2] m", Measure(slots=2, depth=1, bare=7, may_be_bare=True)),
-        ("Nothing[] n", Measure(least=4, fixed=False, slots=1, depth=1, may_be_bare=True)),
-        ("Bare[2] b", Measure(least=2, slots=3, depth=2, bare=6, may_be_bare=True)),
+        (
+            "Nothing[5] n\nNothing[2] m",
+            Measure(slots=2, depth=1, empty_elements=7, may_have_empty_elements=True),
+        ),
+        (
+            "Nothing[] n",
+            Measure(min_size=4, is_fixed_size=False, slots=1, depth=1, may_have_empty_elements=True),
+        ),
+        ("Bare[2] b", Measure(min_size=2, slots=3, depth=2, empty_elements=6, may_have_empty_elements=True)),
         ("int8[0] a", Measure(slots=1, depth=1)),
     ],
 )

@@ -75,7 +75,7 @@ def test_types_may_be_named_as_in_ros_2():
     assert registry.known("pkg/msg/Inner") is registry.known("pkg/Inner")
     assert registry.received("pkg/msg/Stamped", "pkg/Stamped", STAMPED, "*").name == "pkg/Stamped"
     learned = registry.learn("pkg/msg/Other", "pkg/msg/Inner", "int8 x", "*")
-    assert (learned.decoder.definition.name, learned.instead) == ("pkg/Other", True)
+    assert (learned.decoder.definition.name, learned.is_replacement) == ("pkg/Other", True)
     assert Definitions().misspelt("std_msgs/msg/Strng") == "std_msgs/String"
     assert Definitions().installed_text("std_msgs/msg/String") == Definitions().installed_text(
         "std_msgs/String"

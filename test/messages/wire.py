@@ -91,30 +91,34 @@ def _list(items):
     return term
 
 
-def messages(definition: Definition, texts=None):
+def messages(definition: Definition, cached_texts=None):
     """Return the strategy of a type's messages."""
-    texts = st.binary(max_size=40) | st.text(max_size=20).map(str.encode) if texts is None else texts
-    return st.tuples(*(_values(slot, texts) for slot in definition.fields)).map(list)
+    cached_texts = (
+        st.binary(max_size=40) | st.text(max_size=20).map(str.encode)
+        if cached_texts is None
+        else cached_texts
+    )
+    return st.tuples(*(_values(slot, cached_texts) for slot in definition.fields)).map(list)
 
 
-def _values(slot, texts):
+def _values(slot, cached_texts):
     if slot.length is None:
-        return _element(slot, texts)
+        return _element(slot, cached_texts)
     low, high = (0, 7 if slot.definition is None else 2) if slot.length < 0 else (slot.length,) * 2
     if slot.type in ("uint8", "char"):
         return (
-            texts.map(lambda text: text[:high].ljust(low, b" "))
+            cached_texts.map(lambda text: text[:high].ljust(low, b" "))
             if high > 7
             else st.binary(min_size=low, max_size=high if slot.length >= 0 else 1500)
         )
-    return st.lists(_element(slot, texts), min_size=low, max_size=high)
+    return st.lists(_element(slot, cached_texts), min_size=low, max_size=high)
 
 
-def _element(slot, texts):
+def _element(slot, cached_texts):
     if slot.definition is not None:
-        return messages(slot.definition, texts)
+        return messages(slot.definition, cached_texts)
     if slot.type == "string":
-        return texts
+        return cached_texts
     if slot.type in ("time", "duration"):  # genpy carries nanoseconds over a second
         low, high = (0, 2**32 - 1) if slot.type == "time" else (-(2**31), 2**31 - 1)
         return st.tuples(st.integers(low, high), st.integers(0, 999_999_999)).map(list)

@@ -9,7 +9,7 @@ import rospy
 from std_msgs.msg import String
 
 from retalis import Definitions
-from retalis.ros.connection_writer import raw_class
+from retalis.ros.connection_writer import serialized_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
 PATIENCE = 60.0
@@ -86,7 +86,7 @@ class RawPublisher:
     """Publishes bytes as messages of a type, whether the type is installed or not."""
 
     def __init__(self, topic, definition, latch=False):
-        self.kind = raw_class(definition)
+        self.kind = serialized_class(definition)
         self.publisher = rospy.Publisher(topic, self.kind, queue_size=10_000, latch=latch)
 
     def publish(self, data):

@@ -38,7 +38,7 @@ HEADER = encode_ros_handshake_header({"topic": "/chatter", "md5sum": "*", "calle
 
 @pytest.fixture(autouse=True)
 def _short_loops(monkeypatch):
-    monkeypatch.setattr(connection_limits, "LOOP_SECONDS", 0.02)
+    monkeypatch.setattr(connection_limits, "DEADLINE_CHECK_SECONDS", 0.02)
 
 
 @pytest.fixture
@@ -291,7 +291,7 @@ def handshake(server, data=HEADER):
 
 def test_idle_connections_hold_up_nobody(tcpros, monkeypatch):
     """No deadline passes here: before, the first of these connections was waited for."""
-    monkeypatch.setattr(connection_limits, "HANDSHAKE_SECONDS", 10 * PATIENCE)
+    monkeypatch.setattr(connection_limits, "HANDSHAKE_TIMEOUT_SECONDS", 10 * PATIENCE)
     server, behind = tcpros
     idle = [connect(server) for _ in range(IDLE)]
     try:
@@ -306,7 +306,7 @@ def test_idle_connections_hold_up_nobody(tcpros, monkeypatch):
 
 @pytest.mark.parametrize("begin", [b"", HEADER[:9]])
 def test_a_connection_without_a_header_ends_at_the_time_limit(monkeypatch, begin):
-    monkeypatch.setattr(connection_limits, "HANDSHAKE_SECONDS", 0.1)
+    monkeypatch.setattr(connection_limits, "HANDSHAKE_TIMEOUT_SECONDS", 0.1)
     server = HandshakeServer(RospyServer().callback)
     threading.Thread(target=server.run, daemon=True).start()
     try:

@@ -13,11 +13,11 @@ from rospy.exceptions import TransportException, TransportTerminated  # noqa: E4
 
 from retalis.ros import connection_reader  # noqa: E402
 from retalis.ros.connection_reader import (  # noqa: E402
-    LATE,
     MAX_SINGLE_MESSAGE_WINDOWS,
-    WINDOW,
+    MAX_WINDOW_TIMEOUTS,
+    WINDOW_WAKE_UPS,
     ConnectionReader,
-    Pace,
+    LowWaterMark,
     read_in_batches,
 )
 
@@ -80,7 +80,7 @@ def send_in_pieces(sender, data, size):
 @pytest.mark.parametrize("read", [b"", frame(b"first"), frame(b"first")[:2], frame(b"first")[:7]])
 def test_messages_are_handed_on_wherever_they_are_cut(pair, monkeypatch, size, read):
     sender, receiver = pair
-    monkeypatch.setattr(connection_reader, "BUFFER", size)
+    monkeypatch.setattr(connection_reader, "MAX_READ_BYTES", size)
     messages = [b"first", b"", b"second", b"x" * 300]
     stream = b"".join(map(frame, messages))
     assert stream.startswith(read)
@@ -161,12 +161,12 @@ def test_a_message_alone_arrives_where_several_are_waited_for(pair, monkeypatch)
         taken.extend(messages)
         link.done = True
 
-    class Patient(Pace):
+    class Patient(LowWaterMark):
         def __init__(self, *arguments):
             super().__init__(*arguments)
-            self.wait_for(1000)
+            self.set_min_bytes(1000)
 
-    monkeypatch.setattr(connection_reader, "Pace", Patient)
+    monkeypatch.setattr(connection_reader, "LowWaterMark", Patient)
     reader = ConnectionReader(link, subscribed(), lambda header: take, 0.001)
     sender.sendall(frame(b"alone"))
     assert reader() == []
@@ -221,12 +221,12 @@ class Options:
     """A socket that notes what it is told."""
 
     def __init__(self):
-        self.least = 1
+        self.min_bytes = 1
         self.timeout = None
 
     def setsockopt(self, level, option, value):
         if option == socket.SO_RCVLOWAT:
-            self.least = value
+            self.min_bytes = value
         else:
             self.timeout = value
 
@@ -236,12 +236,12 @@ def paced():
     """Return a socket, its pace, and a function that lets a window of wake-ups pass."""
     time = [0.0]
     sock = Options()
-    pace = Pace(sock, 0.001, lambda: time[0])
+    pace = LowWaterMark(sock, 0.001, lambda: time[0])
 
     def window(seconds, messages, size=100, windows=1):
-        for _ in range(windows * WINDOW):
-            time[0] += seconds / WINDOW
-            pace.note(messages * size, messages)
+        for _ in range(windows * WINDOW_WAKE_UPS):
+            time[0] += seconds / WINDOW_WAKE_UPS
+            pace.record_wake_up(messages * size, messages)
 
     return sock, pace, window
 
@@ -252,29 +252,29 @@ linux = pytest.mark.skipif(
 
 
 @linux
-@pytest.mark.parametrize(("rate", "least"), [(500, 1), (1900, 1), (2500, 201), (9900, 901)])
-def test_how_much_is_waited_for_goes_with_the_rate(paced, rate, least):
+@pytest.mark.parametrize(("rate", "min_bytes"), [(500, 1), (1900, 1), (2500, 201), (9900, 901)])
+def test_how_much_is_waited_for_goes_with_the_rate(paced, rate, min_bytes):
     sock, pace, window = paced
-    window(WINDOW / rate, 1)
-    assert sock.least == pace.least == least
-    assert (sock.timeout is None) == (least == 1)
+    window(WINDOW_WAKE_UPS / rate, 1)
+    assert sock.min_bytes == pace.min_bytes == min_bytes
+    assert (sock.timeout is None) == (min_bytes == 1)
 
 
 @linux
 def test_bursts_are_not_waited_for(paced):
     sock, _, window = paced
-    window(4 * WINDOW / 2500, 4)
-    assert sock.least == 1
+    window(4 * WINDOW_WAKE_UPS / 2500, 4)
+    assert sock.min_bytes == 1
 
 
 @linux
 def test_when_it_gets_slower_each_message_is_read_at_once_again(paced):
     sock, _, window = paced
-    window(WINDOW / 2500, 1)
-    assert sock.least > 1
-    window(2 * WINDOW / 900, 2)
-    assert sock.least == 1
-    assert sock.timeout == connection_reader.NEVER
+    window(WINDOW_WAKE_UPS / 2500, 1)
+    assert sock.min_bytes > 1
+    window(2 * WINDOW_WAKE_UPS / 900, 2)
+    assert sock.min_bytes == 1
+    assert sock.timeout == connection_reader.NO_TIMEOUT
 
 
 @linux
@@ -283,12 +283,12 @@ def test_where_waiting_is_in_vain_it_is_tried_ever_more_seldom(paced):
     pauses = []
     for _ in range(9):
         pauses.append(0)
-        while sock.least == 1:
-            window(WINDOW / 2500, 1)
+        while sock.min_bytes == 1:
+            window(WINDOW_WAKE_UPS / 2500, 1)
             pauses[-1] += 1
-        for _ in range(LATE + 1):
-            pace.note(0, 0)
-        assert sock.least == 1
+        for _ in range(MAX_WINDOW_TIMEOUTS + 1):
+            pace.record_wake_up(0, 0)
+        assert sock.min_bytes == 1
     assert pauses == [
         1,
         2,
@@ -309,5 +309,5 @@ def test_a_socket_that_cannot_wait_is_read_as_before(paced):
         raise OSError("no such option")
 
     sock.setsockopt = refuse
-    window(WINDOW / 2500, 1)
-    assert pace.least == 1
+    window(WINDOW_WAKE_UPS / 2500, 1)
+    assert pace.min_bytes == 1

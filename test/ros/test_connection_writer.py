@@ -80,7 +80,7 @@ def outlet(monkeypatch, link, reports):
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=connection_writer.never, latched=False: Outlet(
+    return lambda queue=1000, patient=connection_writer.never_patient, latched=False: Outlet(
         "/topic", object, queue, reports, patient, latched
     )
 
@@ -215,7 +215,7 @@ def test_a_connection_that_ends_while_rospy_takes_its_topic_down_is_left_to_it(o
     it = outlet()
     it.send(b"frame")
     assert it.publisher.impl is topic
-    assert list(it.links()) == []
+    assert list(it.connections()) == []
 
 
 def test_another_error_of_closing_is_not_hidden(outlet, link):
@@ -274,7 +274,7 @@ def test_connections_that_are_gone_are_forgotten(outlet, link):
     assert reachable(it, Link) == []
     it.publisher.impl = None
     it.send(b"frame")
-    assert list(it.links()) == []
+    assert list(it.connections()) == []
 
 
 def come(it, new):
@@ -307,7 +307,7 @@ def test_a_latched_topic_without_a_message_sends_nothing_to_who_comes(outlet, li
 
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
-    monkeypatch.setattr(late_joiners, "offering", lambda service: {link.endpoint_id})
+    monkeypatch.setattr(late_joiners, "nodes_offering", lambda service: {link.endpoint_id})
     it, turn = TextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
     it.begin(turn, set)
     it.add("a")
@@ -347,7 +347,7 @@ def test_outputs_go_to_the_interface_in_order(outlet, link, monkeypatch):
         asked.append(service)
         return {link.endpoint_id}
 
-    monkeypatch.setattr(late_joiners, "offering", offering)
+    monkeypatch.setattr(late_joiners, "nodes_offering", offering)
     it = OutputTexts("/topic", 1000, Reports(), ["out", "foo bar"], [])
     for topic, text in (("out", "a"), ("watched", "b"), ("/out", "c"), ("not a name", "d")):
         it.send(topic, text.__str__)
@@ -356,11 +356,11 @@ def test_outputs_go_to_the_interface_in_order(outlet, link, monkeypatch):
 
 
 def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_even_written(monkeypatch):
-    links, written, listeners = [], [], []
+    connections, written, listeners = [], [], []
 
     def publisher(topic, kind, listener, latch, queue_size):
         listeners.append(listener)
-        return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=links), listener=listener)
+        return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=connections), listener=listener)
 
     def write(text):
         return lambda: written.append(text) or text
@@ -373,11 +373,11 @@ def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_eve
     assert (written, reports.warnings) == (["s", "a", "b"], 1)  # the queue holds two
     for after in (b"sab", b"sc"):
         link = Link()
-        monkeypatch.setattr(late_joiners, "offering", lambda service, name=link.endpoint_id: {name})
-        links[:] = []
+        monkeypatch.setattr(late_joiners, "nodes_offering", lambda service, name=link.endpoint_id: {name})
+        connections[:] = []
         if after == b"sc":
             it.send("out", write("c"))
-        links[:] = [link]
+        connections[:] = [link]
         listeners[-1].peer_subscribe("/topic", None, None)
         assert received(link, chr(after[-1])) == b"".join(text_frame(chr(one)) for one in after)
         link.socket.close()

@@ -76,7 +76,7 @@ def test_a_fault_of_one_look_does_not_end_it(published, monkeypatch):
     assert come.wait(60)
     published[0][1]()
     assert "changed size" in told[0]
-    assert diagnostics.TOPIC == "/diagnostics"
+    assert diagnostics.DIAGNOSTICS_TOPIC == "/diagnostics"
 
 
 def test_the_hardware_id_is_the_one_that_is_given(published):

@@ -4,11 +4,11 @@ import pytest
 
 from retalis import Engine, Work
 from retalis.ros.diagnostics import (
-    LISTED,
     MAX_REPORTED_TOPICS,
-    RECENT,
+    MAX_STATUS_VALUES,
+    RECENT_SECONDS,
     STALE_AFTER_SECONDS,
-    Changes,
+    CounterTrends,
     EngineHealth,
     InputHealth,
     InputRole,
@@ -29,17 +29,17 @@ def engine_levels(engine, now=0.0, health=None, **changed):
 
 
 def test_a_topic_has_its_rate():
-    changes = Changes()
-    health = InputHealth(changes)
+    trends = CounterTrends()
+    health = InputHealth(trends)
     for now, number in ((0.0, 0), (1.0, 50), (2.0, 150)):
         found = health.of(now, TOPIC._replace(messages=number, age=0.0, lag=250_000_000))
-        changes.end()
+        trends.remove_unrecorded()
     assert (found.name, found.level, found.message) == ("input /tf", Level.OK, "100.0 messages/s")
     assert dict(found.values)["lag (s)"] == "0.250"
 
 
 def test_a_topic_without_a_publisher_is_worth_a_warning_and_one_without_messages_is_not():
-    health = InputHealth(Changes())
+    health = InputHealth(CounterTrends())
     assert health.of(0.0, TOPIC._replace(publishers=0)).level is Level.WARN
     assert health.of(1.0, TOPIC).level is Level.OK
 
@@ -48,7 +48,7 @@ def test_a_topic_without_a_publisher_is_worth_a_warning_and_one_without_messages
     "interval, quiet, level", [(0.1, 6, Level.STALE), (0.1, 4, Level.OK), (60, 300, Level.OK)]
 )
 def test_a_topic_is_stale_by_its_usual_interval(interval, quiet, level):
-    health = InputHealth(Changes())
+    health = InputHealth(CounterTrends())
     for number in range(1, 20):
         health.of(number * interval, TOPIC._replace(messages=number, age=0.0))
     last = TOPIC._replace(messages=19, age=float(quiet))
@@ -65,7 +65,7 @@ def test_a_topic_is_stale_by_its_usual_interval(interval, quiet, level):
     ],
 )
 def test_the_level_of_a_topic_depends_on_the_use_that_the_program_has_for_it(role, silent, unpublished, lost):
-    health = InputHealth(Changes(), lambda topic: role)
+    health = InputHealth(CounterTrends(), lambda topic: role)
     for number in range(1, 20):
         health.of(number * 0.1, TOPIC._replace(messages=number, age=0.0))
     seen = TOPIC._replace(messages=19, age=30.0)
@@ -75,14 +75,14 @@ def test_the_level_of_a_topic_depends_on_the_use_that_the_program_has_for_it(rol
 
 
 def test_a_latched_topic_does_not_become_stale():
-    health = InputHealth(Changes())
+    health = InputHealth(CounterTrends())
     for now in range(0, 1000, 100):
         assert health.of(now, TOPIC._replace(messages=1, age=float(now))).level is Level.OK
     assert STALE_AFTER_SECONDS < 1000
 
 
 def test_a_topic_that_is_subscribed_anew_is_judged_anew():
-    health = InputHealth(Changes())
+    health = InputHealth(CounterTrends())
     for number in range(100, 110):
         health.of(float(number), TOPIC._replace(messages=number, age=0.0))
     for number in range(1, 20):
@@ -91,7 +91,7 @@ def test_a_topic_that_is_subscribed_anew_is_judged_anew():
 
 
 def test_topics_that_are_subscribed_no_more_are_forgotten():
-    health = InputHealth(Changes())
+    health = InputHealth(CounterTrends())
     for number in range(1, 20):
         health.of(float(number), TOPIC._replace(messages=number, age=0.0))
     late = TOPIC._replace(messages=19, age=81.0)
@@ -102,18 +102,18 @@ def test_topics_that_are_subscribed_no_more_are_forgotten():
 
 
 def test_a_loss_keeps_its_level_for_a_while():
-    health = InputHealth(Changes())
+    health = InputHealth(CounterTrends())
     health.of(0.0, TOPIC)
     assert health.of(1.0, TOPIC._replace(refused=1)).level is Level.ERROR
-    assert health.of(RECENT, TOPIC._replace(refused=1)).level is Level.ERROR
-    assert health.of(RECENT + 2, TOPIC._replace(refused=1)).level is Level.OK
+    assert health.of(RECENT_SECONDS, TOPIC._replace(refused=1)).level is Level.ERROR
+    assert health.of(RECENT_SECONDS + 2, TOPIC._replace(refused=1)).level is Level.OK
 
 
 def test_an_output_whose_subscriber_is_slow():
-    changes, one = Changes(), OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
-    assert output_health(0.0, changes, one).level is Level.OK
-    changes.end()
-    assert output_health(1.0, changes, one._replace(dropped=3)).level is Level.WARN
+    trends, one = CounterTrends(), OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
+    assert output_health(0.0, trends, one).level is Level.OK
+    trends.remove_unrecorded()
+    assert output_health(1.0, trends, one._replace(dropped=3)).level is Level.WARN
 
 
 def test_an_idle_engine_is_well():
@@ -144,7 +144,7 @@ def test_rules_with_errors_are_named():
     health = EngineHealth(1.0, 10.0)
     found = engine_levels(engine, 0.0, health)["rules"]
     assert (found.level, found.values) == (Level.ERROR, [("hot mine:1:1", "1 error")])
-    assert engine_levels(engine, 2 * RECENT, health)["rules"].level is Level.WARN
+    assert engine_levels(engine, 2 * RECENT_SECONDS, health)["rules"].level is Level.WARN
 
 
 def test_a_query_that_waits_for_long_is_named_with_its_memories():
@@ -166,9 +166,15 @@ def test_what_is_listed_is_bounded():
         engine.event(f"marker({number})", 5)
     found = engine_levels(engine)["waiting queries"]
     assert found.message == "500 wait"
-    assert len(found.values) == LISTED + 1 and found.values[-1] == ("further queries", str(500 - LISTED))
+    assert len(found.values) == MAX_STATUS_VALUES + 1 and found.values[-1] == (
+        "further queries",
+        str(500 - MAX_STATUS_VALUES),
+    )
     program = program_health([], [str(number) for number in range(100)])
-    assert program.level is Level.WARN and program.values[-1] == ("further ones", str(100 - LISTED))
+    assert program.level is Level.WARN and program.values[-1] == (
+        "further ones",
+        str(100 - MAX_STATUS_VALUES),
+    )
 
 
 def test_of_many_topics_those_that_somebody_has_to_look_at_are_told_of():

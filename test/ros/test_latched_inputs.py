@@ -10,7 +10,7 @@ from retalis import Reports  # noqa: E402
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
 from retalis.ros import latched_inputs  # noqa: E402
 from retalis.ros.latched_inputs import LatchedConnection, LatchedInputs, latched_message  # noqa: E402
-from retalis.ros.text_topics import mark_of, text_handler_factory  # noqa: E402
+from retalis.ros.text_topics import epoch_mark, text_handler_factory  # noqa: E402
 
 MAP = ("/map", "/map_server", "http://robot:4711/")
 
@@ -23,18 +23,18 @@ def frame(text):
 def test_the_first_message_of_a_new_connection_is_a_repetition_if_it_was_the_last_one():
     inputs = LatchedInputs()
     first, second, third = LatchedConnection(*MAP), LatchedConnection(*MAP), LatchedConnection(*MAP)
-    assert not inputs.repeats(first.message(b"a"))
-    assert not inputs.repeats(first.message(b"b"))
-    assert inputs.repeats(second.message(b"b"))
-    assert not inputs.repeats(third.message(b"a"))
+    assert not inputs.is_repetition(first.message(b"a"))
+    assert not inputs.is_repetition(first.message(b"b"))
+    assert inputs.is_repetition(second.message(b"b"))
+    assert not inputs.is_repetition(third.message(b"a"))
 
 
 def test_what_a_publisher_publishes_again_is_new():
     inputs = LatchedInputs()
     connection = LatchedConnection(*MAP)
-    assert [inputs.repeats(connection.message(b"a")) for _ in range(3)] == [False, False, False]
+    assert [inputs.is_repetition(connection.message(b"a")) for _ in range(3)] == [False, False, False]
     again = LatchedConnection(*MAP)
-    assert [inputs.repeats(again.message(b"a")) for _ in range(3)] == [True, False, False]
+    assert [inputs.is_repetition(again.message(b"a")) for _ in range(3)] == [True, False, False]
 
 
 @pytest.mark.parametrize(
@@ -47,24 +47,24 @@ def test_what_a_publisher_publishes_again_is_new():
 )
 def test_another_publisher_or_process_makes_a_new_event(other):
     inputs = LatchedInputs()
-    assert not inputs.repeats(LatchedConnection(*MAP).message(b"a"))
-    assert not inputs.repeats(LatchedConnection(*other).message(b"a"))
-    assert inputs.repeats(LatchedConnection(*MAP).message(b"a"))
+    assert not inputs.is_repetition(LatchedConnection(*MAP).message(b"a"))
+    assert not inputs.is_repetition(LatchedConnection(*other).message(b"a"))
+    assert inputs.is_repetition(LatchedConnection(*MAP).message(b"a"))
 
 
 def test_a_publisher_whose_process_is_unknown_repeats_nothing():
     inputs = LatchedInputs()
     for _ in range(2):
-        assert not inputs.repeats(LatchedConnection("/map", "/map_server", "").message(b"a"))
+        assert not inputs.is_repetition(LatchedConnection("/map", "/map_server", "").message(b"a"))
 
 
 def test_a_message_of_a_former_run_is_no_repetition():
     run = 0
     inputs = LatchedInputs(lambda: run)
-    assert not inputs.repeats(LatchedConnection(*MAP).message(b"a"))
+    assert not inputs.is_repetition(LatchedConnection(*MAP).message(b"a"))
     run = 1
-    assert not inputs.repeats(LatchedConnection(*MAP).message(b"a"))
-    assert inputs.repeats(LatchedConnection(*MAP).message(b"a"))
+    assert not inputs.is_repetition(LatchedConnection(*MAP).message(b"a"))
+    assert inputs.is_repetition(LatchedConnection(*MAP).message(b"a"))
 
 
 def test_the_publisher_that_was_quiet_for_longest_is_forgotten(monkeypatch):
@@ -72,7 +72,7 @@ def test_the_publisher_that_was_quiet_for_longest_is_forgotten(monkeypatch):
     inputs = LatchedInputs()
 
     def repeats(topic):
-        return inputs.repeats(LatchedConnection(topic, "/node", "http://robot:1/").message(b"a"))
+        return inputs.is_repetition(LatchedConnection(topic, "/node", "http://robot:1/").message(b"a"))
 
     assert [repeats(topic) for topic in "abacab"] == [False, False, True, False, True, False]
 
@@ -111,14 +111,14 @@ def test_a_text_is_taken_once_whichever_connection_it_comes_on():
 
 def test_a_text_that_waits_for_its_run_is_compared_when_it_is_taken():
     taken = []
-    runs = ClockEpochs(Reports(), lambda: 0, lambda: None)
-    runs.clock_at(9_000_000_000)
-    inputs = LatchedInputs(lambda: runs.run)
-    receive = text_handler_factory(taken.append, runs, inputs)(None)
+    epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
+    epochs.clock_at(9_000_000_000)
+    inputs = LatchedInputs(lambda: epochs.epoch)
+    receive = text_handler_factory(taken.append, epochs, inputs)(None)
     mark = LatchedConnection(*MAP).message(b"a").mark()
-    for text in (mark_of(0), mark, "event(a)", mark_of(1), mark, "event(a)", mark, "event(a)"):
+    for text in (epoch_mark(0), mark, "event(a)", epoch_mark(1), mark, "event(a)", mark, "event(a)"):
         receive(frame(text))
     assert taken == ["event(a)"]
-    runs.clock_at(0)
-    runs.step()
+    epochs.clock_at(0)
+    epochs.step()
     assert taken == ["event(a)", "event(a)"]

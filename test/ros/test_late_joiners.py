@@ -24,19 +24,19 @@ class Outlet:
     """Notes what is written to whom."""
 
     def __init__(self):
-        self.connections = []
+        self._open = []
         self.counts = SimpleNamespace(sent=0, dropped=0)
 
-    def links(self):
-        return self.connections
+    def connections(self):
+        return self._open
 
-    def write(self, links, frames, number):
-        for link in links:
+    def write(self, connections, frames, number):
+        for link in connections:
             link.got.append(frames)
 
     def come(self):
         link = Link()
-        self.connections = [*self.connections, link]
+        self._open = [*self._open, link]
         return link
 
 
@@ -52,7 +52,7 @@ def reports():
 
 @pytest.fixture
 def make(outlet, reports):
-    return lambda queue=100, runs=lambda: 0: LateJoinerBuffer(outlet, ENGINE, queue, reports, runs)
+    return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(outlet, ENGINE, queue, reports, epoch)
 
 
 def test_what_comes_before_node_retalis_is_held_for_it_in_order(outlet, make):
@@ -225,10 +225,10 @@ def test_messages_name_the_peer(outlet, reports, caplog):
 
 
 def test_what_is_held_of_a_former_run_is_not_handed_over(outlet, make):
-    runs = [0]
-    it = make(runs=lambda: runs[0])
+    epoch = [0]
+    it = make(epoch=lambda: epoch[0])
     it.send(b"1", 1)
-    runs[0] = 1
+    epoch[0] = 1
     it.send(b"2", 1)
     engine = outlet.come()
     it.unidentified()

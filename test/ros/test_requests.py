@@ -18,7 +18,7 @@ def test_a_long_format_is_walked_through_once_and_not_for_each_of_its_variables(
     reader._engine = Engine()  # noqa: SLF001
     slots = ",".join(f"X{at}" for at in range(200))
     found = reader._fields(SimpleNamespace(event=f"a({slots})", conditions="", format=f"b({slots},Y)"))
-    assert found.free == ["Y"]
+    assert found.unbound_names == ["Y"]
     assert len(walked) < 5
 
 
@@ -28,7 +28,7 @@ def test_a_long_request_is_refused_unread(monkeypatch):
         services.rospy, "Service", lambda name, kind, handler: provided.update({name: handler})
     )
     handled = []
-    services.provide("~query", object, lambda request: handled.append(request) or "done")
+    services.offer_service("~query", object, lambda request: handled.append(request) or "done")
 
     def call(goal, wait_for):
         request = SimpleNamespace(__slots__=["goal", "wait_for", "seconds"], seconds=1.0)

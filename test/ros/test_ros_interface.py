@@ -36,7 +36,7 @@ def receive(monkeypatch):
             5,
             threading.Lock(),
             reports,
-            event=event,
+            event_name=event,
         )
         md5sum = Definitions().add(sent, TEXT).md5sum
         message = rospy.AnyMsg()

@@ -10,7 +10,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rosgraph.roslogging import RosStreamHandler  # noqa: E402
 
-from retalis.ros.ros_log import MAX_PRINTED_LINE_CHARACTERS, PrintedLines, show_safely  # noqa: E402
+from retalis.ros.ros_log import MAX_PRINTED_LINE_CHARACTERS, PrintedLines, escape_record  # noqa: E402
 
 FORGED = "[ERROR] [1700000000.000000]: the robot is on fire"
 
@@ -25,12 +25,12 @@ def logger(log):
     made = logging.getLogger("test_log")
     handler = RosStreamHandler(colorize=False, stdout=log, stderr=log)
     made.addHandler(handler)
-    made.addFilter(show_safely)
+    made.addFilter(escape_record)
     made.setLevel(logging.INFO)
     made.propagate = False
     yield made
     made.removeHandler(handler)
-    made.removeFilter(show_safely)
+    made.removeFilter(escape_record)
 
 
 def test_a_text_forges_no_record_and_no_colour(logger, log):

@@ -60,7 +60,7 @@ def test_time_that_is_not_simulated_has_no_runs(monkeypatch):
     monkeypatch.setattr(ros_time, "is_wallclock", lambda: True)
     simulated = ros_time.SimulatedTime(Reports())
     simulated.begin([], lambda end: None)
-    assert (simulated.runs, simulated.may_wait()) == (None, False)
+    assert (simulated.epochs, simulated.may_wait()) == (None, False)
     assert abs(simulated.now() - time.time_ns()) < 10**9
 
 
@@ -95,11 +95,11 @@ def test_a_run_begins_when_the_clock_goes_back(clock):
 
 
 def test_the_time_of_an_engine_goes_back_when_it_is_told(clock, monkeypatch):
-    its = retalis_node.RosClock(clock.runs)
+    its = retalis_node.RosClock(clock.epochs)
     clock.move(9)
     clock.move(2, back=True)
     assert its.now() == 9 * 10**9
-    its.begin_run(clock.runs.run)
+    its.begin_epoch(clock.epochs.epoch)
     assert (its.now(), its.went_back()) == (2 * 10**9, True)
     clock.move(0, back=True)
     assert its.now() == 2 * 10**9
@@ -108,7 +108,7 @@ def test_the_time_of_an_engine_goes_back_when_it_is_told(clock, monkeypatch):
 
 
 def test_a_clock_that_goes_on_waits_for_the_first_time(clock):
-    its = retalis_node.RosClock(clock.runs)
+    its = retalis_node.RosClock(clock.epochs)
     its.restore([-1, 5 * 10**9, 0, 0])
     its.resumed = True
     assert (its.now(), its.went_back()) == (5 * 10**9, False)

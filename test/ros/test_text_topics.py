@@ -8,7 +8,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports  # noqa: E402
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
-from retalis.ros.text_topics import mark_of, text_handler_factory  # noqa: E402
+from retalis.ros.text_topics import epoch_mark, text_handler_factory  # noqa: E402
 
 
 def message(text):
@@ -22,33 +22,33 @@ def taken():
 
 
 @pytest.fixture
-def runs():
-    runs = ClockEpochs(Reports(), lambda: 0, lambda: None)
-    runs.clock_at(9_000_000_000)
-    return runs
+def epochs():
+    epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
+    epochs.clock_at(9_000_000_000)
+    return epochs
 
 
-def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, runs):
-    receive = text_handler_factory(taken.append, runs)(None)
-    for text in (mark_of(0), "event(a)", mark_of(1), "event(b)"):
+def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, epochs):
+    receive = text_handler_factory(taken.append, epochs)(None)
+    for text in (epoch_mark(0), "event(a)", epoch_mark(1), "event(b)"):
         receive(message(text))
     assert taken == ["event(a)"]
-    runs.clock_at(0)
-    runs.step()
+    epochs.clock_at(0)
+    epochs.step()
     assert taken == ["event(a)", "event(b)"]
 
 
-def test_senders_are_told_apart(taken, runs):
-    taker = text_handler_factory(taken.append, runs)
+def test_senders_are_told_apart(taken, epochs):
+    taker = text_handler_factory(taken.append, epochs)
     late, silent = taker(None), taker(None)
-    late(message(mark_of(7)))
-    runs.clock_at(0)
+    late(message(epoch_mark(7)))
+    epochs.clock_at(0)
     late(message("event(old)"))
     silent(message("event(new)"))
-    runs.step()
+    epochs.step()
     assert taken == ["event(old)"]
-    late(message(mark_of(8)))
-    runs.step()
+    late(message(epoch_mark(8)))
+    epochs.step()
     assert taken == ["event(old)", "event(new)"]
 
 
@@ -56,11 +56,11 @@ def test_senders_are_told_apart(taken, runs):
     "text",
     ["event(retalis_run(x))", "event(retalis_run(-1))", "event(retalis_run(1), [1,1])", "event(retalis_run("],
 )
-def test_what_only_looks_like_it_is_an_event(text, taken, runs):
-    text_handler_factory(taken.append, runs)(None)(message(text))
+def test_what_only_looks_like_it_is_an_event(text, taken, epochs):
+    text_handler_factory(taken.append, epochs)(None)(message(text))
     assert taken == [text]
 
 
 def test_without_simulated_time_it_is_an_event(taken):
-    text_handler_factory(taken.append)(None)(message(mark_of(3)))
-    assert taken == [mark_of(3)]
+    text_handler_factory(taken.append)(None)(message(epoch_mark(3)))
+    assert taken == [epoch_mark(3)]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.ros.topic_statistics import InputStatus, unpublished
+from retalis.ros.topic_statistics import InputStatus, unpublished_topic_warnings
 
 SCAN = InputStatus("/robot/scan", "sensor_msgs/LaserScan", 0, 0, 0, 0, None, None)
 OWN = {"/retalis", "/retalis_ros_interface"}
@@ -22,10 +22,12 @@ OWN = {"/retalis", "/retalis_ros_interface"}
 )
 def test_a_topic_that_nobody_publishes_is_said(publishers, said):
     expected = f"nobody publishes topic /robot/scan (sensor_msgs/LaserScan) 10 s after the start{said}"
-    assert list(unpublished([SCAN], publishers, OWN)) == [expected]
+    assert list(unpublished_topic_warnings([SCAN], publishers, OWN)) == [expected]
 
 
 def test_topics_that_somebody_publishes_are_left_alone():
-    assert list(unpublished([SCAN], {"/robot/scan": ["/lidar"]}, OWN)) == []
-    assert list(unpublished([SCAN._replace(publishers=1)], {}, OWN)) == []
-    assert list(unpublished([SCAN._replace(messages=3)], {}, OWN)) == []  # from one who has gone
+    assert list(unpublished_topic_warnings([SCAN], {"/robot/scan": ["/lidar"]}, OWN)) == []
+    assert list(unpublished_topic_warnings([SCAN._replace(publishers=1)], {}, OWN)) == []
+    assert (
+        list(unpublished_topic_warnings([SCAN._replace(messages=3)], {}, OWN)) == []
+    )  # from one who has gone

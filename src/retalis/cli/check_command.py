@@ -64,7 +64,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    definitions = Definitions(Installed(further=[_definitions_folder(path) for path in options.msg]))
+    definitions = Definitions(Installed(extra_folders=[_definitions_folder(path) for path in options.msg]))
     # Before the check: rules with field names cannot be checked without the types.
     for path in options.bag:
         _add_types_of_bag(definitions, path, options.max_chunk_megabytes)

@@ -26,31 +26,31 @@ from ..foundation.errors import MessageError
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
 from .field_values import (
+    CACHE_BYTES_PER_CHARACTER,
     MAX_EAGER_ELEMENTS,
-    TEXT_COST,
-    alike,
     array_maker,
     blob_term,
-    keep_text,
+    cache_text,
+    cached_texts,
     read_text,
     read_texts,
     record_maker,
+    repeated_list,
     text_cache,
-    texts,
     variable_array,
 )
 from .type_definition import (
-    BARE,
     HEADER,
+    MAX_EMPTY_ELEMENTS,
     PRIMITIVES,
     TIMES,
-    VARIABLE,
+    VARIABLE_LENGTH,
     Definition,
     Field,
-    check_bare,
+    check_empty_elements,
     element_size,
-    explain,
     measure_of,
+    mismatch_text,
 )
 
 
@@ -70,7 +70,7 @@ class DecoderSource:
 
     def __init__(self) -> None:
         self.lines: List[str] = []
-        self._given = given = codegen.BoundNames(
+        self._bound_names = bound_names = codegen.BoundNames(
             {
                 "C": CONS,
                 "N": NIL,
@@ -78,20 +78,20 @@ class DecoderSource:
                 "F": FALSE,
                 "Lazy": Lazy,
                 "StructError": StructError,
-                "known": texts.get,
+                "known": cached_texts.get,
                 "read_text": read_text,
                 "blob": blob_term,
-                "alike": alike,
+                "repeated_list": repeated_list,
             }
         )
-        self.names, self.name = given.values, given.name
+        self.names, self.name = bound_names.values, bound_names.name
         self.base, self.shift = "o", 0
         self.format = ""
         self.targets: List[str] = []
 
     def constant(self, value: Union[Atom, Functor]) -> str:
         """Return the global name that the generated source uses for an atom or a functor."""
-        return self._given.constant(value, value)
+        return self._bound_names.constant(value, value)
 
     # The following methods add the statements that read a value, and return the expression of its term.
 
@@ -107,7 +107,7 @@ class DecoderSource:
         """Return the expression of a slot: a single value or an array."""
         if slot.length is None:
             return self.single(slot)
-        if slot.length == VARIABLE:
+        if slot.length == VARIABLE_LENGTH:
             return self.variable(slot)
         return self.fixed_array(slot)
 
@@ -125,68 +125,69 @@ class DecoderSource:
 
     def fixed_array(self, slot: Field) -> str:
         """Return the source of an array whose length the definition says."""
-        number = slot.length or 0
-        if number == 0:
+        count = slot.length or 0
+        if count == 0:
             return "blob(b'')" if slot.is_bytes else "N"
         if slot.is_bytes:
-            return f"blob({self.fixed(f'{number}s')})"
+            return f"blob({self.fixed(f'{count}s')})"
         # Short arrays (colours, positions) are decoded with the run around them: one `struct` call covers both.
-        if number <= MAX_EAGER_ELEMENTS and slot.definition is None:
-            parts = [self.single(slot._replace(length=None)) for _ in range(number)]
-            return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * number
+        if count <= MAX_EAGER_ELEMENTS and slot.definition is None:
+            parts = [self.single(slot._replace(length=None)) for _ in range(count)]
+            return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * count
         size = element_size(slot)
         if size is None:
-            return self.elements(slot, str(number))
+            return self.elements(slot, str(count))
         if not size:
-            return self.alike(slot, str(number))
-        value = self.fixed(f"{number * size}s")
+            return self.repeated_list(slot, str(count))
+        value = self.fixed(f"{count * size}s")
         # The functor of a list is known before its elements are, so that patterns can reject the term without
         # decoding it.
-        return f"Lazy(C, {self.name('make', _maker(slot))}, {value})"
+        return f"Lazy(C, {self.name('make', _array_decoder(slot))}, {value})"
 
     def variable(self, slot: Field) -> str:
         """Return the expression of an array whose length precedes its elements."""
-        number = self.fixed("I")
+        count = self.fixed("I")
         self.flush()
         if slot.is_bytes:
-            return self.blob(number)
+            return self.blob(count)
         size = element_size(slot)
         if size is None:
-            return self.elements(slot, number)
+            return self.elements(slot, count)
         if not size:
-            return self.alike(slot, number)
+            return self.repeated_list(slot, count)
         value = self.name("t")
-        make = self.name("make", _maker(slot))
+        make = self.name("make", _array_decoder(slot))
         # The count is not compared with the message's size here: slices beyond the end are empty, and the final
         # comparison of offset and length fails.
-        self.move(f"{number} * {size}")
+        self.advance(f"{count} * {size}")
         self.lines += [
-            f"if not {number}: {value} = N",
-            f"elif {number} <= {MAX_EAGER_ELEMENTS}: {value} = {make}(data[s:o])",
+            f"if not {count}: {value} = N",
+            f"elif {count} <= {MAX_EAGER_ELEMENTS}: {value} = {make}(data[s:o])",
             f"else: {value} = Lazy(C, {make}, data[s:o])",
         ]
         return value
 
-    def alike(self, slot: Field, number: str) -> str:
+    def repeated_list(self, slot: Field, count: str) -> str:
         """Return the expression of an array whose elements have no bytes: all elements are the same term."""
-        # Such elements occupy no bytes, so the message's size does not bound their number; `check_bare` does.
-        return f"alike({self.single(slot._replace(length=None))}, {number})"
+        # Such elements occupy no bytes, so the message's size does not bound their number; `check_empty_elements`
+        # does.
+        return f"repeated_list({self.single(slot._replace(length=None))}, {count})"
 
-    def elements(self, slot: Field, number: str) -> str:
+    def elements(self, slot: Field, count: str) -> str:
         """Return the expression of an array whose elements differ in size."""
         self.flush()
         read = self.name("read", variable_array(*_compile_element(slot)))
         value = self.name("t")
-        self.lines.append(f"{value}, o = {read}(data, {self.place()}, {number})")
+        self.lines.append(f"{value}, o = {read}(data, {self.run_offset()}, {count})")
         # The end of the array is only known when the generated code runs: offsets restart at the variable `o`.
         self.base, self.shift = "o", 0
         return value
 
     def string(self) -> str:
         """Return the expression of a string."""
-        number = self.fixed("I")
+        count = self.fixed("I")
         self.flush()
-        self.move(number)
+        self.advance(count)
         value = self.name("t")
         self.lines += [
             # A hit costs no function call.
@@ -195,9 +196,9 @@ class DecoderSource:
         ]
         return value
 
-    def blob(self, number: str) -> str:
-        """Return the expression of an array of ``number`` bytes."""
-        self.move(number)
+    def blob(self, count: str) -> str:
+        """Return the expression of an array of ``count`` bytes."""
+        self.advance(count)
         value = self.name("t")
         self.lines.append(f"{value} = blob(data[s:o])")
         return value
@@ -210,7 +211,7 @@ class DecoderSource:
         self.targets.append(self.name("v"))
         return self.targets[-1]
 
-    def place(self) -> str:
+    def run_offset(self) -> str:
         """Return the source of the offset at which the run starts."""
         return f"{self.base} + {self.shift}" if self.shift else self.base
 
@@ -220,15 +221,15 @@ class DecoderSource:
             return
         layout = Struct("<" + self.format)
         unpack = self.name("S", layout.unpack_from)
-        self.lines.append(f"{', '.join(self.targets)}, = {unpack}(data, {self.place()})")
+        self.lines.append(f"{', '.join(self.targets)}, = {unpack}(data, {self.run_offset()})")
         # The variable `o` stays where it is: a constant added at compile time is cheaper than an assignment at run
         # time.
         self.shift += layout.size
         self.format, self.targets = "", []
 
-    def move(self, size: str) -> None:
+    def advance(self, size: str) -> None:
         """Set ``s`` and ``o`` to the start and the end of the next ``size`` bytes."""
-        self.lines += [f"s = {self.place()}", f"o = s + {size}"]
+        self.lines += [f"s = {self.run_offset()}", f"o = s + {size}"]
         self.base, self.shift = "o", 0
 
 
@@ -238,9 +239,9 @@ def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, in
     result = code.single(slot._replace(length=None))
     code.flush()
     lines = ["def element(data, o):", *("  " + line for line in code.lines)]
-    lines.append(f"  return {result}, {code.place()}")
+    lines.append(f"  return {result}, {code.run_offset()}")
     element = codegen.function(lines, code.names, f"decode element {slot.type}", "element")
-    return element, measure_of(slot).least
+    return element, measure_of(slot).min_size
 
 
 def _compile_records(slot: Field) -> Callable[[bytes], Term]:
@@ -252,13 +253,13 @@ def _compile_records(slot: Field) -> Callable[[bytes], Term]:
     return record_maker(slot.describe(), layout, code.targets, result, code.names)
 
 
-def _maker(slot: Field) -> Callable[[bytes], Term]:
+def _array_decoder(slot: Field) -> Callable[[bytes], Term]:
     if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
         return array_maker(PRIMITIVES[slot.type])
     return _compile_records(slot)
 
 
-_BESIDE_BYTES = 400
+CACHED_VALUE_BYTES = 400
 """Bytes that one value cached beside the strings of a message costs, as an estimate for the cache's limit."""
 
 
@@ -273,17 +274,17 @@ class StampWatch(NamedTuple):
     almost nothing.
 
     Attributes:
-        texts: number of strings that name the frames; the type must have no other strings.
-        get: returns the state of a frame by its bytes, or None. A state has the attribute ``second``: the second of
-            the last observed stamp, negative for a state that ``get`` does not return any more.
-        look_all: called with a message that the general function decodes. Its exceptions propagate.
-        look: called with the bytes of the frames and the time in nanoseconds, if the second has changed.
+        string_count: number of strings that name the frames; the type must have no other strings.
+        get_state: returns the state of a frame by its bytes, or None. A state has the attribute ``second``: the
+            second of the last observed stamp, negative for a state that ``get_state`` does not return any more.
+        observe_all: called with a message that the general function decodes. Its exceptions propagate.
+        observe: called with the bytes of the frames and the time in nanoseconds, if the second has changed.
     """
 
-    texts: int
-    get: Callable[[bytes], Any]
-    look_all: Callable[[bytes], object]
-    look: Callable[[bytes, int], object]
+    string_count: int
+    get_state: Callable[[bytes], Any]
+    observe_all: Callable[[bytes], object]
+    observe: Callable[[bytes, int], object]
 
 
 class _UnknownStamp:
@@ -307,37 +308,37 @@ class FrameSource(DecoderSource):
     def __init__(self, watch: Optional[StampWatch] = None) -> None:
         super().__init__()
         self.watch = watch
-        self.texts: List[str] = []
-        self.before: Tuple[str, List[str]] = ("", [])
-        self.count: Optional[str] = None
-        self.beside: List[str] = []
+        self.string_variables: List[str] = []
+        self.leading_numbers: Tuple[str, List[str]] = ("", [])
+        self.element_count: Optional[str] = None
+        self.cached_variables: List[str] = []
         """Variables of values that are cached beside the strings of a message; None until they are first computed."""
 
     def string(self) -> str:
         """Add a string; all strings of the message must be adjacent."""
         # Numbers between strings would move the strings that follow, so the key could not be one slice.
-        if self.texts and self.format:
+        if self.string_variables and self.format:
             raise UnsupportedLayout
-        if not self.texts:
-            self.before = self.format, self.targets
+        if not self.string_variables:
+            self.leading_numbers = self.format, self.targets
             self.format, self.targets = "", []
-        self.texts.append(self.name("t"))
-        return self.texts[-1]
+        self.string_variables.append(self.name("t"))
+        return self.string_variables[-1]
 
     def variable(self, slot: Field) -> str:
         """Add the array of messages, if it is the only array and precedes all strings."""
         # After a string, the array's count would not be at a fixed offset.
-        if slot.definition is None or self.texts or self.count:
+        if slot.definition is None or self.string_variables or self.element_count:
             raise UnsupportedLayout
-        self.count = self.fixed("I")
+        self.element_count = self.fixed("I")
         element = self.message(slot.definition)
-        return self.only(element)
+        return self.single_element_list(element)
 
-    def only(self, element: str) -> str:
+    def single_element_list(self, element: str) -> str:
         """Return the expression of a list of one element."""
         return f"(C, {element}, N)"
 
-    def elements(self, slot: Field, number: str) -> str:
+    def elements(self, slot: Field, count: str) -> str:
         """Refuse elements that differ in size: they do not fit the layout."""
         raise UnsupportedLayout
 
@@ -352,22 +353,22 @@ class FrameSource(DecoderSource):
             UnsupportedLayout: if the type does not have the layout.
         """
         # Zero-byte elements must be counted before anything is decoded.
-        if definition.measure.may_be_bare:
+        if definition.measure.may_have_empty_elements:
             raise UnsupportedLayout
         result = self.message(definition)
-        head, tail = Struct("<" + self.before[0]), Struct("<" + self.format)
-        if not self.texts or not (head.size or tail.size):
+        head, tail = Struct("<" + self.leading_numbers[0]), Struct("<" + self.format)
+        if not self.string_variables or not (head.size or tail.size):
             raise UnsupportedLayout
         result = self.finish(result)
         self.names.update(head=head.unpack_from, tail=tail.unpack_from, general=general)
         self._cache_texts()
         lines = ["def decode(data):", "  try:"]
-        if self.before[1]:
-            lines.append(f"    {', '.join(self.before[1])}, = head(data)")
-        if self.count:
+        if self.leading_numbers[1]:
+            lines.append(f"    {', '.join(self.leading_numbers[1])}, = head(data)")
+        if self.element_count:
             # Checked before the lookup: with another count, the key would contain the elements' numbers and fill the
             # cache.
-            lines.append(f"    if {self.count} != 1: return general(data)")
+            lines.append(f"    if {self.element_count} != 1: return general(data)")
         # The strings' bytes are those between the two runs of numbers. A key of other lengths is parsed by `learn`,
         # which returns None if the counts in it do not add up, for example in a truncated message.
         lines += [
@@ -380,53 +381,55 @@ class FrameSource(DecoderSource):
         if tail.size:
             lines.append(f"    {', '.join(self.targets)}, = tail(data, {-tail.size})")
         lines += ["  except StructError:", "    return general(data)"]
-        # A cached entry has the strings, the values beside them, and the frame's state, which `look` replaces.
-        variables = list(self.texts)
+        # A cached entry has the strings, the values beside them, and the frame's state, which `observe` replaces.
+        variables = list(self.string_variables)
         if self.watch is not None:
             variables.append("f")
-        variables[len(self.texts) : len(self.texts)] = self.beside
+        variables[len(self.string_variables) : len(self.string_variables)] = self.cached_variables
         lines.append(f"  {', '.join(variables)}{'' if len(variables) == 1 else ','} = k")
         if self.watch is not None:
-            lines += self._look(self.watch)
+            lines += self._observer_call(self.watch)
         lines += self.prepare(tail.size)
         return [*lines, f"  return {result}"]
 
-    def _look(self, watch: StampWatch) -> List[str]:
+    def _observer_call(self, watch: StampWatch) -> List[str]:
         """Return the statements that call the observer if the second of the stamp differs from the frame's state.
 
         Raises:
             UnsupportedLayout: if not all strings name frames, or the message does not begin with a header's stamp.
         """
         # The seconds follow ``seq``, and the array's count if there is an array.
-        second_index = 2 if self.count else 1
-        code, targets = self.before
-        if len(self.texts) != watch.texts or code[: second_index + 2] != "I" * (second_index + 2):
+        second_index = 2 if self.element_count else 1
+        code, targets = self.leading_numbers
+        integers = "I" * (second_index + 2)
+        if len(self.string_variables) != watch.string_count or not code.startswith(integers):
             raise UnsupportedLayout
-        get, look_at = watch.get, watch.look
+        get_state, notify = watch.get_state, watch.observe
 
-        def look(key: bytes, second: int, nanosecond: int, known: List[object]) -> None:
+        def observe(key: bytes, second: int, nanosecond: int, entry: List[object]) -> None:
             """Call the observer, and cache the state of the frames beside the strings."""
-            seen = get(key)
+            state = get_state(key)
             try:
-                if seen is None or seen.second != second:
-                    look_at(key, second * SECOND + nanosecond)
-                    seen = get(key)
+                if state is None or state.second != second:
+                    notify(key, second * SECOND + nanosecond)
+                    state = get_state(key)
             finally:
                 # Also after an exception: the entry must not refer to a state that the observer has dropped.
-                known[-1] = seen or _UNKNOWN_STAMP
+                entry[-1] = state or _UNKNOWN_STAMP
 
-        self.names["look"] = look
+        self.names["observe"] = observe
         second, nanosecond = targets[second_index : second_index + 2]
-        return [f"  if f.second != {second}: look(key, {second}, {nanosecond}, k)"]
+        return [f"  if f.second != {second}: observe(key, {second}, {nanosecond}, k)"]
 
     def _cache_texts(self) -> None:
         """Define ``known`` and ``learn``, which return the strings of a message by the bytes that they occupy."""
-        beside_bytes = _BESIDE_BYTES * len(self.beside)
+        cached_bytes = CACHED_VALUE_BYTES * len(self.cached_variables)
         cache: Cache[bytes, object] = (
-            Cache(2048, 2 << 20, 1024 + beside_bytes) if beside_bytes else text_cache()
+            Cache(2048, 2 << 20, 1024 + cached_bytes) if cached_bytes else text_cache()
         )
-        string_count = len(self.texts)
-        cached_value, watched, beside = self.kept, self.watch is not None, [None] * len(self.beside)
+        string_count = len(self.string_variables)
+        cached_value, has_watch = self.cached_value, self.watch is not None
+        uncomputed = [None] * len(self.cached_variables)
 
         def learn(key: bytes) -> object:
             strings = read_texts(key, string_count)
@@ -434,17 +437,17 @@ class FrameSource(DecoderSource):
                 return None
             values = [cached_value(text) for text in strings]
             # A list, because the generated code replaces the cached values in place.
-            if watched or beside:
-                entry = [*values, *beside, *([_UNKNOWN_STAMP] if watched else ())]
-                return cache.keep(key, entry, TEXT_COST * len(key) + beside_bytes)
-            return keep_text(cache, key, tuple(values) if string_count > 1 else values[0])
+            if has_watch or uncomputed:
+                entry = [*values, *uncomputed, *([_UNKNOWN_STAMP] if has_watch else ())]
+                return cache.keep(key, entry, CACHE_BYTES_PER_CHARACTER * len(key) + cached_bytes)
+            return cache_text(cache, key, tuple(values) if string_count > 1 else values[0])
 
         self.names.update(known=cache.get, learn=learn)
 
     def prepare(self, tail: int) -> List[str]:
         """Return statements that compute further values for the result.
 
-        The entry of the cache is in the variable ``k``; the values of `beside` follow the strings in it.
+        The entry of the cache is in the variable ``k``; the values of `cached_variables` follow the strings in it.
 
         Args:
             tail: number of bytes after the strings.
@@ -455,7 +458,7 @@ class FrameSource(DecoderSource):
         """Return the expression that the function returns, from the expression of the message."""
         return result
 
-    def kept(self, text: Term) -> object:
+    def cached_value(self, text: Term) -> object:
         """Return the value that is cached for a string."""
         return text
 
@@ -488,7 +491,7 @@ class Decoder:
 
     __slots__ = ("definition", "functor", "decode", "stamp", "watch", "plain")
 
-    def __init__(self, definition: Definition, bare: int = BARE):
+    def __init__(self, definition: Definition, bare: int = MAX_EMPTY_ELEMENTS):
         self.definition = definition
         self.functor = functor(definition.functor_name, len(definition.fields))
         self.decode: Decode = _compile_decode(definition, bare)
@@ -522,7 +525,7 @@ def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
     plain = decoder.decode
 
     def general(data: bytes) -> Term:
-        watch.look_all(data)
+        watch.observe_all(data)
         return plain(data)
 
     # The original decoder stays as it is: it is shared by all subscribers to topics of this type.
@@ -533,7 +536,7 @@ def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
     return watching
 
 
-def _compile_decode(definition: Definition, bare: int) -> Decode:
+def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
     code = DecoderSource()
     code.base = "0"
     result = code.message(definition)
@@ -542,13 +545,13 @@ def _compile_decode(definition: Definition, bare: int) -> Decode:
     lines = ["def decode(data):", "  try:", *("    " + line for line in code.lines)]
     lines += [
         # Trailing bytes are an error as well: they mean that the publisher uses another version of the type.
-        f"    if len(data) != {code.place()}: fail(data)",
+        f"    if len(data) != {code.run_offset()}: fail(data)",
         "  except StructError: fail(data)",
         f"  return {result}",
     ]
     general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
-    if definition.measure.may_be_bare:
-        return _with_element_limit(definition, bare, general)
+    if definition.measure.may_have_empty_elements:
+        return _with_element_limit(definition, max_empty_elements, general)
     try:
         return _compile_frame_decoder(definition, general)
     except UnsupportedLayout:
@@ -564,14 +567,14 @@ def _compile_frame_decoder(
     return fast
 
 
-def _with_element_limit(definition: Definition, bare: int, decode: Decode) -> Decode:
+def _with_element_limit(definition: Definition, max_empty_elements: int, decode: Decode) -> Decode:
     """Return a decoding function that first limits the number of zero-byte elements.
 
     Without the limit, a message of a few bytes could claim 2**32 elements and exhaust the memory.
     """
 
     def checked(data: bytes) -> Term:
-        check_bare(definition, data, bare)
+        check_empty_elements(definition, data, max_empty_elements)
         return decode(data)
 
     return checked
@@ -579,7 +582,7 @@ def _with_element_limit(definition: Definition, bare: int, decode: Decode) -> De
 
 def _error_function(definition: Definition) -> Callable[[bytes], None]:
     def fail(data: bytes) -> None:
-        raise MessageError(explain(definition, data))
+        raise MessageError(mismatch_text(definition, data))
 
     return fail
 

@@ -4,9 +4,9 @@ The generated function unpacks a term with tuple assignments, compares all funct
 run of slots of fixed size with one `struct` call. It accepts only the forms that decoded events have: numbers, lists,
 atoms for strings, and lazy arrays, whose bytes are copied without decoding them.
 
-Any exception of the fast function leads to `CheckingEncoder`, which accepts every allowed form (Prolog strings, byte
-lists, ``datime`` terms, ``inf``) and reports exactly what is wrong with others. Errors are therefore detailed without
-checks in the fast function.
+Any exception of the fast function leads to `ValidatingEncoder`, which accepts every allowed form (Prolog strings,
+byte lists, ``datime`` terms, ``inf``) and reports exactly what is wrong with others. Errors are therefore detailed
+without checks in the fast function.
 """
 
 from struct import Struct, pack
@@ -19,8 +19,8 @@ from ..foundation.cpython_and_pypy import text_size
 from ..foundation.errors import MessageError
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
 from .field_values import MAX_EAGER_ELEMENTS, array_maker, raw_bytes, text_bytes
-from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field
-from .validating_encoder import CheckingEncoder
+from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field
+from .validating_encoder import ValidatingEncoder
 
 _BOOLS = {TRUE: True, FALSE: False}
 
@@ -46,27 +46,27 @@ class Encoder:
         self.encode: Callable[..., bytes] = _compile_encode(definition)
 
 
-class _Unusual(Exception):
-    """Raised by the generated function for terms that `CheckingEncoder` must handle."""
+class _UnusualForm(Exception):
+    """Raised by the generated function for terms that `ValidatingEncoder` must handle."""
 
 
 class _PackedTexts(Cache[Atom, bytes]):
     """Cache of the bytes of atoms that stand for strings, with the length before them."""
 
     def read(self, term: Term) -> bytes:
-        raw = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
-        if raw is None:
-            raise _Unusual
-        packed: bytes = pack("<I", len(raw)) + raw
+        encoded_bytes = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
+        if encoded_bytes is None:
+            raise _UnusualForm
+        packed: bytes = pack("<I", len(encoded_bytes)) + encoded_bytes
         return (
             self.keep(term, packed, text_size(term.name) + len(packed)) if term.__class__ is Atom else packed
         )
 
 
-_packed = _PackedTexts(2048, 1 << 20, 1024)
+_packed_texts = _PackedTexts(2048, 1 << 20, 1024)
 # Unpacking a term of the wrong form raises any of these. They only select the slow encoder, which reports the real
 # problem.
-_ERRORS = (_Unusual, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
+_FALLBACK_ERRORS = (_UnusualForm, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
 class _EncoderSource:
@@ -78,19 +78,19 @@ class _EncoderSource:
         self.chunks: List[str] = []
         self.format = ""
         self.values: List[str] = []
-        given = codegen.BoundNames(
+        bound_names = codegen.BoundNames(
             {
                 "C": CONS,
                 "N": NIL,
                 "bools": _BOOLS,
-                "packed": _packed.get,
-                "read": _packed.read,
-                "Unusual": _Unusual,
-                "errors": _ERRORS,
+                "packed": _packed_texts.get,
+                "read": _packed_texts.read,
+                "Unusual": _UnusualForm,
+                "errors": _FALLBACK_ERRORS,
                 "join": b"".join,
             }
         )
-        self.names, self.name = given.values, given.name
+        self.names, self.name = bound_names.values, bound_names.name
 
     def message(self, definition: Definition, value: str) -> None:
         if not definition.fields:
@@ -130,10 +130,10 @@ class _EncoderSource:
         else:
             self.fixed(PRIMITIVES[slot.type], value)
 
-    def items(self, value: str, number: int) -> List[str]:
+    def items(self, value: str, count: int) -> List[str]:
         """Unpack a list of a known length; return the variables of its items."""
-        items = [self.name("v") for _ in range(number)]
-        ends = [self.name("c") for _ in range(number)]
+        items = [self.name("v") for _ in range(count)]
+        ends = [self.name("c") for _ in range(count)]
         last = self.name("e")
         pattern = last
         for item, end in zip(reversed(items), reversed(ends)):
@@ -145,14 +145,14 @@ class _EncoderSource:
 
     def blob(self, slot: Field, value: str) -> None:
         packed = f"(packed({value}) or read({value}))"
-        if slot.length == VARIABLE:
+        if slot.length == VARIABLE_LENGTH:
             self.chunk(packed)
             return
-        raw = self.name("v")
+        encoded_bytes = self.name("v")
         # The cache includes the length, which an array of fixed length does not have on the wire.
-        self.lines.append(f"{raw} = {packed}[4:]")
-        self.checks.append(f"len({raw}) != {slot.length}")
-        self.chunk(raw)
+        self.lines.append(f"{encoded_bytes} = {packed}[4:]")
+        self.checks.append(f"len({encoded_bytes}) != {slot.length}")
+        self.chunk(encoded_bytes)
 
     def fixed(self, code: str, value: str) -> None:
         self.format += code
@@ -187,7 +187,7 @@ def _compile_encode(definition: Definition) -> Callable[..., bytes]:
     code.message(definition, "term")
     lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in code.body())]
     lines += ["  except errors:", "    return check(term, topic)"]
-    code.names["check"] = CheckingEncoder(definition).encode
+    code.names["check"] = ValidatingEncoder(definition).encode
     encode: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
     return encode
 
@@ -205,10 +205,10 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     def encode(term: Term) -> bytes:
         items = _list_items(term)
         # The count precedes the elements only if the definition does not fix it.
-        if length == VARIABLE:
+        if length == VARIABLE_LENGTH:
             return pack("<I", len(items)) + b"".join(map(element, items))
         if len(items) != length:
-            raise _Unusual
+            raise _UnusualForm
         return b"".join(map(element, items))
 
     return encode
@@ -223,17 +223,17 @@ def _number_packer(slot: Field) -> Callable[[Term], bytes]:
         # An array that was not decoded still has the bytes of the message, which are copied. The same `make`
         # guarantees the same element type.
         if term.__class__ is Lazy and term.make is make and term.made is None:
-            raw = bytes(term.source)
-            count = len(raw) // size
+            encoded_bytes = bytes(term.source)
+            count = len(encoded_bytes) // size
         else:
             items = _list_items(term)
             count = len(items)
-            raw = pack(f"<{count}{code}", *items)
-        if length == VARIABLE:
-            return pack("<I", count) + raw
+            encoded_bytes = pack(f"<{count}{code}", *items)
+        if length == VARIABLE_LENGTH:
+            return pack("<I", count) + encoded_bytes
         if count != length:
-            raise _Unusual
-        return raw
+            raise _UnusualForm
+        return encoded_bytes
 
     return encode
 
@@ -242,11 +242,11 @@ def _list_items(term: Term) -> List[Term]:
     if term.__class__ is Lazy:
         term = term.term()
     items = []
-    # An improper list fails to unpack or has another functor; both lead to `CheckingEncoder`.
-    rest: Any = term
-    while rest is not NIL:
-        cons, item, rest = rest
+    # An improper list fails to unpack or has another functor; both lead to `ValidatingEncoder`.
+    tail: Any = term
+    while tail is not NIL:
+        cons, item, tail = tail
         if cons is not CONS:
-            raise _Unusual
+            raise _UnusualForm
         items.append(item)
     return items

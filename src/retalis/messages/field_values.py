@@ -35,7 +35,7 @@ _CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 MAX_EAGER_BYTES = 1024
 """Strings longer than this many bytes become lazy terms."""
 
-TEXT: Functor = functor("", 0)
+LAZY_STRING_FUNCTOR: Functor = functor("", 0)
 """Functor of a lazy string: an atom whose name is not known yet. No pattern has this functor."""
 
 
@@ -60,14 +60,14 @@ def blob_atom(data: bytes) -> Atom:
 def text_term(data: bytes) -> Term:
     """Return the atom of a message's string, as a lazy term if it is long."""
     if len(data) > MAX_EAGER_BYTES:
-        return Lazy(TEXT, text_atom, data)
+        return Lazy(LAZY_STRING_FUNCTOR, text_atom, data)
     return text_atom(data)
 
 
 def blob_term(data: bytes) -> Term:
     """Return the atom of a message's byte array, as a lazy term if it is long."""
     if len(data) > MAX_EAGER_BYTES:
-        return Lazy(TEXT, blob_atom, data)
+        return Lazy(LAZY_STRING_FUNCTOR, blob_atom, data)
     return blob_atom(data)
 
 
@@ -138,7 +138,7 @@ def _decode_base64(text: str) -> bytes:
 
 _Value = TypeVar("_Value")
 
-TEXT_COST = 5
+CACHE_BYTES_PER_CHARACTER = 5
 """Bytes of memory per byte of a cached string: one in the key, and up to four per character in the atom."""
 
 
@@ -150,12 +150,12 @@ def text_cache() -> "Cache[bytes, _Value]":
     return Cache(2048, 1 << 20, 1024)
 
 
-texts: Cache[bytes, Term] = text_cache()
+cached_texts: Cache[bytes, Term] = text_cache()
 
 
-def keep_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value:
+def cache_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value:
     """Store a value under the bytes of strings; return the value."""
-    return cache.keep(key, value, TEXT_COST * len(key))
+    return cache.keep(key, value, CACHE_BYTES_PER_CHARACTER * len(key))
 
 
 def read_text(data: bytes, start: int, stop: int) -> Term:
@@ -164,7 +164,7 @@ def read_text(data: bytes, start: int, stop: int) -> Term:
     # A slice beyond the end of the message is shorter than the length field says.
     if len(raw) != stop - start:
         raise StructError
-    return keep_text(texts, raw, text_term(raw))
+    return cache_text(cached_texts, raw, text_term(raw))
 
 
 def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
@@ -185,11 +185,11 @@ def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
 MAX_EAGER_ELEMENTS = 4
 """Arrays up to this length are decoded with the message, because a lazy term would cost as much."""
 
-Make = Callable[[bytes], Term]
+ArrayDecoder = Callable[[bytes], Term]
 
 
 @lru_cache(maxsize=None)
-def array_maker(code: str) -> Make:
+def array_maker(code: str) -> ArrayDecoder:
     """Return the function that decodes an array of numbers of a `struct` code into a list."""
     size = calcsize("<" + code)
 
@@ -203,7 +203,7 @@ def array_maker(code: str) -> Make:
     return make
 
 
-def alike(element: Term, count: int) -> Term:
+def repeated_list(element: Term, count: int) -> Term:
     """Return the list of ``number`` elements that are the same term."""
     term: Term = NIL
     for _ in range(count):
@@ -213,7 +213,7 @@ def alike(element: Term, count: int) -> Term:
 
 def record_maker(
     title: str, layout: Struct, targets: List[str], element: str, names: Dict[str, object]
-) -> Make:
+) -> ArrayDecoder:
     """Return the function that decodes an array of elements of equal size into a list.
 
     Args:
@@ -231,7 +231,7 @@ def record_maker(
         "  return term",
     ]
     namespace = {**names, "unpack": layout.iter_unpack}
-    make: Make = codegen.function(lines, namespace, f"decode {title}", "make")
+    make: ArrayDecoder = codegen.function(lines, namespace, f"decode {title}", "make")
     return make
 
 

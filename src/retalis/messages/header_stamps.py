@@ -14,7 +14,7 @@ from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..prolog.terms.timestamps import SECOND
 from .decoder import Decoder, StampWatch, UnsupportedLayout, watching_decoder
-from .type_definition import HEADER, VARIABLE, Definition, Field, element_end
+from .type_definition import HEADER, VARIABLE_LENGTH, Definition, Field, element_end
 
 FrameStamp = Tuple[bytes, int]
 """Bytes that identify a frame, and a time in nanoseconds."""
@@ -27,7 +27,7 @@ ReadStamp = Callable[[bytes], Optional[int]]
 StampObserver = Callable[[List[FrameStamp]], object]
 """Observer of a message's stamps, called if at least one of them has a second that was not observed yet."""
 
-_CHILD = "child_frame_id"
+_CHILD_FRAME_SLOT = "child_frame_id"
 
 _header = Struct("<4xIII").unpack_from
 _number = Struct("<I").unpack_from
@@ -42,18 +42,18 @@ def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     if not slots:
         return None
 
-    def read(data: bytes) -> List[FrameStamp]:
+    def read_stamps(data: bytes) -> List[FrameStamp]:
         stamps: List[FrameStamp] = []
         try:
-            _walk(data, slots, stamps)
+            _collect_stamps(data, slots, stamps)
         except StructError:  # decoding the message reports the error
             pass
         return stamps
 
-    return read
+    return read_stamps
 
 
-def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -> Decoder:
+def watched(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver) -> Decoder:
     """Return a decoder that passes stamps to an observer if their second differs from the last observed one.
 
     The observer is called by `Decoder.decode` for types that `FrameSource` supports, otherwise by `Decoder.stamp`:
@@ -61,15 +61,15 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -
 
     Args:
         decoder: decoder of the messages' type.
-        known: states of frames by their bytes, with the attribute ``second``: the second that was observed last.
-        look: observer; receives all stamps of a message with a new second. Its exceptions propagate.
+        states: states of frames by their bytes, with the attribute ``second``: the second that was observed last.
+        notify: observer; receives all stamps of a message with a new second. Its exceptions propagate.
     """
-    definition, stamp, get = decoder.definition, decoder.stamp, known.get
+    definition, stamp, get = decoder.definition, decoder.stamp, states.get
     # Types without stamps keep their decoder, so that monitoring costs nothing for them.
-    read = stamp_reader(definition)
-    if read is None:
+    read_stamps = stamp_reader(definition)
+    if read_stamps is None:
         return decoder
-    all_stamps: ReadStamps = read
+    all_stamps: ReadStamps = read_stamps
 
     def observe(data: bytes) -> None:
         stamps = all_stamps(data)
@@ -78,12 +78,12 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -
             # A comparison of seconds is enough: the observer looks for deviations of seconds, and is too slow for
             # every message.
             if state is None or state.second != instant // SECOND:
-                look(stamps)
+                notify(stamps)
                 break
 
     def observe_single(key: bytes, instant: int) -> None:
         if instant:
-            look([(key, instant)])
+            notify([(key, instant)])
 
     try:
         watch = StampWatch(_frame_string_count(definition), get, observe, observe_single)
@@ -98,8 +98,8 @@ def watched(decoder: Decoder, known: Mapping[bytes, Any], look: StampObserver) -
     watching = copy(decoder)
     slots = _stamped_slots(definition)
     # The fast reader assumes that the header's frame is the only one.
-    single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
-    watching.stamp = _header_stamp_reader(get, watched_stamp) if single else watched_stamp
+    is_single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
+    watching.stamp = _header_stamp_reader(get, watched_stamp) if is_single else watched_stamp
     return watching
 
 
@@ -115,18 +115,18 @@ def _frame_string_count(definition: Definition) -> int:
     return 2 if slots[0].has_child else 1
 
 
-def _header_stamp_reader(get: Callable[[bytes], Any], rest: ReadStamp) -> ReadStamp:
+def _header_stamp_reader(get: Callable[[bytes], Any], fallback: ReadStamp) -> ReadStamp:
     """Return a fast reader for messages whose only stamp is that of their header."""
 
     def header_stamp(data: bytes) -> Optional[int]:
         try:
             second, nanosecond, size = _header(data)
         except StructError:
-            return rest(data)
+            return fallback(data)
         state = get(data[12 : 16 + size])
         if state is not None and state.second == second:
             return second * SECOND + nanosecond or None
-        return rest(data)
+        return fallback(data)
 
     return header_stamp
 
@@ -153,13 +153,13 @@ class _StampedSlot(NamedTuple):
         slot: the slot.
         suffix: byte that distinguishes the slot's frames from those of other slots.
         has_child: if a child frame follows the header; None if the slot has no stamp.
-        rest: number of bytes after the frames; None if elements differ in it.
+        trailing_bytes: number of bytes after the frames; None if elements differ in it.
     """
 
     slot: Field
     suffix: bytes
     has_child: Optional[bool]
-    rest: Optional[int]
+    trailing_bytes: Optional[int]
 
 
 def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
@@ -179,7 +179,7 @@ def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
         ):
             # Without the suffix, two arrays with the same frame would overwrite each other's state.
             suffix = b"%c" % len(slots) if stamped_count else b""
-            slots.append(_StampedSlot(slot, suffix, _has_child(element), _fixed_rest(element)))
+            slots.append(_StampedSlot(slot, suffix, _has_child(element), _trailing_bytes(element)))
             stamped_count = len(slots)
         else:
             slots.append(_StampedSlot(slot, b"", None, None))
@@ -195,38 +195,44 @@ def _is_header(slot: Field) -> bool:
 
 def _has_child(definition: Definition) -> bool:
     second = definition.fields[1] if len(definition.fields) > 1 else None
-    return second is not None and second.name == _CHILD and second.type == "string" and second.length is None
+    return (
+        second is not None
+        and second.name == _CHILD_FRAME_SLOT
+        and second.type == "string"
+        and second.length is None
+    )
 
 
-def _fixed_rest(definition: Definition) -> Optional[int]:
+def _trailing_bytes(definition: Definition) -> Optional[int]:
     """Return the number of bytes after the frames, or None if it varies."""
-    rest = Definition(definition.name, definition.fields[2 if _has_child(definition) else 1 :]).measure
-    return rest.least if rest.fixed else None
+    frame_slots = 2 if _has_child(definition) else 1
+    measure = Definition(definition.name, definition.fields[frame_slots:]).measure
+    return measure.min_size if measure.is_fixed_size else None
 
 
-def _walk(data: bytes, slots: List[_StampedSlot], stamps: List[FrameStamp]) -> None:
+def _collect_stamps(data: bytes, slots: List[_StampedSlot], stamps: List[FrameStamp]) -> None:
     # Offsets as on the wire: seq, secs, nsecs, length of frame_id (4 bytes each), then the frame's name.
     offset = 0
-    for slot, suffix, has_child, rest in slots:
+    for slot, suffix, has_child, trailing_bytes in slots:
         if has_child is None:
             offset = element_end(data, slot, offset)
             continue
         count = 1 if slot.length is None else slot.length
-        if count == VARIABLE:
+        if count == VARIABLE_LENGTH:
             (count,) = _number(data, offset)
             offset += 4
         for _ in range(count):
             second, nanosecond, size = _header(data, offset)
             end = offset + 16 + size
-            following = end
+            next_slot = end
             if has_child:
                 end += 4 + _number(data, end)[0]
             if second or nanosecond:
                 stamps.append((data[offset + 12 : end] + suffix, second * SECOND + nanosecond))
             # The child frame is a slot of the message itself, so that the loop reaches it next.
             if slot.length is None:
-                offset = following
-            elif rest is not None:
-                offset = end + rest
+                offset = next_slot
+            elif trailing_bytes is not None:
+                offset = end + trailing_bytes
             else:
                 offset = element_end(data, slot._replace(length=None), offset)

@@ -34,24 +34,24 @@ class TypeNotations:
     def __init__(self, names: Iterable[Tuple[str, str]]):
         self._names: Dict[str, List[str]] = {}
         # `difflib` is slow, so candidates are restricted to names with the same first letter.
-        self._by_first: Dict[str, List[str]] = {}
+        self._by_first_letter: Dict[str, List[str]] = {}
         for name, message_type in names:
             for letters in dict.fromkeys(map(_normalized, (message_type, message_type.rpartition("/")[2]))):
                 self._names.setdefault(letters, []).append(name)
         for letters in self._names:
-            self._by_first.setdefault(letters[:1], []).append(letters)
+            self._by_first_letter.setdefault(letters[:1], []).append(letters)
 
-    def same(self, name: str) -> List[str]:
+    def other_notations(self, name: str) -> List[str]:
         """Return the names of the messages that ``name`` is another notation of."""
         return self._names.get(_normalized(name.replace("__0__", "/")), [])
 
-    def near(self, name: str) -> List[str]:
+    def similar(self, name: str) -> List[str]:
         """Return the names of the messages that are spelt like ``name`` and begin with the same letter."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
         letters = _normalized(name)
-        close = get_close_matches(letters, self._by_first.get(letters[:1], ()), 1, 0.75)
-        return self._names[close[0]] if close else []
+        matches = get_close_matches(letters, self._by_first_letter.get(letters[:1], ()), 1, 0.75)
+        return self._names[matches[0]] if matches else []
 
 
 def _normalized(name: str) -> str:
@@ -99,18 +99,20 @@ class SlotNames:
             definition = self.definitions.find(message_type)
         except MessageError as error:
             # A misspelt type is more likely than one that is not installed, so it is suggested first.
-            meant = self.definitions.misspelt(message_type)
-            if meant:
-                raise UsageError(f"there is no message type {message_type}; did you mean {meant}?") from error
+            suggestion = self.definitions.misspelt(message_type)
+            if suggestion:
+                raise UsageError(
+                    f"there is no message type {message_type}; did you mean {suggestion}?"
+                ) from error
             raise UsageError(
                 f"the slots of {message_type} are not known when this is read: {error.message}; install its package, "
                 "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: what only publishers "
                 "bring comes too late"
             ) from error
         # Each omitted slot gets its zero value in the term, which must stay small.
-        if definition.measure.least > MAX_ZERO_BYTES:
+        if definition.measure.min_size > MAX_ZERO_BYTES:
             raise UsageError(
-                f"messages of {message_type} have {counted(definition.measure.least, 'byte')} at least: "
+                f"messages of {message_type} have {counted(definition.measure.min_size, 'byte')} at least: "
                 "write all slots in their order"
             )
         return self._slots(definition)
@@ -125,23 +127,23 @@ class SlotNames:
         added = TypeNotations((functor_name(notation), notation) for notation in self.definitions.added())
         # The program's own names first: they are what its author most likely meant.
         notations = (own, added, self._installed)
-        same = [match for notation in notations for match in notation.same(name)]
-        if same:
-            return Meant(tuple(dict.fromkeys(same)), True)
-        near = [match for notation in notations for match in notation.near(name)]
-        return Meant(tuple(dict.fromkeys(near)))
+        same_message = [match for notation in notations for match in notation.other_notations(name)]
+        if same_message:
+            return Meant(tuple(dict.fromkeys(same_message)), True)
+        similar_names = [match for notation in notations for match in notation.similar(name)]
+        return Meant(tuple(dict.fromkeys(similar_names)))
 
     def _slots(self, definition: Definition) -> List[MessageSlot]:
         # A message of zero bytes is the default value of every slot. It is copied because lazy terms would keep the
         # decoder's functions, while a program's terms must be plain.
-        zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.least)))
+        zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.min_size)))
         return [_slot(slot, zero[position]) for position, slot in enumerate(definition.fields, 1)]  # type: ignore[index]
 
 
 def _slot(slot: Field, zero: object) -> MessageSlot:
     message = "" if slot.definition is None else functor_name(slot.type)
-    real = slot.type in ("float32", "float64")
-    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, zero, real)  # type: ignore[arg-type]
+    is_float = slot.type in ("float32", "float64")
+    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, zero, is_float)  # type: ignore[arg-type]
 
 
 _INDENT = "    "
@@ -187,7 +189,7 @@ def zero(definition: Definition, definitions: Definitions) -> str:
     >>> print(zero(definitions.find("std_msgs/Header"), definitions), end="")
     std_msgs__0__Header(0,[0,0],'""')
     """
-    return write_term(copy(definitions.decoder(definition).decode(bytes(definition.measure.least)))) + "\n"
+    return write_term(copy(definitions.decoder(definition).decode(bytes(definition.measure.min_size)))) + "\n"
 
 
 class _Template:
@@ -203,12 +205,12 @@ class _Template:
 
     def text(self, definition: Definition) -> str:
         lines = list(self.message(definition, "", "", [], ""))
-        lines_shown = _aligned(lines)
-        elements = _elements(definition)
+        lines_shown = _align_comments(lines)
+        elements = _element_types(definition)
         for element_type in elements.values():
             lines_shown += ["", f"% {element_type.name}, an element:"]
-            inner = list(_Template(self.named).message(element_type, "", "", [], ""))
-            lines_shown += [f"% {line}" for line in _aligned(inner)]
+            element_lines = list(_Template(self.named).message(element_type, "", "", [], ""))
+            lines_shown += [f"% {line}" for line in _align_comments(element_lines)]
         for element_type in (definition, *definition.dependencies()):
             if element_type.constants:
                 lines_shown += ["", f"% constants of {element_type.name}:"]
@@ -285,7 +287,7 @@ def _one_line(text: str) -> str:
     return text if text.isprintable() else ascii(text)
 
 
-def _elements(definition: Definition) -> Dict[str, Definition]:
+def _element_types(definition: Definition) -> Dict[str, Definition]:
     """Return the message types of array elements, each once."""
     types: Dict[str, Definition] = {}
     pending: List[Optional[Definition]] = [definition]
@@ -299,7 +301,7 @@ def _elements(definition: Definition) -> Dict[str, Definition]:
     return types
 
 
-def _aligned(lines: List[_TemplateLine]) -> List[str]:
+def _align_comments(lines: List[_TemplateLine]) -> List[str]:
     widest = (
         max(len(line.text) for line in lines if line.comment) if any(line.comment for line in lines) else 0
     )

@@ -30,11 +30,11 @@ from .type_definition import (
     HEADER,
     PRIMITIVES,
     TIMES,
-    VARIABLE,
+    VARIABLE_LENGTH,
     Definition,
     Field,
     constant_value,
-    lines_of,
+    lines_with_offsets,
     measure_of,
     split_sections,
 )
@@ -95,13 +95,15 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
             f"the definition of {beginning(name)} has {len(text)} characters: "
             f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
         )
-    types = _reachable(name, _sections(name, text), find)
+    types = _read_nested_types(name, _sections(name, text), find)
     parts = [types[name].text]
     parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
     # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
     registry = Definitions(Installed([], [], rosbags=False))
     definition = registry.add(name, "".join(parts))
-    wide_slots = frozenset((type_name, slot) for type_name, section in types.items() for slot in section.wide)
+    wide_slots = frozenset(
+        (type_name, slot) for type_name, section in types.items() for slot in section.wide_slots
+    )
     return Ros2Type(definition, _converter(definition, wide_slots))
 
 
@@ -110,20 +112,20 @@ class _Ros2Section(NamedTuple):
 
     Attributes:
         text: the definition in ROS 1 form.
-        wide: names of the slots that are wide strings or arrays of wide strings.
-        nested: types of slots.
+        wide_slots: names of the slots that are wide strings or arrays of wide strings.
+        nested_types: types of slots.
     """
 
     text: str
-    wide: List[str]
-    nested: List[str]
+    wide_slots: List[str]
+    nested_types: List[str]
 
 
 def _sections(name: str, text: str) -> Dict[str, str]:
     return {plain_type(type_name): section for type_name, section in split_sections(name, text).items()}
 
 
-def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
+def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
     """Parse the definitions of a type and of all types nested in it."""
     types: Dict[str, _Ros2Section] = {}
     pending: Deque[str] = deque([name])
@@ -141,7 +143,7 @@ def _reachable(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _R
             for nested, section_text in _sections(type_name, text).items():
                 texts.setdefault(nested, section_text)
         types[type_name] = section = _Ros2DefinitionReader(type_name, texts).read()
-        pending += section.nested
+        pending += section.nested_types
     return types
 
 
@@ -158,15 +160,15 @@ class _Ros2DefinitionReader:
         self.texts = texts
         # CDR has no `seq`, but the event terms of headers have the slots of ROS 1.
         self.lines: List[str] = ["uint32 seq"] if name == HEADER else []
-        self.wide: List[str] = []
+        self.wide_slots: List[str] = []
         self.slot_types: List[str] = []
-        self.by_kind: Dict[str, List[str]] = {}
+        self.by_short_name: Dict[str, List[str]] = {}
         for other in texts:
-            self.by_kind.setdefault(other.rpartition("/")[2], []).append(other)
+            self.by_short_name.setdefault(other.rpartition("/")[2], []).append(other)
 
     def read(self) -> _Ros2Section:
         text = self.texts[self.name]
-        for offset, line in lines_of(text):
+        for offset, line in lines_with_offsets(text):
             content = line.strip()
             if not content or content.startswith("#"):
                 continue
@@ -174,25 +176,25 @@ class _Ros2DefinitionReader:
             if match is None or (match["bound"] and match["type"] not in _STRING_TYPES):
                 problem = f"expected 'type name' or 'type NAME=value', found {shortened(content)}"
             else:
-                problem = self._line(match)
+                problem = self._read_line(match)
             if problem:
                 place = place_at(self.name, text, offset + len(line) - len(line.lstrip()))
                 raise MessageError(problem, place)
-        return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide, self.slot_types)
+        return _Ros2Section("".join(f"{line}\n" for line in self.lines), self.wide_slots, self.slot_types)
 
-    def _line(self, match: "re.Match[str]") -> str:
+    def _read_line(self, match: "re.Match[str]") -> str:
         """Add a slot or a constant; return an error text, or an empty string."""
         rest = match["rest"].lstrip()
         if not rest.startswith("="):
-            self._slot(match)
+            self._add_slot(match)
             return ""
         type_name = _ROS1_TYPES.get(match["type"], match["type"])
         if type_name not in PRIMITIVES and type_name != "string":
             return f"a constant cannot be of type {shortened(type_name)}"
-        self._constant(type_name, match["name"], rest[1:])
+        self._add_constant(type_name, match["name"], rest[1:])
         return ""
 
-    def _constant(self, type_name: str, name: str, text: str) -> None:
+    def _add_constant(self, type_name: str, name: str, text: str) -> None:
         """Add a constant. A value that ROS 1 cannot express is omitted: constants are not part of messages."""
         quoted = _QUOTED.match(text) if type_name == "string" else None
         if quoted is not None:
@@ -205,13 +207,13 @@ class _Ros2DefinitionReader:
             return
         self.lines.append(f"{type_name} {name}={value}")
 
-    def _slot(self, match: "re.Match[str]") -> None:
+    def _add_slot(self, match: "re.Match[str]") -> None:
         type_name, name = match["type"], match["name"]
         if self.name == HEADER and name == "seq":
             return
         # Recorded separately, because the ROS 1 definition has no wide strings.
         if type_name == "wstring":
-            self.wide.append(name)
+            self.wide_slots.append(name)
         type_name = plain_type(type_name)
         type_name = _ROS1_TYPES.get(type_name, type_name)
         if type_name not in PRIMITIVES and type_name not in TIMES and type_name != "string":
@@ -227,14 +229,14 @@ class _Ros2DefinitionReader:
             return type_name
         # Definitions in bags may name a type of another package without the package, if only one has that name.
         own_name = f"{self.name.partition('/')[0]}/{type_name}"
-        candidates = self.by_kind.get(type_name, [])
+        candidates = self.by_short_name.get(type_name, [])
         return candidates[0] if own_name not in self.texts and len(candidates) == 1 else own_name
 
 
 # ---- CDR ---------------------------------------------------------------------------------------------------
 
-_Put = Callable[[bytes], object]
-_Convert = Callable[[bytes, int, _Put], int]
+_Write = Callable[[bytes], object]
+_Converter = Callable[[bytes, int, _Write], int]
 
 _WideSlots = FrozenSet[Tuple[str, str]]
 """Wide strings, as pairs of a type's name and a slot's name."""
@@ -249,10 +251,10 @@ _MAX_PADDING_BYTES = 3
 """Maximum number of bytes after a message: some implementations pad messages to a multiple of four bytes."""
 
 
-def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], bytes]:
+def _converter(definition: Definition, wide_slots: _WideSlots) -> Callable[[bytes], bytes]:
     """Return the function `Ros2Type.to_ros1` of a type."""
-    widths = (4, 2) if wide else (4,)
-    converters: Dict[str, List[_Convert]] = {}
+    widths = (4, 2) if wide_slots else (4,)
+    converters: Dict[str, List[_Converter]] = {}
 
     def to_ros1(raw: bytes) -> bytes:
         order = {b"\0\0": ">", b"\0\1": "<"}.get(bytes(raw[:2]), "")
@@ -264,7 +266,9 @@ def _converter(definition: Definition, wide: _WideSlots) -> Callable[[bytes], by
             )
         data = bytes(raw[4:])
         if order not in converters:
-            converters[order] = [_ConverterSource(order, width, wide).compile(definition) for width in widths]
+            converters[order] = [
+                _ConverterSource(order, width, wide_slots).compile(definition) for width in widths
+            ]
         # The message does not say how wide its characters are: the first width that consumes all bytes is right.
         for convert in converters[order]:
             chunks: List[bytes] = []
@@ -285,31 +289,35 @@ class _ConverterSource:
     Args:
         order: byte order, as a `struct` prefix.
         width: bytes of a wide character.
-        wide: the slots that are wide strings.
+        wide_slots: the slots that are wide strings.
     """
 
-    def __init__(self, order: str, width: int, wide: _WideSlots):
-        self.order, self.width, self.wide = order, width, wide
+    def __init__(self, order: str, width: int, wide_slots: _WideSlots):
+        self.order, self.width, self.wide_slots = order, width, wide_slots
         self.lines: List[str] = []
         self.given = codegen.BoundNames(
             {
                 "StructError": StructError,
                 "number": Struct(f"{order}I").unpack_from,
                 "pack": Struct("<I").pack,
-                "swapped": _swapped,
-                "text": _text_reader(order),
-                "wide": _wide_reader(order, width),
+                "swapped": _swap_bytes,
+                "text": _string_converter(order),
+                "wide": _wide_string_converter(order, width),
             }
         )
         self.sizes: List[int] = []
         """Sizes of the numbers of the run; 0 for four bytes that only ROS 1 has, -1 for a byte that only CDR has."""
 
-    def compile(self, definition: Definition) -> _Convert:
+    def compile(self, definition: Definition) -> _Converter:
         """Return the function for a type: from bytes and an offset, to the offset after the message."""
         self.message(definition)
         self.flush()
-        lines = ["def convert(data, at, put):", *(f"  {line}" for line in self.lines), "  return at"]
-        convert: _Convert = codegen.function(
+        lines = [
+            "def convert(data, offset, write):",
+            *(f"  {line}" for line in self.lines),
+            "  return offset",
+        ]
+        convert: _Converter = codegen.function(
             lines, self.given.values, f"convert {definition.name}", "convert"
         )
         return convert
@@ -323,7 +331,7 @@ class _ConverterSource:
             self.sizes.append(0)
             fields = fields[1:]
         for slot in fields:
-            is_wide = (definition.name, slot.name) in self.wide
+            is_wide = (definition.name, slot.name) in self.wide_slots
             if slot.length is None:
                 self.single(slot, is_wide)
             else:
@@ -336,47 +344,47 @@ class _ConverterSource:
             self.flush()
             self.lines.append(self.string(is_wide))
         else:
-            self.sizes += _sizes(slot)
+            self.sizes += _number_sizes(slot)
 
     @staticmethod
     def string(is_wide: bool) -> str:
-        return f"at = {'wide' if is_wide else 'text'}(data, at, put)"
+        return f"offset = {'wide' if is_wide else 'text'}(data, offset, write)"
 
     def array(self, slot: Field, is_wide: bool, length: int) -> None:
-        numbers = _sizes(slot)
+        numbers = _number_sizes(slot)
         if numbers and 0 <= length <= _MAX_INLINE_NUMBERS:
             self.sizes += numbers * length
             return
         self.flush()
         count = str(length)
-        if length == VARIABLE:
+        if length == VARIABLE_LENGTH:
             count = "n"
             self.lines += [
-                "at = at + 3 & -4",
-                "n, = number(data, at)",
-                "at += 4",
-                "put(pack(n))",
-                "if n > len(data) - at: raise StructError",  # an element has a byte at least
+                "offset = offset + 3 & -4",
+                "n, = number(data, offset)",
+                "offset += 4",
+                "write(pack(n))",
+                "if n > len(data) - offset: raise StructError",  # an element has a byte at least
             ]
         if numbers:
             self.numbers(count, numbers)
         elif slot.type == "string":
             self.lines += [f"for _ in range({count}):", f"  {self.string(is_wide)}"]
         elif slot.definition is not None:
-            element = _ConverterSource(self.order, self.width, self.wide).compile(slot.definition)
+            element = _ConverterSource(self.order, self.width, self.wide_slots).compile(slot.definition)
             name = self.given.name("element", element)
-            self.lines += [f"for _ in range({count}):", f"  at = {name}(data, at, put)"]
+            self.lines += [f"for _ in range({count}):", f"  offset = {name}(data, offset, write)"]
 
     def numbers(self, count: str, sizes: List[int]) -> None:
         """Copy an array of numbers of equal size, between which there is no padding."""
         size = sizes[0]
         self.lines += [
             f"if {count}:",
-            f"  at = at + {size - 1} & -{size}",
-            f"  end = at + {size * len(sizes)} * {count}",
+            f"  offset = offset + {size - 1} & -{size}",
+            f"  end = offset + {size * len(sizes)} * {count}",
             "  if end > len(data): raise StructError",
-            f"  put({f'swapped(data[at:end], {size})' if self.order == '>' else 'data[at:end]'})",
-            "  at = end",
+            f"  write({f'swapped(data[offset:end], {size})' if self.order == '>' else 'data[offset:end]'})",
+            "  offset = end",
         ]
 
     def flush(self) -> None:
@@ -387,25 +395,29 @@ class _ConverterSource:
         output_layout = Struct(
             "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.sizes)
         )
-        input_layouts = [Struct(self.order + _aligned(self.sizes, phase)) for phase in range(8)]
+        input_layouts = [Struct(self.order + _input_format(self.sizes, phase)) for phase in range(8)]
         layouts = self.given.name("layouts", [(layout.unpack_from, layout.size) for layout in input_layouts])
         pack = self.given.name("pack", output_layout.pack)
-        self.lines += [f"read, size = {layouts}[at & 7]", f"put({pack}(*read(data, at)))", "at += size"]
+        self.lines += [
+            f"read, size = {layouts}[offset & 7]",
+            f"write({pack}(*read(data, offset)))",
+            "offset += size",
+        ]
         self.sizes = []
 
 
-def _sizes(slot: Field) -> List[int]:
+def _number_sizes(slot: Field) -> List[int]:
     """Return the sizes of the numbers in one element if all are equal, otherwise an empty list."""
     if slot.definition is None:
         if slot.type in TIMES:
             return [4, 4]
-        return [] if slot.type == "string" else [measure_of(slot).least]
+        return [] if slot.type == "string" else [measure_of(slot).min_size]
     sizes: List[int] = []
     if slot.definition.name == HEADER:
         return sizes
     for inner in slot.definition.fields:
         element_sizes = (
-            _sizes(inner) if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS else []
+            _number_sizes(inner) if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS else []
         )
         if not element_sizes or element_sizes[0] != (sizes or element_sizes)[0]:
             return []
@@ -413,7 +425,7 @@ def _sizes(slot: Field) -> List[int]:
     return sizes if len(sizes) <= _MAX_INLINE_NUMBERS else []
 
 
-def _aligned(sizes: List[int], phase: int) -> str:
+def _input_format(sizes: List[int], phase: int) -> str:
     """Return the `struct` format of numbers that begin at an offset, given modulo 8."""
     codes, offset = [], phase
     for size in sizes:
@@ -427,44 +439,44 @@ def _aligned(sizes: List[int], phase: int) -> str:
     return "".join(codes)
 
 
-def _swapped(data: bytes, size: int) -> bytes:
+def _swap_bytes(data: bytes, size: int) -> bytes:
     numbers = array(_CODES[size] if size != 4 else "I", data)
     # `array` uses the machine's byte order, which is that of ROS 1 messages.
     numbers.byteswap()
     return numbers.tobytes()
 
 
-def _text_reader(order: str) -> _Convert:
+def _string_converter(order: str) -> _Converter:
     number, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
 
-    def text(data: bytes, at: int, put: _Put) -> int:
-        at = at + 3 & -4
-        end: int = at + 4 + number(data, at)[0]  # behind the data, too, where `to_ros1` finds it
-        raw = data[at + 4 : end]
+    def convert(data: bytes, offset: int, write: _Write) -> int:
+        offset = offset + 3 & -4
+        end: int = offset + 4 + number(data, offset)[0]  # behind the data, too, where `to_ros1` finds it
+        raw = data[offset + 4 : end]
         if raw.endswith(b"\0"):
             raw = raw[:-1]
-        put(pack(len(raw)) + raw)
+        write(pack(len(raw)) + raw)
         return end
 
-    return text
+    return convert
 
 
-def _wide_reader(order: str, width: int) -> _Convert:
+def _wide_string_converter(order: str, width: int) -> _Converter:
     number, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
     names = {"<": "le", ">": "be"}
     coding, units = f"utf-{8 * width}-{names[order]}", f"utf-16-{names[order]}"
 
-    def wide(data: bytes, at: int, put: _Put) -> int:
-        at = at + 3 & -4
-        end: int = at + 4 + width * number(data, at)[0]
-        text = data[at + 4 : end].decode(coding, "surrogatepass")
+    def convert(data: bytes, offset: int, write: _Write) -> int:
+        offset = offset + 3 & -4
+        end: int = offset + 4 + width * number(data, offset)[0]
+        text = data[offset + 4 : end].decode(coding, "surrogatepass")
         # In four bytes, too, there are units of UTF-16: pairs of surrogates make a character.
         raw = (
             text.encode(units, "surrogatepass")
             .decode(units, "surrogatepass")
             .encode("utf-8", "surrogatepass")
         )
-        put(pack(len(raw)) + raw)
+        write(pack(len(raw)) + raw)
         return end
 
-    return wide
+    return convert

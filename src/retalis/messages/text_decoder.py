@@ -54,14 +54,14 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     return write
 
 
-def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], mark: Term) -> str:
+def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], marker: Term) -> str:
     """Return the text of a message in which long values of unread slots are replaced by a marker.
 
     Args:
         decoder: decoder of the message's type.
         data: bytes of the message.
         positions: slots that no rule reads, counted from 1.
-        mark: marker that replaces their values.
+        marker: marker that replaces their values.
 
     Raises:
         MessageError: if the bytes are not a message of this type.
@@ -70,7 +70,7 @@ def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], mar
     slots = decoder.definition.fields
     # Replaced only if long: the marker itself takes more characters than a number.
     parts = [
-        mark if position in positions and _is_long(slot, value) else value
+        marker if position in positions and _is_long(slot, value) else value
         for position, (slot, value) in enumerate(zip(slots, term[1:]), 1)
     ]
     return to_text((term[0], *parts))
@@ -87,20 +87,20 @@ class _Floats(NamedTuple):
     Attributes:
         text: variable that holds their text.
         values: variables that hold their values.
-        behind: if they follow the strings of the message.
+        follows_strings: if they follow the strings of the message.
         start: offset of the first byte, in the numbers before or after the strings.
-        stop: offset of the end.
-        kept: variable of the cached pair of bytes and text; "" if they are not cached.
-        place: index of that pair among the values that are cached for the message.
+        end: offset of the end.
+        cache_variable: variable of the cached pair of bytes and text; "" if they are not cached.
+        cache_index: index of that pair among the values that are cached for the message.
     """
 
     text: str
     values: List[str]
-    behind: bool
+    follows_strings: bool
     start: int
-    stop: int
-    kept: str
-    place: int
+    end: int
+    cache_variable: str
+    cache_index: int
 
     def lines(self, tail: int, first: int) -> List[str]:
         """Return the statements that compute the text.
@@ -109,18 +109,22 @@ class _Floats(NamedTuple):
             tail: number of bytes after the message's strings.
             first: index of the first such pair in the cached entry.
         """
-        written = "{" + "!r},{".join(self.values) + "!r}"
-        make = [f'{self.text} = f"{written}"', f'if "e" in {self.text}: {self.text} = points({self.text})']
-        if not self.kept:
+        float_format = "{" + "!r},{".join(self.values) + "!r}"
+        format_lines = [
+            f'{self.text} = f"{float_format}"',
+            f'if "e" in {self.text}: {self.text} = points({self.text})',
+        ]
+        if not self.cache_variable:
             # Offsets after the strings are counted from the end, because the strings' length varies.
-            return [f"  {line}" for line in make]
-        start, stop = (self.start - tail, self.stop - tail) if self.behind else (self.start, self.stop)
+            return [f"  {line}" for line in format_lines]
+        cached = self.cache_variable
+        start, end = (self.start - tail, self.end - tail) if self.follows_strings else (self.start, self.end)
         return [
-            f"  b = data[{start}:{stop or ''}]",
-            f"  if {self.kept} is not None and {self.kept}[0] == b: {self.text} = {self.kept}[1]",
+            f"  b = data[{start}:{end or ''}]",
+            f"  if {cached} is not None and {cached}[0] == b: {self.text} = {cached}[1]",
             "  else:",
-            *(f"    {line}" for line in make),
-            f"    k[{first + self.place}] = (b, {self.text})",
+            *(f"    {line}" for line in format_lines),
+            f"    k[{first + self.cache_index}] = (b, {self.text})",
         ]
 
 
@@ -151,24 +155,24 @@ class _TextSource(FrameSource):
         start = calcsize("<" + self.format)
         values = [self.fixed(code) for code in codes]
         # Comparing bytes costs as much as formatting one float. Long sequences rarely stay unchanged as a whole.
-        kept = self.name("b") if 1 < len(values) <= _MAX_CACHED_FLOATS else ""
-        place = len(self.beside)
-        if kept:
-            self.beside.append(kept)
+        cache_variable = self.name("b") if 1 < len(values) <= _MAX_CACHED_FLOATS else ""
+        cache_index = len(self.cached_variables)
+        if cache_variable:
+            self.cached_variables.append(cache_variable)
         floats = _Floats(
             self.name("x"),
             values,
-            bool(self.texts),
+            bool(self.string_variables),
             start,
             calcsize("<" + self.format),
-            kept,
-            place,
+            cache_variable,
+            cache_index,
         )
         self._floats.append(floats)
         return _value(floats.text)
 
     def prepare(self, tail: int) -> List[str]:
-        first = len(self.texts)
+        first = len(self.string_variables)
         return [line for floats in self._floats for line in floats.lines(tail, first)]
 
     def single(self, slot: Field) -> str:
@@ -194,7 +198,7 @@ class _TextSource(FrameSource):
             return f"[{self._float_text([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
         return f"[{','.join(self.single(element) for _ in range(length))}]"
 
-    def only(self, element: str) -> str:
+    def single_element_list(self, element: str) -> str:
         return f"[{element}]"
 
     def finish(self, result: str) -> str:
@@ -206,7 +210,7 @@ class _TextSource(FrameSource):
         pieces[::2] = [self.name("p", text) for text in pieces[::2]]
         return 'f"' + "".join(f"{{{piece}}}" for piece in pieces) + '"'
 
-    def kept(self, text: Term) -> object:
+    def cached_value(self, text: Term) -> object:
         return to_text(text)
 
 

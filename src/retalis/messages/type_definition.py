@@ -37,7 +37,7 @@ PRIMITIVES: Dict[str, str] = {
 TIMES: Dict[str, str] = {"time": "II", "duration": "ii"}
 BUILTIN = frozenset(PRIMITIVES) | frozenset(TIMES) | {"string"}
 
-VARIABLE = -1
+VARIABLE_LENGTH = -1
 """Length of an array whose number of elements is part of the message."""
 
 MAX_SLOTS = 10_000
@@ -72,7 +72,7 @@ class Field(NamedTuple):
     Attributes:
         name: the slot's name.
         type: the type of the slot or of its elements: a built-in one, or ``pkg/Type``.
-        length: None for a single value, `VARIABLE` or the number of elements for an array.
+        length: None for a single value, `VARIABLE_LENGTH` or the number of elements for an array.
         definition: the definition of a ``pkg/Type``, None for built-in types.
     """
 
@@ -90,51 +90,52 @@ class Field(NamedTuple):
         """Return the type in the syntax of definitions, for example ``float64[36]``."""
         if self.length is None:
             return self.type
-        return f"{self.type}[{'' if self.length == VARIABLE else self.length}]"
+        return f"{self.type}[{'' if self.length == VARIABLE_LENGTH else self.length}]"
 
 
 class Measure(NamedTuple):
     """Size limits of the messages of a type, and the complexity of the type.
 
     Attributes:
-        least: minimum size of a message in bytes.
-        fixed: if all messages have that size.
+        min_size: minimum size of a message in bytes.
+        is_fixed_size: if all messages have that size.
         slots: number of slots, including those of nested types.
         depth: nesting depth of types.
-        bare: number of zero-byte elements in arrays of fixed length.
-        may_be_bare: if there is an array, of fixed or variable length, whose elements have no bytes.
+        empty_elements: number of zero-byte elements in arrays of fixed length.
+        may_have_empty_elements: if there is an array, of fixed or variable length, whose elements have no bytes.
     """
 
-    least: int = 0
-    fixed: bool = True
+    min_size: int = 0
+    is_fixed_size: bool = True
     slots: int = 0
     depth: int = 0
-    bare: int = 0
-    may_be_bare: bool = False
+    empty_elements: int = 0
+    may_have_empty_elements: bool = False
 
     def plus(self, slot: Field) -> "Measure":
         """Return the measure of messages with one additional slot."""
         element = measure_of(slot)
         count = 1 if slot.length is None else slot.length
         # A variable array adds the four bytes of its count; its elements may be missing.
-        is_variable = count == VARIABLE
-        elements_are_bare = slot.length is not None and not element.least
+        is_variable = count == VARIABLE_LENGTH
+        elements_are_empty = slot.length is not None and not element.min_size
         return Measure(
-            self.least + (4 if is_variable else element.least * count),
-            self.fixed and element.fixed and not is_variable,
+            self.min_size + (4 if is_variable else element.min_size * count),
+            self.is_fixed_size and element.is_fixed_size and not is_variable,
             self.slots + element.slots + 1,
             max(self.depth, element.depth + 1),
-            self.bare + (0 if is_variable else count * (element.bare + elements_are_bare)),
-            self.may_be_bare or element.may_be_bare or elements_are_bare,
+            self.empty_elements
+            + (0 if is_variable else count * (element.empty_elements + elements_are_empty)),
+            self.may_have_empty_elements or element.may_have_empty_elements or elements_are_empty,
         )
 
-    def problem(self) -> str:
+    def exceeded_limit(self) -> str:
         """Return a description of the exceeded limit, or an empty string."""
         if self.slots > MAX_SLOTS:
             return f"a type cannot have more than {MAX_SLOTS} slots, including those of the types it contains"
         if self.depth > MAX_TYPE_DEPTH:
             return f"types cannot be nested more than {MAX_TYPE_DEPTH} deep"
-        if self.least > MAX_MESSAGE_BYTES:
+        if self.min_size > MAX_MESSAGE_BYTES:
             return f"a message cannot have more than {MAX_MESSAGE_BYTES} bytes"
         return ""
 
@@ -148,7 +149,7 @@ def measure_of(slot: Field) -> Measure:
     return Measure(calcsize("<" + (TIMES.get(slot.type) or PRIMITIVES[slot.type])))
 
 
-def measured(fields: Iterable[Field]) -> Measure:
+def measure_of_slots(fields: Iterable[Field]) -> Measure:
     """Return the measure of messages with these slots."""
     measure = Measure()
     for slot in fields:
@@ -194,7 +195,7 @@ class Definition:
         self.constants = constants
         self.text = text
         self.event = event
-        self.measure = measured(fields)
+        self.measure = measure_of_slots(fields)
         self.md5sum = md5(_checksum_text(self).encode()).hexdigest()
 
     @property
@@ -229,7 +230,7 @@ class Definition:
         ['std_msgs/Header']
         """
         definitions: Dict[str, Definition] = {}
-        _collect(self, definitions)
+        _collect_nested(self, definitions)
         return list(definitions.values())
 
     def renamed(self, name: str) -> "Definition":
@@ -265,13 +266,13 @@ def type_name(functor_name: str) -> Optional[str]:
     return f"{package}/{rest}" if mark and package and rest else None
 
 
-def _collect(definition: Definition, definitions: Dict[str, Definition]) -> None:
+def _collect_nested(definition: Definition, definitions: Dict[str, Definition]) -> None:
     for slot in definition.fields:
         nested = slot.definition
         # A type that is nested several times is listed once, as in the definitions of connection headers.
         if nested is not None and nested.name not in definitions:
             definitions[nested.name] = nested
-            _collect(nested, definitions)
+            _collect_nested(nested, definitions)
 
 
 def _checksum_text(definition: Definition) -> str:
@@ -290,44 +291,45 @@ def _checksum_text(definition: Definition) -> str:
     return "\n".join(lines).strip()
 
 
-BARE = 10_000
+MAX_EMPTY_ELEMENTS = 10_000
 """Default limit for the zero-byte elements of a message: elements of arrays whose type has no slots."""
 
 
 def element_size(slot: Field) -> Optional[int]:
     """Return the size of one element of a slot in bytes, or None if it varies."""
     measure = measure_of(slot)
-    return measure.least if measure.fixed else None
+    return measure.min_size if measure.is_fixed_size else None
 
 
-def explain(definition: Definition, data: bytes) -> str:
+def mismatch_text(definition: Definition, data: bytes) -> str:
     """Return an error text that says why the bytes are not a message of a type."""
     size = len(data)
     try:
-        end = _Walk(data).end(definition, 0, "")
-    except _Truncated as cut:
-        return f"{_size(size)} not a {definition.name}: they end inside slot {beginning(cut.path)}"
-    return f"{_size(size)} not a {definition.name}: {size - end} left over"
+        end = _SlotSkipper(data).message_end(definition, 0, "")
+    except _Truncated as truncated:
+        return f"{_byte_count_text(size)} not a {definition.name}: they end inside slot {beginning(truncated.path)}"
+    return f"{_byte_count_text(size)} not a {definition.name}: {size - end} left over"
 
 
-def _size(size: int) -> str:
+def _byte_count_text(size: int) -> str:
     return f"{counted(size, 'byte')} {'is' if size == 1 else 'are'}"
 
 
-def check_bare(definition: Definition, data: bytes, limit: int) -> None:
+def check_empty_elements(definition: Definition, data: bytes, limit: int) -> None:
     """Check the number of zero-byte elements in a message, which the message's size does not limit.
 
     Raises:
         MessageError: if there are more than ``limit``, or the bytes are not a message of this type.
     """
-    walk = _Walk(data)
+    skipper = _SlotSkipper(data)
     try:
-        walk.end(definition, 0, "")
+        skipper.message_end(definition, 0, "")
     except _Truncated:
-        raise MessageError(explain(definition, data)) from None
-    if walk.bare > limit:
+        raise MessageError(mismatch_text(definition, data)) from None
+    if skipper.empty_elements > limit:
+        count = skipper.empty_elements
         raise MessageError(
-            f"a {definition.name} has {walk.bare} zero-byte elements in its arrays: at most {limit} are allowed"
+            f"a {definition.name} has {count} zero-byte elements in its arrays: at most {limit} are allowed"
         )
 
 
@@ -338,9 +340,9 @@ def element_end(data: bytes, slot: Field, offset: int) -> int:
         struct.error: if the bytes end before.
     """
     try:
-        return _Walk(data).end_of(slot, offset, slot.name)
-    except _Truncated as cut:
-        raise StructError(cut.path) from None
+        return _SlotSkipper(data).slot_end(slot, offset, slot.name)
+    except _Truncated as truncated:
+        raise StructError(truncated.path) from None
 
 
 class _Truncated(Exception):
@@ -349,47 +351,49 @@ class _Truncated(Exception):
         self.path = path
 
 
-class _Walk:
+class _SlotSkipper:
     """Traversal of a serialized message that skips its slots without decoding, and counts zero-byte elements."""
 
     def __init__(self, data: bytes):
         self.data = data
-        self.bare = 0
+        self.empty_elements = 0
 
-    def end(self, definition: Definition, offset: int, prefix: str) -> int:
+    def message_end(self, definition: Definition, offset: int, prefix: str) -> int:
         """Return the end offset of a message that begins at ``offset``."""
         for slot in definition.fields:
-            offset = self.end_of(slot, offset, prefix + slot.name)
+            offset = self.slot_end(slot, offset, prefix + slot.name)
         return offset
 
-    def end_of(self, slot: Field, offset: int, path: str) -> int:
+    def slot_end(self, slot: Field, offset: int, path: str) -> int:
         """Return the end offset of a slot that begins at ``offset``."""
         count = 1 if slot.length is None else slot.length
-        if slot.length == VARIABLE:
-            offset, count = offset + 4, self.number(offset, path)
+        if slot.length == VARIABLE_LENGTH:
+            offset, count = offset + 4, self.read_count(offset, path)
         element = measure_of(slot)
         # Elements of fixed size are skipped with one multiplication, however many there are.
-        if not element.fixed:
-            return self.elements(slot, count, offset, path)
-        offset += count * element.least
-        self.bare += count * (element.bare + (slot.length is not None and not element.least))
+        if not element.is_fixed_size:
+            return self.elements_end(slot, count, offset, path)
+        offset += count * element.min_size
+        self.empty_elements += count * (
+            element.empty_elements + (slot.length is not None and not element.min_size)
+        )
         if offset > len(self.data):
             raise _Truncated(path)
         return offset
 
-    def elements(self, slot: Field, count: int, offset: int, path: str) -> int:
+    def elements_end(self, slot: Field, count: int, offset: int, path: str) -> int:
         """Return the end offset of elements that differ in size."""
         for index in range(count):
             place = path if slot.length is None else f"{path}[{index}]"
             if slot.definition is not None:
-                offset = self.end(slot.definition, offset, place + ".")
+                offset = self.message_end(slot.definition, offset, place + ".")
             else:
-                offset += 4 + self.number(offset, place)
+                offset += 4 + self.read_count(offset, place)
                 if offset > len(self.data):
                     raise _Truncated(place)
         return offset
 
-    def number(self, offset: int, path: str) -> int:
+    def read_count(self, offset: int, path: str) -> int:
         """Return the 32-bit count at an offset."""
         if offset + 4 > len(self.data):
             raise _Truncated(path)
@@ -483,36 +487,36 @@ class _DefinitionReader:
             raise self._error(
                 "half a surrogate pair, which cannot be stored in a file", error.start
             ) from None
-        for offset, line in lines_of(self.text):
-            self._line(offset, line)
+        for offset, line in lines_with_offsets(self.text):
+            self._read_line(offset, line)
         return tuple(self.fields.values()), tuple(self.constants.values())
 
-    def _line(self, offset: int, line: str) -> None:
+    def _read_line(self, offset: int, line: str) -> None:
         # A string constant takes the rest of the line literally: `#` does not begin a comment in it.
         match = _STRING_CONSTANT.match(line)
         if match:
-            self._constant("string", match, offset)
+            self._add_constant("string", match, offset)
             return
         line = _COMMENT.sub("", line)
         if not line.strip():
             return
         match = _FIELD.match(line)
         if match:
-            self._field(match, offset)
+            self._add_field(match, offset)
             return
         match = _CONSTANT.match(line)
         if match:
-            self._constant(match["type"], match, offset)
+            self._add_constant(match["type"], match, offset)
             return
         start = offset + len(line) - len(line.lstrip())
         raise self._error(
             f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", start
         )
 
-    def _constant(self, type_name: str, match: "re.Match[str]", offset: int) -> None:
+    def _add_constant(self, type_name: str, match: "re.Match[str]", offset: int) -> None:
         # Definitions come from other nodes: limits are checked per line, before the rest of the text is read.
         text = match["value"].strip()
-        self._new_name(match, offset, self.constants)
+        self._check_name(match, offset, self.constants)
         # Constants do not count as slots, but their number must be bounded as well.
         if len(self.constants) >= MAX_SLOTS:
             raise self._error(
@@ -527,28 +531,28 @@ class _DefinitionReader:
             raise self._error(f"{shortened(text)} is not a value of type {type_name}", position) from None
         self.constants[match["name"]] = Constant(type_name, match["name"], text, value)
 
-    def _field(self, match: "re.Match[str]", offset: int) -> None:
-        self._new_name(match, offset, self.fields)
+    def _add_field(self, match: "re.Match[str]", offset: int) -> None:
+        self._check_name(match, offset, self.fields)
         type_name, array, length = plain_type(match["type"]), match["array"], None
         if array is not None:
-            length = self._length(array[1:-1].strip(), offset + match.start("array"))
+            length = self._array_length(array[1:-1].strip(), offset + match.start("array"))
         if type_name in BUILTIN:
             definition = None
         else:
-            definition = self._nested(type_name, offset + match.start("type"))
+            definition = self._find_nested(type_name, offset + match.start("type"))
             type_name = definition.name
         slot = self.fields[match["name"]] = Field(match["name"], type_name, length, definition)
         self.measure = self.measure.plus(slot)
-        problem = self.measure.problem()
-        if problem:
-            raise self._error(problem, offset + match.start("type"))
+        exceeded_limit = self.measure.exceeded_limit()
+        if exceeded_limit:
+            raise self._error(exceeded_limit, offset + match.start("type"))
 
-    def _length(self, digits: str, position: int) -> int:
+    def _array_length(self, digits: str, position: int) -> int:
         if len(digits) > len(str(MAX_MESSAGE_BYTES)) or (digits and int(digits) > MAX_MESSAGE_BYTES):
             raise self._error(f"an array cannot have more than {MAX_MESSAGE_BYTES} elements", position)
-        return int(digits) if digits else VARIABLE
+        return int(digits) if digits else VARIABLE_LENGTH
 
-    def _nested(self, type_name: str, position: int) -> Definition:
+    def _find_nested(self, type_name: str, position: int) -> Definition:
         # `Header` without a package always means std_msgs/Header, as in genmsg.
         try:
             return self.find(HEADER if type_name in _HEADER_NAMES else type_name, self.package)
@@ -557,7 +561,7 @@ class _DefinitionReader:
                 raise
             raise self._error(error.message, position) from None
 
-    def _new_name(self, match: "re.Match[str]", offset: int, names: Container[str]) -> None:
+    def _check_name(self, match: "re.Match[str]", offset: int, names: Container[str]) -> None:
         name = match["name"]
         fault = plain_fault(name)
         if fault is not None:
@@ -569,7 +573,7 @@ class _DefinitionReader:
         return MessageError(message, place_at(self.source, self.text, offset))
 
 
-def lines_of(text: str) -> Iterator[Tuple[int, str]]:
+def lines_with_offsets(text: str) -> Iterator[Tuple[int, str]]:
     """Yield the lines of a text with the offset of their first character."""
     offset = 0
     for line in text.splitlines(keepends=True):
@@ -577,7 +581,7 @@ def lines_of(text: str) -> Iterator[Tuple[int, str]]:
         offset += len(line)
 
 
-_BOOLS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
+_BOOL_TEXTS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
 
 
 def constant_value(type_name: str, text: str) -> ConstantValue:
@@ -589,9 +593,9 @@ def constant_value(type_name: str, text: str) -> ConstantValue:
     if type_name == "string":
         return text
     if type_name == "bool":
-        if text not in _BOOLS:
+        if text not in _BOOL_TEXTS:
             raise ValueError(text)
-        return _BOOLS[text]
+        return _BOOL_TEXTS[text]
     if type_name in ("float32", "float64"):
         return float(text)
     if len(text) > _MAX_INTEGER_CHARACTERS:

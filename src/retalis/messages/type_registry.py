@@ -17,7 +17,7 @@ from ..foundation.errors import MessageError, beginning
 from ..foundation.ros_names import plain_type, type_fault
 from .decoder import Decoder
 from .encoder import Encoder
-from .type_definition import BARE, MAX_TYPE_DEPTH, Definition, parse, split_sections
+from .type_definition import MAX_EMPTY_ELEMENTS, MAX_TYPE_DEPTH, Definition, parse, split_sections
 
 _ROS_FOLDER = "/opt/ros"
 _SHARE_FOLDERS = ("/usr/share", "/usr/local/share")
@@ -45,7 +45,7 @@ class Installed:
         packages: folders that contain packages, instead of the standard ones.
         modules: folders of Python modules, instead of the module path.
         rosbags: if ``rosbags`` is searched.
-        further: folders that are searched first; each is a package or contains packages.
+        extra_folders: folders that are searched first; each is a package or contains packages.
     """
 
     def __init__(
@@ -53,10 +53,10 @@ class Installed:
         packages: Optional[Sequence[str]] = None,
         modules: Optional[Sequence[str]] = None,
         rosbags: bool = True,
-        further: Sequence[str] = (),
+        extra_folders: Sequence[str] = (),
     ):
-        usual = _package_folders() if packages is None else packages
-        self._packages = list(dict.fromkeys([*further, *usual]))
+        standard_folders = _package_folders() if packages is None else packages
+        self._packages = list(dict.fromkeys([*extra_folders, *standard_folders]))
         self._modules = list(dict.fromkeys([*sys.path, *_MODULE_FOLDERS] if modules is None else modules))
         self._rosbags = rosbags
         self._sources: Optional[Dict[str, str]] = None
@@ -74,7 +74,7 @@ class Installed:
         """Return the names of the packages that have messages, in alphabetical order."""
         names = set(self._source_packages())
         for folder in self._packages:
-            names.update(_with_messages(folder))
+            names.update(_packages_with_messages(folder))
         return sorted(names.union(_rosbags_types()) if self._rosbags else names)
 
     def text(self, name: str) -> Optional[Tuple[str, str]]:
@@ -130,7 +130,7 @@ def _type_names(folder: str) -> Iterator[str]:
             yield name[1:-3]
 
 
-def _with_messages(folder: str) -> Iterator[str]:
+def _packages_with_messages(folder: str) -> Iterator[str]:
     """Yield the packages in a folder that have messages."""
     for name in _names_in(folder):
         if os.path.isdir(os.path.join(folder, name, "msg")):
@@ -256,10 +256,10 @@ _BYTES_PER_SLOT = 2000
 
 
 class Learned(NamedTuple):
-    """Decoder of a publisher's messages; ``instead`` if the requested type was unknown and replaced by theirs."""
+    """Decoder of a publisher's messages; ``is_replacement`` if theirs replaces an unknown type."""
 
     decoder: Decoder
-    instead: bool
+    is_replacement: bool
 
 
 class Definitions:
@@ -275,16 +275,16 @@ class Definitions:
 
     Args:
         installed: source of installed types; searches the standard folders by default.
-        bare: maximum number of zero-byte elements in a message (elements of arrays whose type has no slots).
+        bare: limit for zero-byte elements in a message (elements of arrays whose type has no slots).
     """
 
-    def __init__(self, installed: Optional[Installed] = None, bare: int = BARE):
+    def __init__(self, installed: Optional[Installed] = None, bare: int = MAX_EMPTY_ELEMENTS):
         self._installed = Installed() if installed is None else installed
-        self._bare = bare
+        self._max_empty_elements = bare
         self._characters = 0
         self._added: Dict[str, Definition] = {}
         self._nested: Dict[str, Definition] = {}
-        self._found: Dict[str, Definition] = {}
+        self._resolved: Dict[str, Definition] = {}
         self._by_text: Cache[_Key, Definition] = Cache(1000, 32 << 20, 32 << 20)
         self._decoders: Cache[_CodeKey, Decoder] = Cache(1000, 32 << 20, 32 << 20)
         self._encoders: Cache[_Key, Encoder] = Cache(1000, 32 << 20, 32 << 20)
@@ -361,9 +361,9 @@ class Definitions:
             MessageError: if they are of another type, or their definition is invalid.
         """
         name, sent = plain_type(name), plain_type(sent)
-        unknown = name not in self
+        is_unknown = name not in self
         definition = self.received(name, sent, text, md5sum)
-        return Learned(self.decoder(definition.as_event(event)), unknown and sent != name)
+        return Learned(self.decoder(definition.as_event(event)), is_unknown and sent != name)
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
         """Return the definition by which a publisher's messages are read as a type: the known one, or their own.
@@ -405,9 +405,9 @@ class Definitions:
             MessageError: if the type is unknown, or its definition is invalid.
         """
         name = plain_type(name)
-        definition = self._added.get(name) or self._found.get(name)
+        definition = self._added.get(name) or self._resolved.get(name)
         if definition is None:
-            definition = self._found[name] = _Resolver(self, {}).resolve(name)
+            definition = self._resolved[name] = _Resolver(self, {}).resolve(name)
         return definition
 
     def __contains__(self, name: object) -> bool:
@@ -425,7 +425,9 @@ class Definitions:
         decoder = self._decoders.get(key)
         if decoder is None:
             decoder = self._decoders.keep(
-                key, Decoder(definition, self._bare), _BYTES_PER_SLOT * (definition.measure.slots + 2)
+                key,
+                Decoder(definition, self._max_empty_elements),
+                _BYTES_PER_SLOT * (definition.measure.slots + 2),
             )
         return decoder
 
@@ -477,9 +479,9 @@ class Definitions:
                 "",
             )
         for candidate in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
-            close = self._most_similar(candidate, type_name, 0.7)
-            if close and (candidate == package or close[0] == type_name):
-                return f"{candidate}/{close[0]}"
+            matches = self._most_similar(candidate, type_name, 0.7)
+            if matches and (candidate == package or matches[0] == type_name):
+                return f"{candidate}/{matches[0]}"
         return ""
 
     def _most_similar(self, package: str, type_name: str, cutoff: float) -> List[str]:
@@ -528,29 +530,31 @@ class Definitions:
 class _Resolver:
     """Resolver of a type and its nested types, first from the sections of one text, then from the registry."""
 
-    def __init__(self, registry: Definitions, sections: Dict[str, str], inside: Optional[Set[str]] = None):
+    def __init__(
+        self, registry: Definitions, sections: Dict[str, str], in_progress: Optional[Set[str]] = None
+    ):
         self.registry = registry
         self.sections = sections
-        self.done: Dict[str, Definition] = {}
-        self.open: Set[str] = set() if inside is None else inside
+        self.resolved: Dict[str, Definition] = {}
+        self.in_progress: Set[str] = set() if in_progress is None else in_progress
         """Types that are being resolved. A type that is needed while it is in this set contains itself."""
 
     def resolve(self, name: str) -> Definition:
-        definition = self.done.get(name)
+        definition = self.resolved.get(name)
         if definition is None:
             fault = type_fault(name)
             if fault is not None:
                 raise MessageError(fault)
-            if name in self.open:
+            if name in self.in_progress:
                 raise MessageError(f"{name} contains itself")
             # Checked before parsing: recursion over nested definitions would exceed Python's stack.
-            if len(self.open) > MAX_TYPE_DEPTH:
+            if len(self.in_progress) > MAX_TYPE_DEPTH:
                 raise MessageError(f"types cannot be nested more than {MAX_TYPE_DEPTH} deep")
-            self.open.add(name)
+            self.in_progress.add(name)
             try:
-                definition = self.done[name] = self.read(name)
+                definition = self.resolved[name] = self.read(name)
             finally:
-                self.open.discard(name)
+                self.in_progress.discard(name)
         return definition
 
     def read(self, name: str) -> Definition:
@@ -563,7 +567,7 @@ class _Resolver:
             sections = split_sections(name, text)
             # A generated module contains the nested definitions as well, which take precedence within it.
             if len(sections) > 1:
-                return _Resolver(self.registry, sections, self.open).read(name)
+                return _Resolver(self.registry, sections, self.in_progress).read(name)
             return parse(name, text, self._nested, source)
         # Nested types of received definitions come last: another publisher must not replace an installed type.
         known = self.registry.known(name)
@@ -577,18 +581,18 @@ class _Resolver:
             f"no definition of the message type {beginning(name)} is installed or has been received"
         )
 
-    def _nested(self, written: str, package: str) -> Definition:
-        for name in _candidates(written, package, self.sections):
+    def _nested(self, written_name: str, package: str) -> Definition:
+        for name in _candidates(written_name, package, self.sections):
             if name in self.sections:
                 return self.resolve(name)
-        return self.resolve(written if "/" in written else f"{package}/{written}")
+        return self.resolve(written_name if "/" in written_name else f"{package}/{written_name}")
 
 
-def _candidates(written: str, package: str, sections: Dict[str, str]) -> Sequence[str]:
+def _candidates(written_name: str, package: str, sections: Dict[str, str]) -> Sequence[str]:
     """Return the possible names of a nested type in a concatenated text, the most likely name first."""
-    if "/" in written:
-        return [written]
-    others: List[str] = [name for name in sections if name.endswith("/" + written)]
+    if "/" in written_name:
+        return [written_name]
+    others: List[str] = [name for name in sections if name.endswith("/" + written_name)]
     # A type without a package belongs to the same package. Old bags also omit the package of others, if the name is
     # unique.
-    return [f"{package}/{written}"] + (others if len(others) == 1 else [])
+    return [f"{package}/{written_name}"] + (others if len(others) == 1 else [])

@@ -18,7 +18,7 @@ from ..prolog.terms.list_terms import list_items, make_list
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor
 from ..prolog.terms.types import String as PrologString
 from .field_values import text_bytes
-from .type_definition import PRIMITIVES, TIMES, VARIABLE, Definition, Field, integer_range
+from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
 
 _BOOL_ATOMS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
 _SPECIAL_FLOATS = {atom("nan"): float("nan"), atom("inf"): float("inf"), atom("infinite"): float("inf")}
@@ -26,7 +26,7 @@ _MINUS_FUNCTOR = functor("-", 1)
 _MAX_SHOWN_CHARACTERS = 60
 
 
-class CheckingEncoder:
+class ValidatingEncoder:
     """Encoder of one type that reports why a term does not fit."""
 
     def __init__(self, definition: Definition):
@@ -86,12 +86,12 @@ def _encode_slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> Non
         return
     if slot.is_bytes:
         raw = _get_bytes(slot, term, path)
-        if slot.length == VARIABLE:
+        if slot.length == VARIABLE_LENGTH:
             chunks.append(pack("<I", len(raw)))
         chunks.append(raw)
         return
     items = _get_items(slot, term, path)
-    if slot.length == VARIABLE:
+    if slot.length == VARIABLE_LENGTH:
         chunks.append(pack("<I", len(items)))
     element = slot._replace(length=None)
     for index, item in enumerate(items):
@@ -107,7 +107,7 @@ def _get_items(slot: Field, term: Term, path: str) -> List[Term]:
 
 
 def _check_length(slot: Field, count: int, path: str) -> None:
-    if slot.length != VARIABLE and count != slot.length:
+    if slot.length != VARIABLE_LENGTH and count != slot.length:
         raise _Misfit(
             path, f"expected {counted(slot.length or 0, 'element')} ({slot.describe()}), got {count}"
         )
@@ -259,10 +259,10 @@ def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[st
         topic: name for the error text.
     """
     # Filling in values would allocate a message of that size for a check before start.
-    if definition.measure.least > MAX_CHECKED_BYTES:
+    if definition.measure.min_size > MAX_CHECKED_BYTES:
         return None
     try:
-        CheckingEncoder(definition).encode(_fill_message(definition, term), topic)
+        ValidatingEncoder(definition).encode(_fill_message(definition, term), topic)
     except MessageError as error:
         return error.message
     return None
@@ -309,7 +309,7 @@ def _fill_list(slot: Field, element: Field, value: Any) -> Term:
 def _create_default_value(slot: Field) -> Term:
     """Return a value that fits a slot."""
     if slot.length is not None:
-        count = 0 if slot.length == VARIABLE else slot.length
+        count = 0 if slot.length == VARIABLE_LENGTH else slot.length
         return make_list([_create_default_value(slot._replace(length=None))] * count)
     return (
         _DEFAULT_TERMS.get(slot.type, 0)

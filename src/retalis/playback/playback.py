@@ -373,7 +373,7 @@ class Playback:
         except MessageError as error:
             self._decoders[topic] = None
             return error
-        if learned.instead:
+        if learned.is_replacement:
             log.warning(
                 "topic %s is requested as %s, which is unknown here; the bag has %s, which is used instead",
                 topic.name,

@@ -24,7 +24,7 @@ from ..messages.type_registry import Definitions
 from .parameters import Parameters
 
 
-class StateFile:
+class CheckpointFile:
     """The file of parameter ``~checkpoint``, which may be unset.
 
     Args:
@@ -39,7 +39,7 @@ class StateFile:
         self._parameters = parameters
         self._reports = reports
         self.resumed = False
-        self._usable = parameters.checkpoint is not None
+        self._is_usable = parameters.checkpoint is not None
         self._files: Optional[ProgramFiles] = None
 
     def engine(self, clock: Callable[[], Clock], definitions: Definitions) -> Engine:
@@ -57,7 +57,7 @@ class StateFile:
                     path, parameters.program, clock(), parameters.settings, self._reports, definitions
                 )
             except RetalisError as error:
-                self._set_aside(error)
+                self._rename_unusable(error)
                 restored = None
             if restored is not None:
                 self.resumed = True
@@ -66,14 +66,14 @@ class StateFile:
                 return restored[0]
         return Engine(clock(), parameters.settings, self._reports, definitions)
 
-    def _set_aside(self, error: RetalisError) -> None:
+    def _rename_unusable(self, error: RetalisError) -> None:
         path = self._parameters.checkpoint
         assert path is not None
         try:
             outcome = f"the file is kept as {rename_refused_file(path)}"
         except RetalisError as rename_error:
             outcome = f"{rename_error.message}, so no state is kept"
-            self._usable = False
+            self._is_usable = False
         rospy.logwarn(
             "%s is not restored: %s: the node starts without state; %s", path, error.message, outcome
         )
@@ -93,14 +93,16 @@ class StateFile:
     def begin(self, engine: Engine) -> None:
         """Start to write the engine's state periodically, until the node ends."""
         path = self._parameters.checkpoint
-        if path is None or not self._usable:
+        if path is None or not self._is_usable:
             return
         try:
-            file = CheckpointStorage(path)
+            storage = CheckpointStorage(path)
         except RetalisError as error:
             rospy.logerr("parameter ~checkpoint: %s", error.message)
             return
         # The files that the restored program was read from, which may have changed since.
-        checkpointer = Checkpointer(engine, file, self._parameters.program, self._reports, files=self._files)
+        checkpointer = Checkpointer(
+            engine, storage, self._parameters.program, self._reports, files=self._files
+        )
         checkpointer.start()
         rospy.on_shutdown(checkpointer.stop)

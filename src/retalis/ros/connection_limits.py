@@ -29,39 +29,39 @@ from rospy.impl import tcpros_base
 
 from ..foundation.errors import beginning, printable
 
-BACKLOG = 1024
+MAX_LISTEN_BACKLOG = 1024
 """Limit for connections that wait until the node accepts them, if `net.core.somaxconn` allows it.
 
 Further connections are not answered; the client's system tries again after 1, 3 and 7 seconds.
 """
 
-HANDSHAKE_SECONDS = 5.0
+HANDSHAKE_TIMEOUT_SECONDS = 5.0
 MAX_HANDSHAKES = 256
 MAX_HANDSHAKES_PER_ADDRESS = 192
 MAX_HEADER_BYTES = 1 << 18
 """Limit for a connection's header, which may contain the definition of a message type."""
 
-REQUEST_SECONDS = 30.0
+REQUEST_TIMEOUT_SECONDS = 30.0
 """Seconds after which an XML-RPC connection without a further request is closed."""
 
 MAX_REQUEST_CONNECTIONS = 128
 MAX_REQUEST_CONNECTIONS_PER_ADDRESS = 96
 MAX_REQUEST_BYTES = 1 << 18
 
-REPORT_SECONDS = 10.0
+REPORT_DELAY_SECONDS = 10.0
 """Seconds after the first closed connection until one line reports all of them."""
 
 MAX_REASONS = 5
 MAX_REASON_CHARACTERS = 400
 """Limits for the reasons in one line and the characters of each reason, which may contain text of the client."""
 
-LOOP_SECONDS = 1.0
+DEADLINE_CHECK_SECONDS = 1.0
 """Longest interval in seconds between two checks of deadlines and of the node's shutdown."""
 
 _NO_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
-OWNER_PAUSE = 0.001
-NO_FILES_PAUSE = 0.1
+OWNER_CLOSE_PAUSE_SECONDS = 0.001
+NO_DESCRIPTORS_PAUSE_SECONDS = 0.1
 """Seconds until the next attempt to accept a connection without free file descriptors.
 
 The first applies if a connection could be closed, the second otherwise.
@@ -77,49 +77,51 @@ class ClosedConnections:
 
     Args:
         server: name of the server in the log.
-        warn: receives the line.
+        log_warning: receives the line.
         now: clock in seconds.
 
     Attributes:
         total: number of closed connections.
     """
 
-    def __init__(self, server: str, warn: Callable[[str], object] = rospy.logwarn, now: Now = time.monotonic):
+    def __init__(
+        self, server: str, log_warning: Callable[[str], object] = rospy.logwarn, now: Now = time.monotonic
+    ):
         self._server = server
-        self._warn = warn
+        self._log_warning = log_warning
         self._now = now
         self._lock = threading.Lock()
         self._reasons: Dict[str, int] = Counter()
-        self._last = ""
-        self._due = 0.0
+        self._last_address = ""
+        self._report_time = 0.0
         self.total = 0
 
     def count(self, reason: str, address: str) -> None:
         """Count a closed connection."""
         with self._lock:
             if not self._reasons:
-                self._due = self._now() + REPORT_SECONDS
+                self._report_time = self._now() + REPORT_DELAY_SECONDS
             reason = printable(beginning(reason, MAX_REASON_CHARACTERS))
             # A client can vary the reason with each connection: neither memory nor the line may grow with their
             # number.
             if reason not in self._reasons and len(self._reasons) >= MAX_REASONS:
                 reason = "other reasons"
             self._reasons[reason] += 1
-            self._last = address
+            self._last_address = address
             self.total += 1
 
     def report(self) -> None:
-        """Log the counts if `REPORT_SECONDS` have passed since the first connection."""
+        """Log the counts if `REPORT_DELAY_SECONDS` have passed since the first connection."""
         with self._lock:
-            if not self._reasons or self._now() < self._due:
+            if not self._reasons or self._now() < self._report_time:
                 return
             reasons = ", ".join(f"{reason} ({count})" for reason, count in self._reasons.items())
-            number = sum(self._reasons.values())
+            total = sum(self._reasons.values())
             self._reasons.clear()
         # Outside of the lock: a log handler may block, and `count` is called while connections are accepted.
-        self._warn(
-            f"{self._server}: {number} connections closed ({self.total} so far),"
-            f" the last one of {self._last}: {reasons}"
+        self._log_warning(
+            f"{self._server}: {total} connections closed ({self.total} so far),"
+            f" the last one of {self._last_address}: {reasons}"
         )
 
 
@@ -132,9 +134,9 @@ class ConnectionTable:
     """The unfinished connections of a server, the one with the earliest deadline first.
 
     Args:
-        seconds: time until the deadline of a connection.
-        most: limit for all connections.
-        most_per_address: limit for the connections of one address.
+        timeout: time until the deadline of a connection.
+        max_connections: limit for all connections.
+        max_per_address: limit for the connections of one address.
         closed: counts the closed connections.
         now: clock in seconds.
         may_idle: whether a connection may be idle, so that its end at the deadline is not counted.
@@ -142,16 +144,16 @@ class ConnectionTable:
 
     def __init__(
         self,
-        seconds: float,
-        most: int,
-        most_per_address: int,
+        timeout: float,
+        max_connections: int,
+        max_per_address: int,
         closed: ClosedConnections,
         now: Now = time.monotonic,
         may_idle: bool = False,
     ):
-        self._seconds = seconds
-        self._most = most
-        self._most_per_address = most_per_address
+        self._timeout = timeout
+        self._max_connections = max_connections
+        self._max_per_address = max_per_address
         self._closed = closed
         self._now = now
         self._may_idle = may_idle
@@ -165,15 +167,15 @@ class ConnectionTable:
     def add(self, sock: socket.socket, address: str) -> None:
         """Add a connection; beyond a limit, close the oldest one of its address or of all."""
         with self._lock:
-            if self._by_address[address] >= self._most_per_address:
+            if self._by_address[address] >= self._max_per_address:
                 oldest = next(
                     candidate for candidate, entry in self._entries.items() if entry.address == address
                 )
-                self._close(oldest, f"more than {self._most_per_address} unfinished ones of one address")
-            elif len(self._entries) >= self._most:
-                self._close_oldest(f"more than {self._most} unfinished ones")
+                self._close(oldest, f"more than {self._max_per_address} unfinished ones of one address")
+            elif len(self._entries) >= self._max_connections:
+                self._close_oldest(f"more than {self._max_connections} unfinished ones")
             # All deadlines are equally far away, so insertion order is the order of the deadlines.
-            self._entries[sock] = _OpenConnection(address, self._now() + self._seconds)
+            self._entries[sock] = _OpenConnection(address, self._now() + self._timeout)
             self._by_address[address] += 1
 
     def renew(self, sock: socket.socket) -> None:
@@ -181,7 +183,7 @@ class ConnectionTable:
         with self._lock:
             entry = self._entries.pop(sock, None)
             if entry is not None:
-                self._entries[sock] = entry._replace(deadline=self._now() + self._seconds)
+                self._entries[sock] = entry._replace(deadline=self._now() + self._timeout)
 
     def remove(self, sock: socket.socket) -> None:
         """Remove a connection that has been finished or closed."""
@@ -193,12 +195,12 @@ class ConnectionTable:
         with self._lock:
             now = self._now()
             while self._entries and next(iter(self._entries.values())).deadline <= now:
-                self._close_oldest("" if self._may_idle else f"not finished within {self._seconds:g} s")
+                self._close_oldest("" if self._may_idle else f"not finished within {self._timeout:g} s")
 
     def make_room(self) -> None:
         """Close the oldest connection because the process has no free file descriptor, and wait for its owner."""
         with self._lock:
-            pause = OWNER_PAUSE if self._entries else NO_FILES_PAUSE
+            pause = OWNER_CLOSE_PAUSE_SECONDS if self._entries else NO_DESCRIPTORS_PAUSE_SECONDS
             if self._entries:
                 self._close_oldest("no more files can be opened")
         # The descriptor becomes free when the owner closes the socket. Without a pause, the accept loop would spin.
@@ -238,7 +240,7 @@ class HeaderReader:
     def __init__(self, sock: socket.socket):
         self._socket = sock
         self._data = bytearray()
-        self._size = 4
+        self._expected_size = 4
 
     def read(self) -> Optional[bytes]:
         """Read the available bytes; return the header with its length if it is complete.
@@ -249,22 +251,22 @@ class HeaderReader:
         """
         while True:
             try:
-                data = self._socket.recv(self._size - len(self._data))
+                data = self._socket.recv(self._expected_size - len(self._data))
             except BlockingIOError:
                 return None
             if not data:
                 raise ConnectionResetError("the connection ended before its header was complete")
             self._data += data
-            if len(self._data) < self._size:
+            if len(self._data) < self._expected_size:
                 continue
             # The first 4 bytes are the length of the rest. They are part of the result, as rospy's parser expects
             # them.
-            if self._size > 4:
+            if self._expected_size > 4:
                 return bytes(self._data)
             (length,) = unpack("<I", self._data)
             if length > MAX_HEADER_BYTES:
                 raise ValueError(f"headers longer than {MAX_HEADER_BYTES} bytes")
-            self._size += length
+            self._expected_size += length
             if not length:
                 return bytes(self._data)
 
@@ -276,19 +278,19 @@ class EstablishedConnections:
     address may have at most three quarters of them, so that it cannot exclude the others.
     """
 
-    def __init__(self, most: Optional[int] = None):
-        if most is None:
+    def __init__(self, max_connections: Optional[int] = None):
+        if max_connections is None:
             soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-            most = 3 * (min(soft, 2048) if soft >= 0 else 2048) // 8
-        self._most = most
-        self._most_per_address = 3 * most // 4
+            max_connections = 3 * (min(soft, 2048) if soft >= 0 else 2048) // 8
+        self._max_connections = max_connections
+        self._max_per_address = 3 * max_connections // 4
         self._lock = threading.Lock()
         self._by_address: Dict[str, WeakSet[socket.socket]] = {}
 
     @property
     def limits(self) -> str:
         """The limits as text for a message."""
-        return f"{self._most_per_address} of one address, {self._most} in all"
+        return f"{self._max_per_address} of one address, {self._max_connections} in all"
 
     def add(self, sock: socket.socket, address: str) -> bool:
         """Add a connection; return False if a limit is reached."""
@@ -300,7 +302,10 @@ class EstablishedConnections:
                 counts[known_address] = sum(1 for established in list(sockets) if established.fileno() >= 0)
                 if not counts[known_address]:
                     del self._by_address[known_address]
-            if sum(counts.values()) >= self._most or counts.get(address, 0) >= self._most_per_address:
+            if (
+                sum(counts.values()) >= self._max_connections
+                or counts.get(address, 0) >= self._max_per_address
+            ):
                 return False
             self._by_address.setdefault(address, WeakSet()).add(sock)
             return True
@@ -315,20 +320,20 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
 
     def _create_server_sock(self) -> socket.socket:
         sock: socket.socket = super()._create_server_sock()
-        sock.listen(BACKLOG)
+        sock.listen(MAX_LISTEN_BACKLOG)
         return sock
 
     def run(self) -> None:
         """Serve until rospy shuts the server down; use rospy's loop if its internals are not the expected ones."""
         self._rospy_server: Any = getattr(self.inbound_handler, "__self__", None)
-        if not all(hasattr(self._rospy_server, name) for name in _HANDLERS):
-            _warn_of_fallback()
+        if not all(hasattr(self._rospy_server, name) for name in _ROSPY_HANDLERS):
+            _log_unexpected_internals()
             super().run()
             return
         self.is_shutdown = False
         self.closed = ClosedConnections(f"TCPROS port {self.port}")
         self._handshakes = ConnectionTable(
-            HANDSHAKE_SECONDS, MAX_HANDSHAKES, MAX_HANDSHAKES_PER_ADDRESS, self.closed
+            HANDSHAKE_TIMEOUT_SECONDS, MAX_HANDSHAKES, MAX_HANDSHAKES_PER_ADDRESS, self.closed
         )
         self._established = EstablishedConnections()
         log = logging.getLogger("rosout")
@@ -339,20 +344,20 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         finally:
             log.removeFilter(self._is_logged)
 
-    def _serve(self, listening: socket.socket) -> None:
-        listening.setblocking(False)
-        self._selector.register(listening, selectors.EVENT_READ)
+    def _serve(self, listening_socket: socket.socket) -> None:
+        listening_socket.setblocking(False)
+        self._selector.register(listening_socket, selectors.EVENT_READ)
         while not self.is_shutdown:
             is_new = False
             # Headers that have arrived are read before the next connection is accepted. Otherwise a connection could
             # be closed in favour of a newer one although its header waits in the kernel's buffer.
-            for key, _ in self._selector.select(LOOP_SECONDS):
+            for key, _ in self._selector.select(DEADLINE_CHECK_SECONDS):
                 if key.data is None:
                     is_new = True
                 else:
                     self._read(key.fileobj, *key.data)
             if is_new:
-                self._accept(listening)
+                self._accept(listening_socket)
             self._handshakes.expire()
             self.closed.report()
 
@@ -363,9 +368,9 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         self.closed.count("ended before the request of a service", "a service's client")
         return False
 
-    def _accept(self, listening: socket.socket) -> None:
+    def _accept(self, listening_socket: socket.socket) -> None:
         try:
-            sock, address = listening.accept()
+            sock, address = listening_socket.accept()
         except OSError as error:
             if error.errno in _NO_RESOURCES:
                 self._handshakes.make_room()
@@ -475,12 +480,12 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
 
     def __init__(self, *args: Any, **keywords: Any):
         super().__init__(*args, **keywords)
-        self.socket.listen(BACKLOG)
+        self.socket.listen(MAX_LISTEN_BACKLOG)
         self.RequestHandlerClass = RequestHandler
         self.closed = ClosedConnections(f"XML-RPC port {self.server_address[1]}")
         # The master and other nodes keep a connection open for their next request; they reconnect when it was closed.
         self.connections = ConnectionTable(
-            REQUEST_SECONDS,
+            REQUEST_TIMEOUT_SECONDS,
             MAX_REQUEST_CONNECTIONS,
             MAX_REQUEST_CONNECTIONS_PER_ADDRESS,
             self.closed,
@@ -514,9 +519,9 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
         self.closed.report()
 
 
-_HANDLERS = ("topic_connection_handler", "service_connection_handler")
+_ROSPY_HANDLERS = ("topic_connection_handler", "service_connection_handler")
 
-_EXPECTED = (
+_ROSPY_INTERNALS = (
     (tcpros_base, "TCPServer", ("run", "start", "shutdown", "_create_server_sock")),
     (tcpros_base, "TCPROSServer", ("start_server",)),
     (rosgraph.network, "decode_ros_handshake_header", ()),
@@ -530,11 +535,11 @@ _EXPECTED = (
 def _has_expected_internals() -> bool:
     return all(
         hasattr(module, name) and all(hasattr(getattr(module, name), attribute) for attribute in attributes)
-        for module, name, attributes in _EXPECTED
+        for module, name, attributes in _ROSPY_INTERNALS
     )
 
 
-def _warn_of_fallback() -> None:
+def _log_unexpected_internals() -> None:
     rospy.logwarn("rospy: its internals are not the expected ones: connections to this node have no limits")
 
 
@@ -544,7 +549,7 @@ def limit_connections() -> None:
     If the internals of this rospy are not the expected ones, it is left unchanged, and a warning is logged.
     """
     if not _has_expected_internals():
-        _warn_of_fallback()
+        _log_unexpected_internals()
         return
     tcpros_base.TCPServer = HandshakeServer
     rosgraph.xmlrpc.ThreadingXMLRPCServer = RequestServer

@@ -4,7 +4,7 @@ A wake-up of a thread, with its cold caches, costs more than the processing of a
 socket to the callback adds to it. `read_in_batches` therefore replaces `receive_once` of a subscriber's connections
 by a `ConnectionReader`: a loop that reads from the socket, splits the data into messages, and passes all complete
 messages of a read to the handler together. Fast topics are batched further: the socket option ``SO_RCVLOWAT`` lets
-the kernel wake the thread only when several messages have arrived (`Pace`).
+the kernel wake the thread only when several messages have arrived (`LowWaterMark`).
 
 Everything else remains rospy's: connecting, the header, reconnecting, closing, statistics. If the internals of this
 rospy are not the expected ones, its connections are left unchanged, and rospy calls back for each message.
@@ -20,25 +20,25 @@ import rospy
 from rospy.core import is_shutdown
 from rospy.exceptions import TransportException, TransportTerminated
 
-BUFFER = 65536
+MAX_READ_BYTES = 65536
 """Limit in bytes for one read. A larger buffer would be a new memory mapping each time, with its page faults."""
 
-WINDOW = 128
+WINDOW_WAKE_UPS = 128
 """Wake-ups between two adjustments of the pace."""
 
-LATE = WINDOW // 32
+MAX_WINDOW_TIMEOUTS = WINDOW_WAKE_UPS // 32
 """Limit for the waits of a window that may time out before batching is given up."""
 
-MIN_FURTHER = 2
+MIN_FURTHER_MESSAGES = 2
 """Further messages that must arrive within the hold time, on average, before the reader waits for them.
 
 With a single one, a message would be delayed by a whole interval of its topic to save every second wake-up.
 """
 
-TIMEOUT = pack("ll", 0, 4000)
+RECEIVE_TIMEOUT = pack("ll", 0, 4000)
 """Longest wait of the kernel for further messages: a ``timeval``, rounded up to its ticks (mostly 4 ms)."""
 
-NEVER = pack("ll", 0, 0)
+NO_TIMEOUT = pack("ll", 0, 0)
 
 MAX_SINGLE_MESSAGE_WINDOWS = 64
 """Limit for the windows without batching, after which it is tried again."""
@@ -46,7 +46,7 @@ MAX_SINGLE_MESSAGE_WINDOWS = 64
 BatchHandlerFactory = Callable[[Dict[str, str]], Callable[[List[bytes]], object]]
 """Returns the handler of a connection's messages, by the connection's header."""
 
-_NEEDED = (
+_REQUIRED_ATTRIBUTES = (
     "socket",
     "header",
     "read_buff",
@@ -61,72 +61,78 @@ _NEEDED = (
 _size = Struct("<I").unpack_from
 
 
-class Pace:
+class LowWaterMark:
     """Controls the number of bytes that must have arrived at a connection before its thread is woken.
 
-    If messages arrive one by one, and at least `MIN_FURTHER` more while the first is held, the kernel waits for
-    several (``SO_RCVLOWAT``). This needs no timer, unlike a sleep between two reads, which costs more than it saves.
-    If the further messages fail to arrive more than `LATE` times in a window (a burst has ended), each message is
-    read at once again, for a number of windows that doubles with each failure.
+    If messages arrive one by one, and at least `MIN_FURTHER_MESSAGES` more while the first is held, the kernel waits
+    for several (``SO_RCVLOWAT``). This needs no timer, unlike a sleep between two reads, which costs more than it
+    saves. If the further messages fail to arrive more than `MAX_WINDOW_TIMEOUTS` times in a window (a burst has
+    ended), each message is read at once again, for a number of windows that doubles with each failure.
 
     Args:
         sock: socket of the connection.
-        hold: seconds for which a message may wait for the next ones, on average.
+        max_delay: seconds for which a message may wait for the next ones, on average.
         now: clock in seconds.
     """
 
-    def __init__(self, sock: socket.socket, hold: float, now: Callable[[], float] = time.monotonic):
+    def __init__(self, sock: socket.socket, max_delay: float, now: Callable[[], float] = time.monotonic):
         self._socket = sock
-        self._hold = hold
+        self._max_delay = max_delay
         self._now = now
-        self.least = 1
-        self._pause = 1
-        self._begin(1)
+        self.min_bytes = 1
+        self._single_message_windows = 1
+        self._start_window(1)
 
-    def _begin(self, windows: int) -> None:
-        self._remaining_wake_ups = self._wakes = windows * WINDOW
+    def _start_window(self, windows: int) -> None:
+        self._remaining_wake_ups = self._window_wake_ups = windows * WINDOW_WAKE_UPS
         self._bytes = self._messages = self._timeouts = 0
-        self._since = self._now()
+        self._window_start = self._now()
 
-    def note(self, size: int, messages: int) -> None:
+    def record_wake_up(self, size: int, messages: int) -> None:
         """Record the bytes and messages of a wake-up; both are 0 if the wait timed out."""
         self._bytes += size
         self._messages += messages
         self._remaining_wake_ups -= 1
-        if size < self.least:
+        if size < self.min_bytes:
             self._timeouts += 1
-            if self._timeouts > LATE:
-                self._pause = min(2 * self._pause, MAX_SINGLE_MESSAGE_WINDOWS)
-                self.wait_for(1)
-                self._begin(self._pause)
+            if self._timeouts > MAX_WINDOW_TIMEOUTS:
+                self._single_message_windows = min(
+                    2 * self._single_message_windows, MAX_SINGLE_MESSAGE_WINDOWS
+                )
+                self.set_min_bytes(1)
+                self._start_window(self._single_message_windows)
         if not self._remaining_wake_ups:
             self._adjust()
 
     def _adjust(self) -> None:
         """Choose the number of bytes to wait for, from the rate of the last window."""
-        rate = self._messages / max(self._now() - self._since, 1e-9)
-        further = int(rate * self._hold)
+        rate = self._messages / max(self._now() - self._window_start, 1e-9)
+        further_messages = int(rate * self._max_delay)
         # If a wake-up delivers as many messages as the wait would, they arrive in groups already: waiting gains
         # nothing.
-        if further < MIN_FURTHER or (self.least == 1 and self._messages >= (further + 1) * self._wakes):
-            self.wait_for(1)
+        if further_messages < MIN_FURTHER_MESSAGES or (
+            self.min_bytes == 1 and self._messages >= (further_messages + 1) * self._window_wake_ups
+        ):
+            self.set_min_bytes(1)
         else:
-            each = self._bytes // max(1, self._messages)
+            message_bytes = self._bytes // max(1, self._messages)
             # One byte of the last message is enough: its rest arrives with the same segment in most cases, and
             # otherwise the next read completes it.
-            self.wait_for(min(further * each + 1, BUFFER // 4))
-        self._begin(1)
+            self.set_min_bytes(min(further_messages * message_bytes + 1, MAX_READ_BYTES // 4))
+        self._start_window(1)
 
-    def wait_for(self, least: int) -> None:
+    def set_min_bytes(self, min_bytes: int) -> None:
         """Set the number of bytes that the next read waits for; other systems than Linux do not support it."""
-        if least == self.least or not sys.platform.startswith("linux"):
+        if min_bytes == self.min_bytes or not sys.platform.startswith("linux"):
             return
         try:
             # The timeout first: a socket with a low-water mark and no timeout would hold the last message of a
             # burst forever.
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, TIMEOUT if least > 1 else NEVER)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, least)
-            self.least = least
+            self._socket.setsockopt(
+                socket.SOL_SOCKET, socket.SO_RCVTIMEO, RECEIVE_TIMEOUT if min_bytes > 1 else NO_TIMEOUT
+            )
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, min_bytes)
+            self.min_bytes = min_bytes
         except OSError as error:
             # The socket was closed, which the next read reports.
             rospy.logdebug("the receive rate of a connection stays as it was: %s", error)
@@ -136,48 +142,50 @@ class ConnectionReader:
     """Replacement of `receive_once` of one connection.
 
     Args:
-        link: rospy's connection.
+        connection: rospy's connection.
         subscriber: owner of the connection. If this process has further subscribers of the topic, rospy calls all
             of them.
         handler_factory: returns the handler of a wake-up's messages, a list of bytes, by the connection's header.
-        hold: see `Pace`.
+        max_delay: see `LowWaterMark`.
     """
 
-    def __init__(self, link: Any, subscriber: Any, handler_factory: BatchHandlerFactory, hold: float):
-        self._link = link
+    def __init__(
+        self, connection: Any, subscriber: Any, handler_factory: BatchHandlerFactory, max_delay: float
+    ):
+        self._connection = connection
         self._topic = subscriber.impl
         self._callback = subscriber.callback
         self._handler_factory = handler_factory
-        self._hold = hold
+        self._max_delay = max_delay
         self._socket: Any = None
 
     def __call__(self) -> List[Any]:
         """Read and process messages until the connection ends; return messages only for rospy's own callbacks."""
-        connection = self._link
+        connection = self._connection
         if connection.socket is None:
             raise TransportException("connection not initialized")
         if connection.socket is not self._socket:
-            self._start()
+            self._attach_socket()
         handler = self._handler_factory(connection.header)
         while not (connection.done or is_shutdown()):
             messages = self._read()
             if not messages:
                 continue
             if connection.is_latched:
-                connection.latch = self._message(messages[-1])
+                connection.latch = self._rospy_message(messages[-1])
             # Another subscriber in this process has the same topic: rospy has to call all of them for this batch.
             if [callback for callback, _ in self._topic.callbacks or ()] != [self._callback]:
-                return [self._message(data) for data in messages]
+                return [self._rospy_message(data) for data in messages]
             handler(messages)
         return []
 
-    def _start(self) -> None:
+    def _attach_socket(self) -> None:
         """Start to read a socket, with the bytes that rospy has read after the header."""
-        connection = self._link
+        connection = self._connection
         self._socket = connection.socket
         # SO_RCVLOWAT and SO_RCVTIMEO apply to blocking sockets only.
         self._socket.setblocking(True)
-        self._pace = Pace(self._socket, self._hold)
+        self._low_water_mark = LowWaterMark(self._socket, self._max_delay)
         self._parts = [connection.read_buff.getvalue()]
         self._missing_bytes = 4 - len(self._parts[0])
         connection.read_buff.seek(0)
@@ -189,13 +197,13 @@ class ConnectionReader:
         Raises:
             TransportTerminated: if the connection has ended.
         """
-        connection, parts = self._link, self._parts
+        connection, parts = self._connection, self._parts
         data = b""
         if self._missing_bytes > 0:
             try:
-                data = self._socket.recv(BUFFER)
+                data = self._socket.recv(MAX_READ_BYTES)
             except BlockingIOError:
-                self._pace.note(0, 0)
+                self._low_water_mark.record_wake_up(0, 0)
                 return []
             except OSError as error:
                 raise TransportTerminated(f"cannot receive: {error}") from error
@@ -212,31 +220,31 @@ class ConnectionReader:
             parts.clear()
         messages = self._split(data)
         connection.stat_num_msg += len(messages)
-        self._pace.note(received, len(messages))
+        self._low_water_mark.record_wake_up(received, len(messages))
         return messages
 
     def _split(self, data: bytes) -> List[bytes]:
         """Return the complete messages in received data, and store the rest."""
         messages = []
         position, end = 0, len(data)
-        stop = 4
-        while stop <= end:
-            stop += _size(data, position)[0]
-            if stop > end:
+        next_stop = 4
+        while next_stop <= end:
+            next_stop += _size(data, position)[0]
+            if next_stop > end:
                 break
-            messages.append(data[position + 4 : stop])
-            position = stop
-            stop += 4
-        self._missing_bytes = stop - end
+            messages.append(data[position + 4 : next_stop])
+            position = next_stop
+            next_stop += 4
+        self._missing_bytes = next_stop - end
         if position < end:
             self._parts.append(data[position:])
         return messages
 
-    def _message(self, data: bytes) -> Any:
+    def _rospy_message(self, data: bytes) -> Any:
         """Return a message in the form that rospy creates."""
         message = rospy.AnyMsg()
         message._buff = data
-        message._connection_header = self._link.header
+        message._connection_header = self._connection.header
         return message
 
 
@@ -247,11 +255,15 @@ def _are_callbacks(callbacks: object) -> bool:
     )
 
 
-def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, hold: float) -> None:
+def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, max_delay: float) -> None:
     """Read the connections of a subscriber with a `ConnectionReader`, if rospy's internals are the expected ones."""
     topic = getattr(subscriber, "impl", None)
-    add = getattr(topic, "add_connection", None)
-    if topic is None or add is None or getattr(topic, "data_class", None) is not rospy.AnyMsg:
+    rospy_add_connection = getattr(topic, "add_connection", None)
+    if (
+        topic is None
+        or rospy_add_connection is None
+        or getattr(topic, "data_class", None) is not rospy.AnyMsg
+    ):
         # This process subscribed the topic by its class before (rospy itself subscribes ``/clock``).
         return
     if not _are_callbacks(getattr(topic, "callbacks", None)):
@@ -262,12 +274,12 @@ def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, hold:
 
     def prepare(connection: Any) -> None:
         is_prepared = getattr(connection, "receive_once", None).__class__ is ConnectionReader
-        if not is_prepared and all(hasattr(connection, name) for name in _NEEDED):
-            connection.receive_once = ConnectionReader(connection, subscriber, handler_factory, hold)
+        if not is_prepared and all(hasattr(connection, name) for name in _REQUIRED_ATTRIBUTES):
+            connection.receive_once = ConnectionReader(connection, subscriber, handler_factory, max_delay)
 
     def add_connection(connection: Any) -> Any:
         prepare(connection)
-        return add(connection)
+        return rospy_add_connection(connection)
 
     topic.add_connection = add_connection
     # Connections that were made before `add_connection` was replaced: their threads call the reader after their

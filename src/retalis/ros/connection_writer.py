@@ -26,7 +26,7 @@ from ..messages.type_definition import Definition
 from .topic_statistics import OutputCounts, OutputStatus
 
 
-def raw_class(definition: Definition) -> Type[rospy.AnyMsg]:
+def serialized_class(definition: Definition) -> Type[rospy.AnyMsg]:
     """Return a message class with which rospy publishes serialized messages of a type."""
     members = {
         "_type": definition.name,
@@ -40,7 +40,7 @@ def raw_class(definition: Definition) -> Type[rospy.AnyMsg]:
     return type(definition.functor_name, (rospy.AnyMsg,), members)
 
 
-def raw_bytes(message: Any) -> bytes:
+def serialized_bytes(message: Any) -> bytes:
     """Return the serialized form of a message that rospy received.
 
     The message is not a `rospy.AnyMsg` if this process subscribed the topic by its class before (rospy itself
@@ -61,7 +61,7 @@ TCP announces free buffer space only after a part of a large buffer is free agai
 after the data were read.
 """
 
-PAUSE = 0.002
+PROGRESS_CHECK_SECONDS = 0.002
 """Seconds between two checks of the receiver's progress."""
 
 MAX_COMBINED_WRITES = 64
@@ -74,11 +74,11 @@ The queue has room again when they are written. A larger value would let a wait 
 receiver reads steadily.
 """
 
-Patient = Callable[[Any], bool]
+PatienceRule = Callable[[Any], bool]
 """Returns whether publishers wait for the receiver of a connection before messages are dropped for it."""
 
 
-def never(link: Any) -> bool:
+def never_patient(connection: Any) -> bool:
     """Return False: publishers wait for no receiver."""
     return False
 
@@ -88,10 +88,10 @@ class Outlet:
 
     Args:
         topic: name of the topic.
-        kind: class of the messages.
-        queue: number of messages to queue for one receiver; beyond it the oldest are dropped for this receiver.
+        message_class: class of the messages.
+        queue_size: number of messages to queue for one receiver; beyond it the oldest are dropped for this receiver.
         reports: receives a warning for every dropped message.
-        patient: returns whether publishers wait for a receiver before messages are dropped for it, so that a burst
+        is_patient: returns whether publishers wait for a receiver before messages are dropped for it, so that a burst
             loses nothing. They wait as long as the receiver reads.
         latched: whether each new receiver gets the last message.
         listener: rospy listener for new receivers; ignored if the topic is latched.
@@ -100,40 +100,40 @@ class Outlet:
     def __init__(
         self,
         topic: str,
-        kind: Any,
-        queue: int,
+        message_class: Any,
+        queue_size: int,
         reports: Reports,
-        patient: Patient = never,
+        is_patient: PatienceRule = never_patient,
         latched: bool = False,
         listener: Optional[rospy.SubscribeListener] = None,
     ):
-        self._queue = queue
+        self._max_queued = queue_size
         self._reports = reports
-        self._patient = patient
+        self._is_patient = is_patient
         self._receivers: Dict[Any, _Receiver] = {}
         self.counts = OutputCounts()
         self._latch = _Latch(self) if latched else None
         # rospy announces in the connection header that the topic is latched. It has no message to send itself,
         # because messages do not pass through its `publish`.
         self.publisher = rospy.Publisher(
-            topic, kind, self._latch or listener, latch=latched, queue_size=queue
+            topic, message_class, self._latch or listener, latch=latched, queue_size=queue_size
         )
 
-    def links(self) -> Any:
+    def connections(self) -> Any:
         """Return rospy's connections to the subscribers."""
         # `impl` is None after the publisher was unregistered, and `connections` is None after the topic was closed.
         topic = self.publisher.impl
         return getattr(topic, "connections", None) or ()
 
-    def send(self, frames: bytes, number: int = 1) -> None:
+    def send(self, frames: bytes, count: int = 1) -> None:
         """Write messages, framed as on the wire, to all connections; only one message if the topic is latched."""
-        self.counts.sent += number
+        self.counts.sent += count
         if self._latch is not None:
             self._latch.send(frames)
             return
-        self.write(self.links(), frames, number)
+        self.write(self.connections(), frames, count)
 
-    def write(self, connections: Any, frames: bytes, number: int = 1) -> None:
+    def write(self, connections: Any, frames: bytes, count: int = 1) -> None:
         """Write messages to some of the connections."""
         self._remove_ended()
         for connection in connections:
@@ -143,14 +143,14 @@ class Outlet:
                     connection,
                     self._end,
                     self.publisher.name,
-                    self._queue,
+                    self._max_queued,
                     self._reports,
-                    self._patient,
+                    self._is_patient,
                     self.counts,
                 )
                 receiver = self._receivers.setdefault(connection, new_receiver)
             try:
-                receiver.write(frames, number)
+                receiver.write(frames, count)
             except (TransportException, OSError) as error:
                 self._end(connection, error)
 
@@ -166,7 +166,7 @@ class Outlet:
 
     def _remove_ended(self) -> None:
         """Remove the state of connections that have ended."""
-        connections = self.links()
+        connections = self.connections()
         if len(self._receivers) > len(connections):
             self._receivers = {
                 connection: receiver
@@ -174,23 +174,24 @@ class Outlet:
                 if connection in connections
             }
 
-    def status(self, kind: str) -> OutputStatus:
-        """Return the counters of the topic, with ``kind`` as its message type."""
+    def status(self, message_type: str) -> OutputStatus:
+        """Return the counters of the topic, with ``message_type`` as its message type."""
         counts = self.counts
         return OutputStatus(
-            self.publisher.resolved_name, kind, len(self.links()), counts.sent, counts.dropped
+            self.publisher.resolved_name, message_type, len(self.connections()), counts.sent, counts.dropped
         )
 
-    def unserved(self) -> List[Any]:
+    def new_connections(self) -> List[Any]:
         """Return the connections to which nothing has been written yet."""
-        return [connection for connection in self.links() if connection not in self._receivers]
+        return [connection for connection in self.connections() if connection not in self._receivers]
 
 
 class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
     """The last message of a latched topic, for subscribers that connect later.
 
     rospy calls `peer_subscribe` after it has added the connection to the topic. A message may be written to the
-    connection in between; it is the last message then, and must not be sent twice. Hence the lock and `unserved`.
+    connection in between; it is the last message then, and must not be sent twice. Hence the lock and
+    `new_connections`.
     """
 
     def __init__(self, outlet: Outlet):
@@ -203,13 +204,13 @@ class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
         """Write a message to all connections, and store it."""
         with self._lock:
             self._last = frame
-            self._outlet.write(self._outlet.links(), frame)
+            self._outlet.write(self._outlet.connections(), frame)
 
     def peer_subscribe(self, topic: str, publish: object, publish_to_peer: object) -> None:
         """Write the last message to new connections; rospy calls this."""
         with self._lock:
             if self._last:
-                self._outlet.write(self._outlet.unserved(), self._last)
+                self._outlet.write(self._outlet.new_connections(), self._last)
 
 
 class _Receiver:
@@ -217,80 +218,80 @@ class _Receiver:
 
     def __init__(
         self,
-        link: Any,
+        connection: Any,
         end: Callable[[Any, Exception], None],
         topic: str,
-        queue: int,
+        queue_size: int,
         reports: Reports,
-        patient: Patient,
+        is_patient: PatienceRule,
         counts: OutputCounts,
     ):
         self._counts = counts
-        self._rospy_connection = link
+        self._rospy_connection = connection
         self._end = end
         self._connection = getattr(
-            link, "_connection", link
+            connection, "_connection", connection
         )  # of rospy's QueuedConnection, whose thread stays asleep
         self._topic = topic
-        self._queue = queue
+        self._max_queued = queue_size
         self._reports = reports
-        self._patient = patient
+        self._is_patient = is_patient
         self._lock = threading.Lock()
-        self._waiting: Deque[Tuple[bytes, int]] = deque()
-        self._queued = 0
-        self._slow = False
-        self._busy = False
+        self._queue: Deque[Tuple[bytes, int]] = deque()
+        self._queued_messages = 0
+        self._is_slow = False
+        self._is_writing = False
         """True while a thread is writing to the socket; other threads append to the queue meanwhile."""
 
-    def write(self, frames: bytes, number: int) -> None:
+    def write(self, frames: bytes, count: int) -> None:
         """Write messages, or queue them while a thread is writing."""
         sock = getattr(self._connection, "socket", None)
         if sock is None:
             # Closed, or an unexpected type of connection, whose own method is used.
             self._rospy_connection.write_data(frames)
             return
-        if self._queued >= self._queue:
+        if self._queued_messages >= self._max_queued:
             self._make_room()
         with self._lock:
-            if self._busy:
-                self._waiting.append((frames, number))
-                self._queued += number
+            if self._is_writing:
+                self._queue.append((frames, count))
+                self._queued_messages += count
                 return
-            rest = self._write_without_blocking(sock, frames, number)
-            if rest:
-                self._busy = True
-                work = threading.Thread(target=self._write_all, args=(sock, rest, number), daemon=True)
-                work.name = f"to {self._topic}"
-                work.start()
+            unsent = self._write_without_blocking(sock, frames, count)
+            if unsent:
+                self._is_writing = True
+                thread = threading.Thread(target=self._write_all, args=(sock, unsent, count), daemon=True)
+                thread.name = f"to {self._topic}"
+                thread.start()
             else:
-                self._slow = False
+                self._is_slow = False
 
-    def _write_without_blocking(self, sock: socket.socket, frames: bytes, number: int) -> bytes:
+    def _write_without_blocking(self, sock: socket.socket, frames: bytes, count: int) -> bytes:
         """Write as much as the socket accepts without blocking; return the rest."""
         try:
             sent: int = sock.send(frames, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return frames
-        self._count(sent, number if sent == len(frames) else 0)
+        self._add_statistics(sent, count if sent == len(frames) else 0)
         return frames[sent:]
 
-    def _count(self, size: int, number: int) -> None:
+    def _add_statistics(self, size: int, count: int) -> None:
         self._connection.stat_bytes += size
-        self._connection.stat_num_msg += number
+        self._connection.stat_num_msg += count
 
     def _make_room(self) -> None:
         """Wait for a receiver that deserves patience; then drop the oldest messages if the queue is still full."""
-        if not self._slow and self._patient(self._rospy_connection):
-            # A receiver that used up the wait once stays `_slow` until its queue has drained: otherwise each
+        if not self._is_slow and self._is_patient(self._rospy_connection):
+            # A receiver that used up the wait once stays `_is_slow` until its queue has drained: otherwise each
             # further message would delay the publisher, and all other receivers, by the whole wait.
             self._wait_for_room()
-            self._slow = self._queued >= self._queue
+            self._is_slow = self._queued_messages >= self._max_queued
         dropped = 0
         with self._lock:
-            while self._queued >= self._queue and self._waiting:
-                number = self._waiting.popleft()[1]
-                self._queued -= number
-                dropped += number
+            while self._queued_messages >= self._max_queued and self._queue:
+                count = self._queue.popleft()[1]
+                self._queued_messages -= count
+                dropped += count
         self._counts.dropped += dropped
         for _ in range(dropped):
             self._reports.warning(
@@ -300,34 +301,38 @@ class _Receiver:
 
     def _wait_for_room(self) -> None:
         """Wait until the queue has room, or the receiver has read nothing for `RECEIVER_WAIT_SECONDS`."""
-        unread, deadline = self._progress(), time.monotonic() + RECEIVER_WAIT_SECONDS
-        while self._queued >= self._queue and time.monotonic() < deadline and not rospy.is_shutdown():
+        progress, deadline = self._progress(), time.monotonic() + RECEIVER_WAIT_SECONDS
+        while (
+            self._queued_messages >= self._max_queued
+            and time.monotonic() < deadline
+            and not rospy.is_shutdown()
+        ):
             if self._connection.socket is None:
                 # The connection has ended.
                 return
             # Wall time: simulated time may stand still.
-            wallsleep(PAUSE)
-            before, unread = unread, self._progress()
-            if unread != before:
+            wallsleep(PROGRESS_CHECK_SECONDS)
+            previous, progress = progress, self._progress()
+            if progress != previous:
                 deadline = time.monotonic() + RECEIVER_WAIT_SECONDS
 
     def _progress(self) -> object:
         """Return a value that changes whenever the receiver reads: bytes written, and bytes not acknowledged."""
-        unread = bytearray(4)
+        unacknowledged = bytearray(4)
         try:
-            ioctl(self._connection.socket, TIOCOUTQ, unread)
+            ioctl(self._connection.socket, TIOCOUTQ, unacknowledged)
         except (OSError, TypeError, ValueError):
             # Closed meanwhile, or a system without TIOCOUTQ.
             pass
-        return self._connection.stat_bytes, bytes(unread)
+        return self._connection.stat_bytes, bytes(unacknowledged)
 
-    def _write_all(self, sock: socket.socket, frames: bytes, number: int) -> None:
+    def _write_all(self, sock: socket.socket, frames: bytes, count: int) -> None:
         """Write a rest and then the queue until it is empty; run by a thread."""
         try:
             while frames:
                 sock.sendall(frames)
-                self._count(len(frames), number)
-                frames, number = self._take_queued()
+                self._add_statistics(len(frames), count)
+                frames, count = self._take_queued()
         except OSError as error:
             self._end(self._rospy_connection, error)
 
@@ -336,12 +341,12 @@ class _Receiver:
         with self._lock:
             writes: List[Tuple[bytes, int]] = []
             size = 0
-            while self._waiting and len(writes) < MAX_COMBINED_WRITES and size < COMBINED_WRITE_BYTES:
-                writes.append(self._waiting.popleft())
+            while self._queue and len(writes) < MAX_COMBINED_WRITES and size < COMBINED_WRITE_BYTES:
+                writes.append(self._queue.popleft())
                 size += len(writes[-1][0])
-            number = sum(write[1] for write in writes)
-            self._queued -= number
+            count = sum(write[1] for write in writes)
+            self._queued_messages -= count
             # Under the same lock as the test of the queue: a message that `write` appends is written by this
-            # thread, or `write` finds `_busy` cleared and writes itself.
-            self._busy = bool(writes)
-        return b"".join([write[0] for write in writes]), number
+            # thread, or `write` finds `_is_writing` cleared and writes itself.
+            self._is_writing = bool(writes)
+        return b"".join([write[0] for write in writes]), count

@@ -1,8 +1,8 @@
 """Publishing of a node's health as ``diagnostic_msgs/DiagnosticArray`` on ``/diagnostics``.
 
-Each status has a level. Levels are derived from counters that only grow: a loss or an error within the last `RECENT`
-seconds raises the level, and the level returns to OK afterwards. A topic is STALE after a silence of several times
-its usual interval, so that slow topics need no configuration.
+Each status has a level. Levels are derived from counters that only grow: a loss or an error within the last
+`RECENT_SECONDS` seconds raises the level, and the level returns to OK afterwards. A topic is STALE after a silence of
+several times its usual interval, so that slow topics need no configuration.
 """
 
 import threading
@@ -17,12 +17,12 @@ from ..foundation.errors import beginning, counted, printable
 from ..prolog.machine.resource_limits import resident_bytes
 from .topic_statistics import InputStatus, OutputStatus
 
-LISTED = 20
+MAX_STATUS_VALUES = 20
 """Limit for the rules, queries and warnings that a status names."""
-LARGEST_RULES_NAMED = 5
+MAX_LARGEST_RULES = 5
 """Number of rules with the largest buffers that a status names."""
 
-RECENT = 10.0
+RECENT_SECONDS = 10.0
 """Seconds for which an error or a loss raises the level."""
 
 MAX_REPORTED_TOPICS = 200
@@ -31,16 +31,16 @@ MAX_REPORTED_TOPICS = 200
 STALE_AFTER_SECONDS = 5.0
 """Seconds without a message after which a topic may be stale."""
 
-USUAL = 10
+STALE_AFTER_INTERVALS = 10
 """A topic is stale after a silence of this many times its usual interval."""
 
-LATE = 10.0
+DEFAULT_LATE_SECONDS = 10.0
 """Seconds after which work counts as late if parameter ``~max_seconds`` sets no limit."""
 
-LONG = 10.0
+LONG_WAIT_SECONDS = 10.0
 """Seconds after which a waiting query is reported with a warning."""
 
-SCARCE = 0.05
+MIN_AVAILABLE_FRACTION = 0.05
 """Fraction of the machine's memory; if less is available, a warning is reported."""
 
 
@@ -85,66 +85,68 @@ class Health(NamedTuple):
     values: List[Tuple[str, str]]
 
 
-class Change:
+class CounterTrend:
     """The growth of a counter: its rate, and the instant of its last increase."""
 
     def __init__(self) -> None:
-        self._before: Optional[Tuple[float, int]] = None
-        self._grew: Optional[float] = None
+        self._last_sample: Optional[Tuple[float, int]] = None
+        self._last_increase: Optional[float] = None
         self.rate = 0.0
 
-    def note(self, now: float, number: int) -> "Change":
+    def record(self, now: float, count: int) -> "CounterTrend":
         """Record the counter's value at an instant of the monotonic clock."""
-        if self._before is None:
-            if number:
-                self._grew = now
-        elif now > self._before[0]:
-            self.rate = max(0, number - self._before[1]) / (now - self._before[0])
-            if number > self._before[1]:
-                self._grew = now
-        self._before = now, number
+        if self._last_sample is None:
+            if count:
+                self._last_increase = now
+        elif now > self._last_sample[0]:
+            self.rate = max(0, count - self._last_sample[1]) / (now - self._last_sample[0])
+            if count > self._last_sample[1]:
+                self._last_increase = now
+        self._last_sample = now, count
         return self
 
     def is_recent(self, now: float) -> bool:
-        """Return whether the counter has grown within the last `RECENT` seconds."""
-        return self._grew is not None and now - self._grew < RECENT
+        """Return whether the counter has grown within the last `RECENT_SECONDS`."""
+        return self._last_increase is not None and now - self._last_increase < RECENT_SECONDS
 
 
-class Changes:
-    """The growth of several counters by name; `end` removes those that were not recorded since its last call."""
+class CounterTrends:
+    """The trends of several counters by name; `remove_unrecorded` removes counters that have disappeared."""
 
     def __init__(self) -> None:
-        self._all: Dict[object, Change] = {}
-        self._noted: Dict[object, Change] = {}
+        self._previous: Dict[object, CounterTrend] = {}
+        self._recorded: Dict[object, CounterTrend] = {}
 
-    def note(self, now: float, name: object, number: int) -> Change:
+    def record(self, now: float, name: object, count: int) -> CounterTrend:
         """Record a counter's value; return its growth."""
-        former = self._noted.get(name) or self._all.get(name)
-        change = self._noted[name] = former or Change()
-        return change.note(now, number)
+        known = self._recorded.get(name) or self._previous.get(name)
+        trend = self._recorded[name] = known or CounterTrend()
+        return trend.record(now, count)
 
-    def end(self) -> None:
+    def remove_unrecorded(self) -> None:
         """Remove the counters that were not recorded since the last call."""
-        self._all, self._noted = self._noted, {}
+        self._previous, self._recorded = self._recorded, {}
 
 
 class InputHealth:
     """Status of subscribed topics.
 
     Args:
-        changes: growth of the topics' counters.
+        trends: growth of the topics' counters.
         role: returns the present role of a topic.
     """
 
-    def __init__(self, changes: Changes, role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED):
-        self._changes = changes
+    def __init__(
+        self, trends: CounterTrends, role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED
+    ):
+        self._trends = trends
         self._role = role
-        self._intervals: Dict[str, Tuple[int, float]] = {}
+        self._first_samples: Dict[str, Tuple[int, float]] = {}
 
     def of(self, now: float, status: InputStatus) -> Health:
         """Return the status of a topic."""
-        rate = self._changes.note(now, ("in", status.topic), status.messages).rate
-        lost = self._changes.note(now, ("lost", status.topic), status.dropped + status.refused)
+        rate = self._trends.record(now, ("in", status.topic), status.messages).rate
+        loss = self._trends.record(now, ("lost", status.topic), status.dropped + status.refused)
         values = [
             ("type", status.type),
             ("publishers", str(status.publishers)),
@@ -155,19 +157,23 @@ class InputHealth:
             ("dropped", str(status.dropped)),
             ("refused", str(status.refused)),
         ]
-        level, message = self._judge(now, status, lost, rate)
+        level, message = self._level_and_reason(now, status, loss, rate)
         return Health(f"input {status.topic}", level, message, values)
 
     def forget_others(self, topics: Collection[str]) -> None:
         """Remove the state of all topics that are not in ``topics``."""
-        self._intervals = {topic: known for topic, known in self._intervals.items() if topic in topics}
+        self._first_samples = {
+            topic: sample for topic, sample in self._first_samples.items() if topic in topics
+        }
 
-    def _judge(self, now: float, status: InputStatus, lost: Change, rate: float) -> Tuple[Level, str]:
-        interval, role = self._interval(now, status), self._role(status.topic)
+    def _level_and_reason(
+        self, now: float, status: InputStatus, loss: CounterTrend, rate: float
+    ) -> Tuple[Level, str]:
+        interval, role = self._mean_interval(now, status), self._role(status.topic)
         if role is InputRole.UNREAD:
             publisher = "" if status.publishers else "no publisher; "
             return Level.OK, f"{publisher}the program reads no message of it"
-        if lost.is_recent(now):
+        if loss.is_recent(now):
             return Level.ERROR, "messages are dropped or refused"
         if not status.publishers:
             if role is InputRole.OPTIONAL:
@@ -177,31 +183,33 @@ class InputHealth:
         silent = (
             status.age is not None
             and interval is not None
-            and status.age > max(STALE_AFTER_SECONDS, USUAL * interval)
+            and status.age > max(STALE_AFTER_SECONDS, STALE_AFTER_INTERVALS * interval)
         )
         if silent and role is InputRole.NEEDED:
             return Level.STALE, f"no message for {status.age:.0f} s"
         return Level.OK, "no message yet" if status.age is None else f"{rate:.1f} messages/s"
 
-    def _interval(self, now: float, status: InputStatus) -> Optional[float]:
+    def _mean_interval(self, now: float, status: InputStatus) -> Optional[float]:
         """Return the mean interval between messages in seconds; None before the second message."""
         if status.age is None:
-            self._intervals.pop(status.topic, None)
+            self._first_samples.pop(status.topic, None)
             return None
         # The instant of the last message is used, not the present: a silence must not lengthen the usual interval.
-        first, since = self._intervals.get(status.topic, (status.messages, now - status.age))
-        if status.messages < first:
+        first_count, first_instant = self._first_samples.get(
+            status.topic, (status.messages, now - status.age)
+        )
+        if status.messages < first_count:
             # The topic was subscribed again, with new counters.
-            first, since = status.messages, now - status.age
-        self._intervals[status.topic] = first, since
-        later = status.messages - first
-        return (now - status.age - since) / later if later > 0 else None
+            first_count, first_instant = status.messages, now - status.age
+        self._first_samples[status.topic] = first_count, first_instant
+        further_messages = status.messages - first_count
+        return (now - status.age - first_instant) / further_messages if further_messages > 0 else None
 
 
-def output_health(now: float, changes: Changes, status: OutputStatus) -> Health:
+def output_health(now: float, trends: CounterTrends, status: OutputStatus) -> Health:
     """Return the status of a published topic."""
-    rate = changes.note(now, ("out", status.topic), status.sent).rate
-    lost = changes.note(now, ("slow", status.topic), status.dropped).is_recent(now)
+    rate = trends.record(now, ("out", status.topic), status.sent).rate
+    is_losing = trends.record(now, ("slow", status.topic), status.dropped).is_recent(now)
     values = [
         ("type", status.type),
         ("subscribers", str(status.subscribers)),
@@ -209,7 +217,7 @@ def output_health(now: float, changes: Changes, status: OutputStatus) -> Health:
         ("rate (1/s)", f"{rate:.1f}"),
         ("dropped", str(status.dropped)),
     ]
-    if lost:
+    if is_losing:
         return Health(f"output {status.topic}", Level.WARN, "a subscriber does not keep up", values)
     return Health(f"output {status.topic}", Level.OK, f"{rate:.1f} messages/s", values)
 
@@ -218,15 +226,15 @@ class EngineHealth:
     """Status of an engine.
 
     Args:
-        slow: seconds after which work in progress is reported with a warning.
-        late: seconds after which it is reported as an error.
+        warn_after: seconds after which work in progress is reported with a warning.
+        error_after: seconds after which it is reported as an error.
     """
 
-    def __init__(self, slow: float, late: float):
-        self._changes = Changes()
-        self._slow = slow
-        self._late = late
-        self._waiting: Dict[Tuple[str, int], float] = {}
+    def __init__(self, warn_after: float, error_after: float):
+        self._trends = CounterTrends()
+        self._warn_after = warn_after
+        self._error_after = error_after
+        self._first_seen: Dict[Tuple[str, int], float] = {}
 
     def of(self, now: float, status: Status) -> List[Health]:
         """Return the status of each part of the engine."""
@@ -236,31 +244,34 @@ class EngineHealth:
             self._rules(now, status),
             self._queries(now, status),
         ]
-        self._changes.end()
+        self._trends.remove_unrecorded()
         return healths
 
     def _queue(self, now: float, status: Status) -> Health:
-        note = self._changes.note
-        events, firings = note(now, "taken", status.taken).rate, note(now, "fired", status.fired).rate
-        lost = note(now, "dropped", status.dropped).is_recent(now)
+        record = self._trends.record
+        event_rate, firing_rate = (
+            record(now, "taken", status.taken).rate,
+            record(now, "fired", status.fired).rate,
+        )
+        is_losing = record(now, "dropped", status.dropped).is_recent(now)
         values = [
             ("queued events", f"{status.queued} of {status.queue}"),
             ("waiting calls", str(status.callers)),
             ("events", str(status.taken)),
-            ("events (1/s)", f"{events:.1f}"),
+            ("events (1/s)", f"{event_rate:.1f}"),
             ("firings of rules", str(status.fired)),
-            ("firings (1/s)", f"{firings:.1f}"),
+            ("firings (1/s)", f"{firing_rate:.1f}"),
             ("dropped events", str(status.dropped)),
             ("partial matches", str(status.matches)),
             ("alarms", str(status.alarms)),
             ("errors", str(status.errors)),
             ("warnings", str(status.warnings)),
         ]
-        if lost:
+        if is_losing:
             return Health("queue", Level.ERROR, "events are dropped: the queue is full", values)
         if 2 * status.queued >= status.queue:
             return Health("queue", Level.WARN, f"{status.queued} events wait", values)
-        return Health("queue", Level.OK, f"{events:.1f} events/s", values)
+        return Health("queue", Level.OK, f"{event_rate:.1f} events/s", values)
 
     def _work(self, status: Status) -> Health:
         work = status.work
@@ -273,53 +284,53 @@ class EngineHealth:
             ("event", work.event),
             ("place", work.place),
         ]
-        if work.seconds < self._slow:
+        if work.seconds < self._warn_after:
             return Health("work", Level.OK, "busy", values)
-        level = Level.WARN if work.seconds < self._late else Level.ERROR
+        level = Level.WARN if work.seconds < self._error_after else Level.ERROR
         return Health("work", level, f"{work.what} has taken {work.seconds:.1f} s so far", values)
 
     def _rules(self, now: float, status: Status) -> Health:
-        wrong = [rule for rule in status.rules if rule.errors]
-        number = sum(rule.errors for rule in wrong)
-        recent = self._changes.note(now, "errors", number).is_recent(now)
-        values = [(_name_of(rule), counted(rule.errors, "error")) for rule in wrong[:LISTED]]
-        if len(wrong) > LISTED:
-            values.append(("further rules", str(len(wrong) - LISTED)))
+        failing = [rule for rule in status.rules if rule.errors]
+        errors = sum(rule.errors for rule in failing)
+        recent = self._trends.record(now, "errors", errors).is_recent(now)
+        values = [(_name_of(rule), counted(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]]
+        if len(failing) > MAX_STATUS_VALUES:
+            values.append(("further rules", str(len(failing) - MAX_STATUS_VALUES)))
         # Buffers of partial matches are the usual reason for growing memory.
-        largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:LARGEST_RULES_NAMED]
-        values += [(f"held by {_name_of(rule)}", _held_by(rule)) for rule in largest if rule.waiting]
+        largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:MAX_LARGEST_RULES]
+        values += [(f"held by {_name_of(rule)}", _buffer_text(rule)) for rule in largest if rule.waiting]
         total = len(status.rules) + status.left_out.rules
-        if not wrong:
+        if not failing:
             return Health("rules", Level.OK, f"{counted(total, 'rule')} without errors", values)
-        more = " or more" if len(wrong) == len(status.rules) < total else ""
-        text = f"{counted(number, 'error')} in {counted(len(wrong), 'rule')}{more}"
+        bound = " or more" if len(failing) == len(status.rules) < total else ""
+        text = f"{counted(errors, 'error')} in {counted(len(failing), 'rule')}{bound}"
         return Health("rules", Level.ERROR if recent else Level.WARN, text, values)
 
     def _queries(self, now: float, status: Status) -> Health:
         # Waiting is measured by the monotonic clock, from the first status that contains the query: simulated time
         # may stand still or jump.
         waiting_queries = {(query.event, query.since): query for query in status.waiting}
-        self._waiting = {key: self._waiting.get(key, now) for key in waiting_queries}
-        longest = max((now - since for since in self._waiting.values()), default=0.0)
+        self._first_seen = {key: self._first_seen.get(key, now) for key in waiting_queries}
+        longest_wait = max((now - first_seen for first_seen in self._first_seen.values()), default=0.0)
         values = []
-        for key, query in list(waiting_queries.items())[:LISTED]:
-            behind = [f"{memory.id} {_behind(memory.behind)}" for memory in query.memories]
-            since = f"since {query.since / 1e9:.3f}, for {now - self._waiting[key]:.0f} s"
-            values.append((query.event, f"{since}: waits for {', '.join(behind)}"))
-        number = len(status.waiting) + status.left_out.waiting
-        if number > len(values):
-            values.append(("further queries", str(number - len(values))))
-        if longest > LONG:
+        for key, query in list(waiting_queries.items())[:MAX_STATUS_VALUES]:
+            lags = [f"{memory.id} {_lag_text(memory.behind)}" for memory in query.memories]
+            waiting_text = f"since {query.since / 1e9:.3f}, for {now - self._first_seen[key]:.0f} s"
+            values.append((query.event, f"{waiting_text}: waits for {', '.join(lags)}"))
+        query_count = len(status.waiting) + status.left_out.waiting
+        if query_count > len(values):
+            values.append(("further queries", str(query_count - len(values))))
+        if longest_wait > LONG_WAIT_SECONDS:
             return Health(
                 "waiting queries",
                 Level.WARN,
-                f"{number} wait, the oldest for {longest:.0f} s or longer",
+                f"{query_count} wait, the oldest for {longest_wait:.0f} s or longer",
                 values,
             )
-        return Health("waiting queries", Level.OK, f"{number} wait", values)
+        return Health("waiting queries", Level.OK, f"{query_count} wait", values)
 
 
-def _held_by(rule: RuleStatus) -> str:
+def _buffer_text(rule: RuleStatus) -> str:
     return f"{counted(rule.waiting, 'item')}, {counted(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
 
 
@@ -327,7 +338,7 @@ def _name_of(rule: RuleStatus) -> str:
     return " ".join(part for part in (rule.label, rule.place) if part) or rule.text
 
 
-def _behind(nanoseconds: Optional[int]) -> str:
+def _lag_text(nanoseconds: Optional[int]) -> str:
     return "(has no record)" if nanoseconds is None else f"({nanoseconds / 1e9:.3f} s behind)"
 
 
@@ -338,7 +349,7 @@ def memory_health() -> Health:
     values = [("resident (MB)", f"{used / 1e6:.0f}")]
     if total:
         values.append(("available on the machine (MB)", f"{available / 1e6:.0f} of {total / 1e6:.0f}"))
-        if available < SCARCE * total:
+        if available < MIN_AVAILABLE_FRACTION * total:
             return Health("process memory", Level.WARN, "the machine's memory is nearly used up", values)
     return Health("process memory", Level.OK, f"{used / 1e6:.0f} MB", values)
 
@@ -361,9 +372,9 @@ def _machine_memory() -> Tuple[int, int]:
 def program_health(errors: Sequence[str], warnings: Sequence[str]) -> Health:
     """Return the status of the program's loading."""
     problems = [("error", text) for text in errors] + [("warning", text) for text in warnings]
-    values = problems[:LISTED]
-    if len(problems) > LISTED:
-        values.append(("further ones", str(len(problems) - LISTED)))
+    values = problems[:MAX_STATUS_VALUES]
+    if len(problems) > MAX_STATUS_VALUES:
+        values.append(("further ones", str(len(problems) - MAX_STATUS_VALUES)))
     if errors:
         return Health("program", Level.ERROR, f"{counted(len(errors), 'error')} when it was loaded", values)
     if warnings:
@@ -379,7 +390,7 @@ class NodeHealth:
     Args:
         inputs: returns the counters of subscribed topics.
         outputs: returns the counters of published topics.
-        further: returns the status of the other parts.
+        other_statuses: returns the status of the other parts.
         role: returns the present role of a subscribed topic.
     """
 
@@ -387,32 +398,32 @@ class NodeHealth:
         self,
         inputs: Callable[[], Sequence[InputStatus]],
         outputs: Callable[[], Sequence[OutputStatus]],
-        further: Callable[[], List[Health]],
+        other_statuses: Callable[[], List[Health]],
         role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED,
     ):
         self._inputs = inputs
         self._outputs = outputs
-        self._further = further
-        self._changes = Changes()
-        self._of_inputs = InputHealth(self._changes, role)
+        self._other_statuses = other_statuses
+        self._trends = CounterTrends()
+        self._input_health = InputHealth(self._trends, role)
 
     def statuses(self) -> List[Health]:
         """Return the status of all parts."""
         now = time.monotonic()
         inputs = self._inputs()
-        self._of_inputs.forget_others({status.topic for status in inputs})
-        input_healths = [self._of_inputs.of(now, status) for status in inputs]
-        output_healths = [output_health(now, self._changes, status) for status in self._outputs()]
-        self._changes.end()
+        self._input_health.forget_others({status.topic for status in inputs})
+        input_healths = [self._input_health.of(now, status) for status in inputs]
+        output_healths = [output_health(now, self._trends, status) for status in self._outputs()]
+        self._trends.remove_unrecorded()
         return [
-            *_worst(input_healths, "inputs"),
-            *_worst(output_healths, "outputs"),
-            *self._further(),
+            *_most_severe(input_healths, "inputs"),
+            *_most_severe(output_healths, "outputs"),
+            *self._other_statuses(),
             memory_health(),
         ]
 
 
-def _worst(healths: List[Health], direction: str) -> List[Health]:
+def _most_severe(healths: List[Health], direction: str) -> List[Health]:
     """Return the most severe statuses, errors first, and one that counts the omitted ones."""
     if len(healths) <= MAX_REPORTED_TOPICS:
         return healths
@@ -424,9 +435,9 @@ def _worst(healths: List[Health], direction: str) -> List[Health]:
     return [*chosen, Health(f"further {direction}", Level.OK, message, [])]
 
 
-TOPIC = "/diagnostics"
+DIAGNOSTICS_TOPIC = "/diagnostics"
 
-HARDWARE = "retalis"
+DEFAULT_HARDWARE_ID = "retalis"
 """Default of parameter ``~hardware_id``; ``diagnostic_aggregator`` may group by it."""
 
 
@@ -439,7 +450,7 @@ class Diagnostics:
         hardware_id: hardware id of each status.
     """
 
-    def __init__(self, period: Optional[float], health: NodeHealth, hardware_id: str = HARDWARE):
+    def __init__(self, period: Optional[float], health: NodeHealth, hardware_id: str = DEFAULT_HARDWARE_ID):
         self._health = health
         self._hardware_id = hardware_id
         self._ended = threading.Event()
@@ -448,10 +459,12 @@ class Diagnostics:
         try:
             from diagnostic_msgs import msg  # noqa: PLC0415 - an optional package
         except ImportError:
-            rospy.logwarn("%s is not published: the package diagnostic_msgs is not installed", TOPIC)
+            rospy.logwarn(
+                "%s is not published: the package diagnostic_msgs is not installed", DIAGNOSTICS_TOPIC
+            )
             return
         self._msg = msg
-        self._publisher = rospy.Publisher(TOPIC, msg.DiagnosticArray, queue_size=2)
+        self._publisher = rospy.Publisher(DIAGNOSTICS_TOPIC, msg.DiagnosticArray, queue_size=2)
         rospy.on_shutdown(self._ended.set)
         threading.Thread(target=self._run, args=(period,), name="retalis diagnostics", daemon=True).start()
 
@@ -465,7 +478,7 @@ class Diagnostics:
                     raise
             # Counters are read without locks while other threads change them: a rare error affects one message only.
             except Exception as error:
-                rospy.logerr_throttle(60, f"{TOPIC}: {error!r}")
+                rospy.logerr_throttle(60, f"{DIAGNOSTICS_TOPIC}: {error!r}")
 
     def _array(self, healths: List[Health]) -> Any:
         message = self._msg.DiagnosticArray()
@@ -475,10 +488,11 @@ class Diagnostics:
             self._msg.DiagnosticStatus(
                 level=int(health.level),
                 name=f"{node}: {health.name}",
-                message=_line(health.message),
+                message=_single_line(health.message),
                 hardware_id=self._hardware_id,
                 values=[
-                    self._msg.KeyValue(key=_line(key), value=_line(value)) for key, value in health.values
+                    self._msg.KeyValue(key=_single_line(key), value=_single_line(value))
+                    for key, value in health.values
                 ],
             )
             for health in healths
@@ -486,7 +500,7 @@ class Diagnostics:
         return message
 
 
-def _line(text: str) -> str:
+def _single_line(text: str) -> str:
     """Return a text as one line, without control characters."""
     return " ".join(printable(beginning(text, MAX_VALUE_CHARACTERS)).split("\n"))
 

@@ -32,7 +32,7 @@ class DynamicSubscriptions:
 
     def __init__(self) -> None:
         self._requests: SimpleQueue[TopicRequest] = SimpleQueue()
-        self.ask: Callable[[TopicRequest], None] = self._requests.put
+        self.request: Callable[[TopicRequest], None] = self._requests.put
 
     def begin(self, interface: Optional[RosInterface]) -> None:
         """Execute the queued requests, and start the thread for later ones.
@@ -87,7 +87,7 @@ class SubscriptionReceiver:
     def __init__(self, interface: RosInterface, reports: Reports):
         self._interface = interface
         self._reports = reports
-        self._done: Set[TopicRequest] = set()
+        self._subscribed: Set[TopicRequest] = set()
         self._subscriber = rospy.Subscriber(SUBSCRIPTIONS_TOPIC, String, self._receive, queue_size=10)
 
     def _receive(self, message: Any) -> None:
@@ -97,8 +97,8 @@ class SubscriptionReceiver:
             self._reports.warning(f"{SUBSCRIPTIONS_TOPIC}: {error}", SUBSCRIPTIONS_TOPIC)
             return
         for request in topics:
-            if request not in self._done and len(self._done) < MAX_INPUT_TOPICS:
-                self._done.add(request)
+            if request not in self._subscribed and len(self._subscribed) < MAX_INPUT_TOPICS:
+                self._subscribed.add(request)
                 _subscribe(self._interface, request)
 
 

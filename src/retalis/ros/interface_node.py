@@ -26,17 +26,18 @@ from .latched_inputs import LatchedConnection
 from .node_lifecycle import run_node
 from .parameters import Parameters
 from .projection_sync import ProjectionReceiver
-from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect, discard_results
+from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect, consume_and_discard
 from .ros_log import log_error
 from .ros_time import Receipts, SimulatedTime
 from .services import InterfaceServices, ListService
 from .text_topics import TextPublisher
 from .topic_statistics import OutputStatus, StartupWarnings
 
-HOLD = 0.0018
+MAX_DELAY_SECONDS = 0.0018
 """Seconds for which a message may wait for the next ones, to be converted and sent together.
 
-The value is below two intervals of a topic of 1,000 Hz, so that its messages are read one by one; see `MIN_FURTHER`.
+The value is below two intervals of a topic of 1,000 Hz, so that its messages are read one by one; see
+`MIN_FURTHER_MESSAGES`.
 """
 
 
@@ -56,22 +57,22 @@ class InterfaceNode:
         rospy.on_shutdown(skew.sum_up)
         rospy.on_shutdown(reports.sum_up)
         self._receipts = Receipts(self._time.now)
-        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.runs, self._time.runs)
-        self._unread = ProjectionReceiver(self._texts.links, reports)
-        self._reader = EventReader()
+        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.epoch, self._time.epochs)
+        self._unread = ProjectionReceiver(self._texts.connections, reports)
+        self._event_reader = EventReader()
         self._interface = RosInterface(
-            self._sender,
+            self._handler_factory,
             parameters.queue,
             reports,
-            Definitions(bare=parameters.bare),
+            Definitions(bare=parameters.max_empty_elements),
             self._flush_after,
-            hold=HOLD,
+            max_delay=MAX_DELAY_SECONDS,
             skew=skew,
-            latched=self._latched_sender,
-            runs=self._time.runs,
+            latched=self._latched_handler_factory,
+            clock_epochs=self._time.epochs,
         )
         self._texts.begin(self._interface.processing_lock, self._interface.publishers)
-        self._time.begin([self._interface.processing_lock], skew.begin_run, self._texts.begin_run)
+        self._time.begin([self._interface.processing_lock], skew.begin_epoch, self._texts.begin_epoch)
         errors: List[str] = []
         try:
             topics = read_topics(parameters.program / TOPICS)
@@ -81,45 +82,45 @@ class InterfaceNode:
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
         # Before `connect`: node retalis subscribes these topics itself, and each message must enter the engine
         # once.
-        self._interface.leave(direct)
+        self._interface.exclude(direct)
         connect(self._interface, topics, direct)
-        for topic, kind in direct:
-            self._interface.learn(topic, kind)
+        for topic, message_type in direct:
+            self._interface.learn(topic, message_type)
         self._subscriptions = SubscriptionReceiver(self._interface, reports)
         InterfaceServices(self._interface)
         ListService(self._interface.inputs, reports=reports)
         # After the services: they identify this node to node retalis as soon as it connects; see `late_joiners`.
-        self._interface.subscribe_texts(OUTPUT, self._receive)
-        loaded = program_health(errors, [])
+        self._interface.subscribe_texts(OUTPUT, self._publish_output)
+        program_status = program_health(errors, [])
         StartupWarnings(self._interface.inputs, [topic for topic, _ in topics.subscribed])
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
-            NodeHealth(self._interface.inputs, self._outputs, lambda: [loaded], _input_role),
+            NodeHealth(self._interface.inputs, self._outputs, lambda: [program_status], _input_role),
             parameters.hardware_id,
         )
 
     def _outputs(self) -> List[OutputStatus]:
         return [self._texts.status(), *self._interface.outputs.status()]
 
-    def _sender(self, decoder: Decoder) -> MessageHandler:
+    def _handler_factory(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of messages of a type, which adds their texts to the next write."""
         write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
-        received = self._receipts.stamp
+        receipt_stamp = self._receipts.stamp
 
         def handle(data: bytes) -> None:
             instant = stamp(data)
             unread = self._unread.of(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
             text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
-            add(event_text(text, received() if instant is None else instant))
+            add(event_text(text, receipt_stamp() if instant is None else instant))
 
         return handle
 
     def _flush_after(self, sent: Iterable[None]) -> None:
         """Convert messages that were read together, then send their texts with one write."""
-        discard_results(sent)
+        consume_and_discard(sent)
         self._texts.flush()
 
-    def _latched_sender(
+    def _latched_handler_factory(
         self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
     ) -> MessageHandler:
         """Return the handler of a latched connection's messages, which stores the last one for later receivers."""
@@ -129,31 +130,31 @@ class InterfaceNode:
 
         def handle(data: bytes) -> None:
             text = write(data)
-            stamped = stamp(data)
-            instant = receipts.stamp() if stamped is None else stamped
-            run = receipts.runs()
+            header_stamp = stamp(data)
+            instant = receipts.stamp() if header_stamp is None else header_stamp
+            epoch = receipts.epoch()
 
-            def again() -> str:
+            def current_text() -> str:
                 """Return the text for a node that connects later, stamped in the present clock epoch."""
                 # A receipt time of a former epoch would be in the future of the present one.
-                same = stamped is not None or run == receipts.runs()
-                return event_text(write_again(data), instant if same else receipts.stamp())
+                is_valid = header_stamp is not None or epoch == receipts.epoch()
+                return event_text(write_again(data), instant if is_valid else receipts.stamp())
 
             message = connection.message(data)
-            self._texts.add_latched(event_text(text, instant), message, publisher, again, len(data))
+            self._texts.add_latched(event_text(text, instant), message, publisher, current_text, len(data))
 
         return handle
 
-    def _receive(self, text: str) -> None:
+    def _publish_output(self, text: str) -> None:
         try:
-            event = self._reader.read(text)
-            if event.__class__ is not tuple or event[0] is not OUTPUT_EVENT:
+            output = self._event_reader.read(text)
+            if output.__class__ is not tuple or output[0] is not OUTPUT_EVENT:
                 raise UsageError(f"expected event(Term,Topic,Id), found {beginning(text)}")
         except RetalisError as error:
             self._reports.error(RetalisError(f"an output is not published: {error}"), OUTPUT)
             return
-        topic = deref(event[2])
-        self._interface.outputs.publish(deref(event[1]), getattr(topic, "name", None) or to_text(topic))
+        topic = deref(output[2])
+        self._interface.outputs.publish(deref(output[1]), getattr(topic, "name", None) or to_text(topic))
 
 
 def _input_role(topic: str) -> InputRole:

@@ -22,7 +22,7 @@ from typing import Callable, Dict, NamedTuple, Optional
 MAX_PUBLISHERS = 1000
 """Limit for the publishers of latched topics whose last messages are stored."""
 
-MARK = "event(retalis_latched("
+LATCHED_MARK = "event(retalis_latched("
 """Beginning of the mark that describes the latched message after it. Other receivers read the mark as an event."""
 
 _MARK = re.compile(r"event\(retalis_latched\('([0-9a-f]{32})','([0-9a-f]{32})',([01])\)\)", re.ASCII)
@@ -43,7 +43,7 @@ class LatchedMessage(NamedTuple):
 
     def mark(self) -> str:
         """Return the text that describes it; see `latched_message`."""
-        return f"{MARK}'{self.publisher}','{self.content}',{int(self.is_first)}))"
+        return f"{LATCHED_MARK}'{self.publisher}','{self.content}',{int(self.is_first)}))"
 
 
 def latched_message(mark: str) -> Optional[LatchedMessage]:
@@ -75,22 +75,22 @@ class LatchedInputs:
     """The last latched message that the engine has processed of each publisher.
 
     Args:
-        run: returns the number of the epoch of a simulated clock. The engine clears its memories when an epoch
+        epoch: returns the number of the epoch of a simulated clock. The engine clears its memories when an epoch
             begins, so a message of a former epoch is not a repetition.
     """
 
-    def __init__(self, run: Callable[[], int] = int):
-        self._run_now = run
-        self._run = run()
+    def __init__(self, epoch: Callable[[], int] = int):
+        self._current_epoch = epoch
+        self._epoch = epoch()
         self._contents: Dict[str, str] = {}
         self._lock = threading.Lock()
 
-    def repeats(self, message: LatchedMessage) -> bool:
+    def is_repetition(self, message: LatchedMessage) -> bool:
         """Return whether a message is a repetition, and record it as the last one of its publisher."""
         with self._lock:
-            run = self._run_now()
-            if run != self._run:
-                self._run = run
+            epoch = self._current_epoch()
+            if epoch != self._epoch:
+                self._epoch = epoch
                 self._contents.clear()
             # Removed and added again, so that the publisher with the longest silence is evicted first.
             last_content = self._contents.pop(message.publisher, None)

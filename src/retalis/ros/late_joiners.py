@@ -87,22 +87,22 @@ class _Batch(NamedTuple):
     """Texts that are published together, framed as on the wire.
 
     Attributes:
-        order: number of the batch.
+        number: number of the batch.
         mark: frame that only the peer receives, before the texts.
         frames: the texts.
-        number: number of texts.
+        text_count: number of texts.
     """
 
-    order: int
+    number: int
     mark: bytes
     frames: bytes
-    number: int
+    text_count: int
 
 
 class _Latched(NamedTuple):
     """The newest message of a latched topic, with the number of its batch and its size in bytes."""
 
-    order: int
+    number: int
     write: Callable[[], bytes]
     size: int
 
@@ -122,9 +122,9 @@ class LateJoinerBuffer:
         peer: the node that the texts are intended for.
         queue: number of texts to buffer while the peer is absent; the oldest are dropped and reported.
         reports: receives a warning for every dropped text.
-        runs: returns the number of times that simulated time has jumped back. Texts of an earlier run are
+        epoch: returns the number of times that simulated time has jumped back. Texts of an earlier run are
             meaningless to a peer that starts now, so they are discarded.
-        first: returns the bytes that a new peer receives first, framed as on the wire; none by default.
+        greeting: returns the bytes that a new peer receives first, framed as on the wire; none by default.
 
     Attributes:
         peer: see above.
@@ -136,15 +136,15 @@ class LateJoinerBuffer:
         peer: Peer,
         queue: int,
         reports: Reports,
-        runs: Callable[[], int] = int,
-        first: Callable[[], bytes] = bytes,
+        epoch: Callable[[], int] = int,
+        greeting: Callable[[], bytes] = bytes,
     ):
         self.peer = peer
-        self._first = first
+        self._greeting = greeting
         self._outlet = outlet
         self._queue = queue
         self._reports = reports
-        self._clock_epoch = runs
+        self._current_epoch = epoch
         self._epoch = 0
         self._last_batch = 0
         """Number of the last batch."""
@@ -162,34 +162,34 @@ class LateJoinerBuffer:
         self._latched: Dict[Hashable, _Latched] = {}
         self._latched_bytes = 0
 
-    def send(self, frames: bytes, number: int, mark: bytes = b"", for_peer: bool = True) -> None:
+    def send(self, frames: bytes, count: int, mark: bytes = b"", for_peer: bool = True) -> None:
         """Send texts to all identified subscribers, and buffer them if a subscriber may have to catch up.
 
         Args:
             frames: the texts, framed as on the wire.
-            number: number of texts.
+            count: number of texts.
             mark: frame that only the peer receives, before the texts.
             for_peer: whether the peer needs the texts, so that they are buffered while it is absent.
         """
-        connections = self._outlet.links()
+        connections = self._outlet.connections()
         # The connection list is replaced whenever a subscriber comes or goes, so comparing its identity is enough.
         # A dead peer may remain in an unchanged list; buffering must begin before rospy notices.
         if connections is not self._known_connections or not self._peers or has_ended(self._peers[0]):
             self._update_subscribers(connections)
         self._last_batch += 1
-        self._outlet.counts.sent += number
+        self._outlet.counts.sent += count
         if self._peers:
             self._last_delivered = self._last_batch
         if self._unidentified or not self._peers:
             # An unidentified subscriber receives the texts from the buffer when it has been identified, whether
             # the peer needs them or not.
             if self._unidentified or for_peer:
-                self._buffer(_Batch(self._last_batch, mark, frames, number))
+                self._buffer(_Batch(self._last_batch, mark, frames, count))
             connections = [*self._peers, *self._bystanders]
         if mark:
-            self._outlet.write(self._peers, mark + frames, number)
-            connections = [link for link in connections if link not in self._peers]
-        self._outlet.write(connections, frames, number)
+            self._outlet.write(self._peers, mark + frames, count)
+            connections = [connection for connection in connections if connection not in self._peers]
+        self._outlet.write(connections, frames, count)
 
     def latch(self, key: Hashable, write: Callable[[], bytes], size: int) -> None:
         """Store the latched message that the next call of `send` delivers, for peers that connect later.
@@ -214,17 +214,17 @@ class LateJoinerBuffer:
 
     def latched(self) -> Dict[Hashable, int]:
         """Return the batch number of the stored latched message, by topic and publisher."""
-        return {key: message.order for key, message in self._latched.items()}
+        return {key: message.number for key, message in self._latched.items()}
 
     def forget(self, latched: Dict[Hashable, int]) -> None:
         """Discard latched messages by key and batch number, unless newer ones have replaced them."""
-        for key, order in latched.items():
-            if key in self._latched and self._latched[key].order == order:
+        for key, number in latched.items():
+            if key in self._latched and self._latched[key].number == number:
                 self._forget(key)
 
     def unidentified(self) -> List[Any]:
         """Return the subscribers that have to be identified, in addition bystanders while no peer is connected."""
-        self._update_subscribers(self._outlet.links())
+        self._update_subscribers(self._outlet.connections())
         if self._peers:
             return list(self._unidentified)
         return [
@@ -261,28 +261,28 @@ class LateJoinerBuffer:
             self._bystanders[connection] = _Bystander(
                 connected_at, 1 if bystander is None else bystander.attempts + 1
             )
-            missed = [batch for batch in self._buffered if batch.order > connected_at]
+            missed = [batch for batch in self._buffered if batch.number > connected_at]
         if bystander is not None:
             # A former bystander has received the live stream since it was identified.
-            missed = [batch for batch in missed if is_peer and batch.order <= connected_at]
-        frames = [self._first()] if is_peer else []
+            missed = [batch for batch in missed if is_peer and batch.number <= connected_at]
+        frames = [self._greeting()] if is_peer else []
         for batch in missed:
             frames += (batch.mark, batch.frames) if is_peer else (batch.frames,)
         if any(frames):
-            self._outlet.write([connection], b"".join(frames), sum(batch.number for batch in missed))
+            self._outlet.write([connection], b"".join(frames), sum(batch.text_count for batch in missed))
         if self._peers and not self._unidentified:
             self._clear_buffer()
 
-    def _backlog(self, since: int) -> List[_Batch]:
-        """Return the buffered batches after number ``since`` and the latched messages, in batch order, each once."""
-        missed = {batch.order: batch for batch in self._buffered if batch.order > since}
-        for key, (order, write, _) in self._latched.items():
-            if order not in missed:
+    def _backlog(self, after_batch: int) -> List[_Batch]:
+        """Return the buffered batches after a batch, and the latched messages, in batch order, each once."""
+        missed = {batch.number: batch for batch in self._buffered if batch.number > after_batch}
+        for key, (number, write, _) in self._latched.items():
+            if number not in missed:
                 try:
-                    missed[order] = _Batch(order, b"", write(), 1)
+                    missed[number] = _Batch(number, b"", write(), 1)
                 except RetalisError as error:
                     self._reports.error(error, key)
-        return [missed[order] for order in sorted(missed)]
+        return [missed[number] for number in sorted(missed)]
 
     def _update_subscribers(self, connections: Any) -> None:
         """Update the sets of subscribers from the topic's connections."""
@@ -299,22 +299,22 @@ class LateJoinerBuffer:
 
     def _buffer(self, batch: _Batch) -> None:
         # Texts of an earlier clock epoch refer to a time line that has ended; see `ClockEpochs`.
-        run = self._clock_epoch()
-        if run != self._epoch:
-            self._epoch = run
+        epoch = self._current_epoch()
+        if epoch != self._epoch:
+            self._epoch = epoch
             self._clear_buffer()
         self._buffered.append(batch)
-        self._buffered_texts += batch.number
+        self._buffered_texts += batch.text_count
         self._buffered_bytes += len(batch.mark) + len(batch.frames)
         while self._buffered_texts > self._queue or self._buffered_bytes > MAX_BUFFERED_BYTES:
             oldest = self._buffered.popleft()
-            self._buffered_texts -= oldest.number
+            self._buffered_texts -= oldest.text_count
             self._buffered_bytes -= len(oldest.mark) + len(oldest.frames)
             # Batches that a peer has received are buffered only for unidentified subscribers, so their loss is no
             # loss of events.
-            if oldest.order > self._last_delivered:
-                self._outlet.counts.dropped += oldest.number
-                for _ in range(oldest.number):
+            if oldest.number > self._last_delivered:
+                self._outlet.counts.dropped += oldest.text_count
+                for _ in range(oldest.text_count):
                     self._reports.warning(
                         f"{self.peer.title} is not connected: the oldest event that is buffered for it is dropped"
                     )
@@ -374,21 +374,21 @@ def _identify_all(
 ) -> bool:
     """Identify all unidentified subscribers; return whether none is left."""
     with lock:
-        unknown, latched = late_joiners.unidentified(), late_joiners.latched()
-    if not unknown:
+        unidentified, latched = late_joiners.unidentified(), late_joiners.latched()
+    if not unidentified:
         return True
     # The master is asked without the lock: texts are sent meanwhile, and subscribers come and go.
-    peers = offering(late_joiners.peer.service)
+    peers = nodes_offering(late_joiners.peer.service)
     publishing: Collection[Hashable] = latched if publishers is None else publishers()
     with lock:
         # A node that subscribed the topics itself would receive nothing from publishers that have gone.
-        late_joiners.forget({key: order for key, order in latched.items() if key not in publishing})
-        for connection in set(unknown) & set(late_joiners.unidentified()):
+        late_joiners.forget({key: number for key, number in latched.items() if key not in publishing})
+        for connection in set(unidentified) & set(late_joiners.unidentified()):
             late_joiners.identify(connection, getattr(connection, "endpoint_id", None) in peers)
         return not late_joiners.unidentified()
 
 
-def offering(service: str) -> Set[str]:
+def nodes_offering(service: str) -> Set[str]:
     """Return the nodes that offer a service; none if the master does not answer."""
     name = rospy.resolve_name(service)
     try:

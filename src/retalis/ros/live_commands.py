@@ -30,22 +30,22 @@ from ..prolog.syntax.term_writer import write_term, writeq
 from ..prolog.terms.types import deref
 from .internal_topics import INPUT, OUTPUT, WATCH
 from .master_watch import MasterWatch
-from .services import NEVER
+from .services import NO_DURATION
 
-MARK = "/add_memory"
+ENGINE_SERVICE_SUFFIX = "/add_memory"
 """End of the name of a service that every version of a node with an engine offers."""
 
-INTERFACE_MARK = "/add_input_subscription"
+INTERFACE_SERVICE_SUFFIX = "/add_input_subscription"
 """End of the name of a service that every node with a ROS interface offers."""
 
 MASTER_TIMEOUT_SECONDS = 5.0
 """Timeout in seconds for calls of the master."""
 
-State = Tuple[Dict[str, Set[str]], Dict[str, Set[str]]]
+MasterState = Tuple[Dict[str, Set[str]], Dict[str, Set[str]]]
 """The publishers of each topic, and the nodes that offer each service."""
 
 
-def master_state() -> State:
+def master_state() -> MasterState:
     """Return the publishers and services that the master knows.
 
     Raises:
@@ -70,18 +70,20 @@ def _by_name(pairs: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
     return {name: set(nodes) for name, nodes in pairs}
 
 
-def nodes_of(services: Dict[str, Set[str]], interfaces: bool = False) -> List[str]:
+def nodes_of(services: Dict[str, Set[str]], include_interfaces: bool = False) -> List[str]:
     """Return the running nodes with an engine, on request also those that are only a ROS interface."""
-    marks = (MARK, INTERFACE_MARK) if interfaces else (MARK,)
-    return sorted({node for name, nodes in services.items() if name.endswith(marks) for node in nodes})
+    suffixes = (
+        (ENGINE_SERVICE_SUFFIX, INTERFACE_SERVICE_SUFFIX) if include_interfaces else (ENGINE_SERVICE_SUFFIX,)
+    )
+    return sorted({node for name, nodes in services.items() if name.endswith(suffixes) for node in nodes})
 
 
 class LiveNode:
     """A running node ``retalis``.
 
     Args:
-        wanted: name of the node, relative to the namespace of environment variable ``ROS_NAMESPACE``; by default
-            the only one that runs in that namespace.
+        requested_name: name of the node, relative to the namespace of environment variable ``ROS_NAMESPACE``; by
+            default the only one that runs in that namespace.
         interfaces: whether a node that is only a ROS interface may be named, too.
 
     Attributes:
@@ -93,23 +95,23 @@ class LiveNode:
         UsageError: if no master answers, or the node does not exist or is ambiguous.
     """
 
-    def __init__(self, wanted: Optional[str] = None, interfaces: bool = False):
+    def __init__(self, requested_name: Optional[str] = None, interfaces: bool = False):
         topics, self._services = master_state()
         # A node is identified by its services, not by its name, which launch files may change.
         engine_nodes = nodes_of(self._services)
-        if wanted is None:
+        if requested_name is None:
             self.name = _only_node(engine_nodes)
         else:
-            self.name = _node_named(wanted, nodes_of(self._services, interfaces), self._services)
+            self.name = _node_named(requested_name, nodes_of(self._services, interfaces), self._services)
         self.has_engine = self.name in engine_nodes
         self.published = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
 
-    def call(self, service: str, kind: Any, **fields: Any) -> Any:
+    def call(self, service: str, service_class: Any, **fields: Any) -> Any:
         """Call a service of the node; return the response.
 
         Args:
             service: private name of the service.
-            kind: class of the service.
+            service_class: class of the service.
             fields: fields of the request.
 
         Raises:
@@ -120,26 +122,28 @@ class LiveNode:
             raise UsageError(
                 f"node {self.name} has no service ~{service}: it is a ROS interface, or of an older version"
             )
-        return self._call(name, kind, fields)
+        return self._call(name, service_class, fields)
 
-    def call_shared(self, service: str, kind: Any, **fields: Any) -> Any:
+    def call_shared(self, service: str, service_class: Any, **fields: Any) -> Any:
         """Call a service of the node with a relative name, which is found by the end of its full name."""
         for name, nodes in self._services.items():
             if name.endswith(f"/{service}") and self.name in nodes:
-                return self._call(name, kind, fields)
+                return self._call(name, service_class, fields)
         raise UsageError(f"node {self.name} has no service {service}")
 
-    def _call(self, name: str, kind: Any, fields: Dict[str, Any]) -> Any:
+    def _call(self, name: str, service_class: Any, fields: Dict[str, Any]) -> Any:
         try:
-            return rospy.ServiceProxy(name, kind)(kind._request_class(**fields))  # noqa: SLF001
+            return rospy.ServiceProxy(name, service_class)(service_class._request_class(**fields))  # noqa: SLF001
         except (rospy.ServiceException, rospy.ROSException, genpy.SerializationError, OSError) as error:
             raise UsageError(f"service {name} does not answer: {error}") from error
 
 
-def _node_named(wanted: str, nodes: List[str], services: Container[str]) -> str:
+def _node_named(requested_name: str, nodes: List[str], services: Container[str]) -> str:
     """Return the full name of a node that a user has named."""
     name = str(
-        rosgraph.names.resolve_name(wanted, f"{rosgraph.names.get_ros_namespace()}retalis_command_line")
+        rosgraph.names.resolve_name(
+            requested_name, f"{rosgraph.names.get_ros_namespace()}retalis_command_line"
+        )
     )
     if name not in nodes and f"{name}/list" not in services:
         # The ROS interface offers `list`, too.
@@ -150,11 +154,11 @@ def _node_named(wanted: str, nodes: List[str], services: Container[str]) -> str:
 def _only_node(nodes: List[str]) -> str:
     """Return the only node that runs in the namespace of ``ROS_NAMESPACE``."""
     namespace = rosgraph.names.get_ros_namespace()
-    inside = [name for name in nodes if name.startswith(namespace)]
-    if len(inside) == 1:
-        return inside[0]
-    if inside:
-        raise UsageError(f"which node? {_running_nodes(inside)}; choose one by --node")
+    in_namespace = [name for name in nodes if name.startswith(namespace)]
+    if len(in_namespace) == 1:
+        return in_namespace[0]
+    if in_namespace:
+        raise UsageError(f"which node? {_running_nodes(in_namespace)}; choose one by --node")
     if nodes:
         raise UsageError(
             f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_running_nodes(nodes)}"
@@ -166,20 +170,20 @@ def _running_nodes(nodes: List[str]) -> str:
     return f"those that run are {', '.join(nodes)}" if nodes else "no node retalis runs"
 
 
-def plain(message: Any) -> Any:
+def to_plain(message: Any) -> Any:
     """Return a message as dictionaries, lists and plain values; times in seconds, absent ones as None."""
     if isinstance(message, genpy.Message):
-        return {name: plain(getattr(message, name)) for name in message.__slots__}
+        return {name: to_plain(getattr(message, name)) for name in message.__slots__}
     if isinstance(message, (list, tuple)):
-        return [plain(item) for item in message]
+        return [to_plain(item) for item in message]
     if isinstance(message, genpy.TVal):
         nanoseconds = message.to_nsec()
-        is_absent = nanoseconds == NEVER if isinstance(message, genpy.Duration) else not nanoseconds
+        is_absent = nanoseconds == NO_DURATION if isinstance(message, genpy.Duration) else not nanoseconds
         return None if is_absent else message.to_sec()
     return message
 
 
-def checked(response: Any) -> Any:
+def check_result(response: Any) -> Any:
     """Return a response if its result is ``ok``.
 
     Raises:
@@ -215,14 +219,14 @@ def solutions(response: Any) -> Iterator[Dict[str, Any]]:
         yield {binding.name: json.loads(binding.json) for binding in solution.bindings}
 
 
-def lines_of(response: Any) -> Iterator[str]:
+def solution_lines(response: Any) -> Iterator[str]:
     """Yield the solutions of a response in the form of a Prolog top level."""
     for solution in response.solutions:
         yield ", ".join(f"{binding.name} = {binding.text}" for binding in solution.bindings) or "true"
 
 
 def _query(options: argparse.Namespace) -> int:
-    response = checked(
+    response = check_result(
         LiveNode(options.node).call(
             "query",
             srv.Query,
@@ -238,7 +242,7 @@ def _query(options: argparse.Namespace) -> int:
     if options.json:
         _print_all(map(json.dumps, solutions(response)))
     else:
-        _print_all(map(printable, lines_of(response)))
+        _print_all(map(printable, solution_lines(response)))
         if not response.solutions:
             print("false")
     if not response.complete:
@@ -256,7 +260,7 @@ def _time(seconds: float) -> genpy.Time:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    response = checked(LiveNode(options.node).call("explain", srv.Explain, event=options.event))
+    response = check_result(LiveNode(options.node).call("explain", srv.Explain, event=options.event))
     if options.json:
         print(json.dumps({"happened": response.happened, "lines": response.lines}))
         return 0
@@ -271,7 +275,7 @@ def _print_all(lines: Iterator[str]) -> None:
 
 
 def _reload(options: argparse.Namespace) -> int:
-    response = checked(LiveNode(options.node).call("reload", srv.Reload))
+    response = check_result(LiveNode(options.node).call("reload", srv.Reload))
     if options.json:
         print(json.dumps(response.changes))
     else:
@@ -279,17 +283,17 @@ def _reload(options: argparse.Namespace) -> int:
     return 0
 
 
-def _listed(node: LiveNode) -> Dict[str, Any]:
+def _list_node(node: LiveNode) -> Dict[str, Any]:
     """Return the answer of a node's service ``~list``."""
-    answer: Dict[str, Any] = plain(checked(node.call("list", srv.List)))
-    del answer["result"]
-    return {"node": node.name, **answer}
+    status: Dict[str, Any] = to_plain(check_result(node.call("list", srv.List)))
+    del status["result"]
+    return {"node": node.name, **status}
 
 
 def _list(options: argparse.Namespace) -> int:
-    answer = _listed(LiveNode(options.node, interfaces=True))
+    status = _list_node(LiveNode(options.node, interfaces=True))
     print(
-        json.dumps(answer) if options.json else "\n".join(map(printable, text_tables.format_record(answer)))
+        json.dumps(status) if options.json else "\n".join(map(printable, text_tables.format_record(status)))
     )
     return 0
 
@@ -304,10 +308,10 @@ def _status(options: argparse.Namespace) -> int:
     if once and options.json:
         return _list(options)
     if once:
-        before, listed_at = _listed(node), monotonic()
+        before, listed_at = _list_node(node), monotonic()
         sleep(options.every)
-        answer = _listed(node)
-        _print_all(_page(node, before, answer, monotonic() - listed_at))
+        status = _list_node(node)
+        _print_all(_status_lines(node, before, status, monotonic() - listed_at))
         return 0
     with _ros_node("retalis_status") as output:
         _show_status(node, options, output)
@@ -316,11 +320,11 @@ def _status(options: argparse.Namespace) -> int:
 
 def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
     """Show the status of a node until the command is interrupted."""
-    before, listed_at, last_error = _listed(node), monotonic(), ""
+    before, listed_at, last_error = _list_node(node), monotonic(), ""
     while True:
         rospy.rostime.wallsleep(options.every)
         try:
-            answer, now = _listed(node), monotonic()
+            status, now = _list_node(node), monotonic()
         except UsageError as error:
             # The node or the master may return.
             if str(error) != last_error:
@@ -329,12 +333,12 @@ def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -
             continue
         last_error = ""
         if options.json:
-            print(json.dumps(_rate(before, answer, now - listed_at)), file=output, flush=True)
+            print(json.dumps(_with_event_rate(before, status, now - listed_at)), file=output, flush=True)
         else:
             height = shutil.get_terminal_size().lines
-            lines = list(_page(node, before, answer, now - listed_at))[: height - 1]
+            lines = list(_status_lines(node, before, status, now - listed_at))[: height - 1]
             print(_CLEAR + "\n".join(lines), end="", file=output, flush=True)
-        before, listed_at = answer, now
+        before, listed_at = status, now
 
 
 @contextmanager
@@ -350,18 +354,20 @@ def _ros_node(name: str) -> Iterator[IO[str]]:
         yield output
 
 
-def _page(node: LiveNode, before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Iterator[str]:
+def _status_lines(
+    node: LiveNode, before: Dict[str, Any], status: Dict[str, Any], seconds: float
+) -> Iterator[str]:
     """Yield the lines of a node's status, cut at the width of the terminal."""
     columns = shutil.get_terminal_size().columns
-    for line in text_tables.format_status(before, answer, seconds, columns, node.has_engine):
+    for line in text_tables.format_status(before, status, seconds, columns, node.has_engine):
         yield printable(line)[:columns]
 
 
-def _rate(before: Dict[str, Any], answer: Dict[str, Any], seconds: float) -> Dict[str, Any]:
+def _with_event_rate(before: Dict[str, Any], status: Dict[str, Any], seconds: float) -> Dict[str, Any]:
     """Return the answer of a node's service ``~list``, with the rate of events."""
     # A restarted node counts from 0.
-    processed = max(0, answer["taken"] - before["taken"])
-    return {"node": answer["node"], "events_a_second": round(processed / seconds, 1), **answer}
+    processed = max(0, status["taken"] - before["taken"])
+    return {"node": status["node"], "events_a_second": round(processed / seconds, 1), **status}
 
 
 def _watch(options: argparse.Namespace) -> int:
@@ -384,25 +390,25 @@ def _watch_node(node: LiveNode, options: argparse.Namespace, output: IO[str]) ->
         input_topic = outputs[: -len(OUTPUT)] + INPUT
         rospy.Subscriber(input_topic, String, lambda text: received.put(("input", text.data)))
     # The subscriptions exist in the node: they have to be deleted by whatever way this process ends.
-    for end in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(end) is not signal.SIG_IGN:
+    for signal_number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(signal_number) is not signal.SIG_IGN:
             # Nohup ignores SIGHUP.
-            signal.signal(end, _exit)
-    added = []
+            signal.signal(signal_number, _exit)
+    subscription_ids = []
     try:
-        for number, pattern in enumerate(options.event):
-            fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(number)}
-            checked(node.call_shared("add_output_subscription", srv.AddOutputSubscription, **fields))
-            added.append(str(number))
+        for index, pattern in enumerate(options.event):
+            fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(index)}
+            check_result(node.call_shared("add_output_subscription", srv.AddOutputSubscription, **fields))
+            subscription_ids.append(str(index))
         _print_received(received, topic, options, output)
     finally:
-        for name in added:
+        for name in subscription_ids:
             node.call_shared("delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=name)
 
 
-def _exit(number: int, frame: Any) -> None:
+def _exit(signal_number: int, frame: Any) -> None:
     """Exit after a signal, so that the subscriptions are deleted."""
-    raise SystemExit(128 + number)
+    raise SystemExit(128 + signal_number)
 
 
 def _print_received(received: Any, own_topic: str, options: argparse.Namespace, output: IO[str]) -> None:
@@ -434,14 +440,14 @@ def _output_parts(text: str) -> Tuple[str, str, str]:
         return "output", OUTPUT, text
 
 
-def names(kind: str, node: Optional[str]) -> List[str]:
+def names(category: str, node: Optional[str]) -> List[str]:
     """Return the names of the running nodes, or the ids of a node's memories, for completion in a shell.
 
     Raises:
         UsageError: if no master or node answers.
     """
     try:
-        if kind == "nodes":
+        if category == "nodes":
             return list(nodes_of(master_state()[1]))
         response = LiveNode(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
     finally:

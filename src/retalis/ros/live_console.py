@@ -12,7 +12,7 @@ from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.syntax.term_writer import write_term
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Atom, deref
-from .live_commands import LiveNode, checked, lines_of
+from .live_commands import LiveNode, check_result, solution_lines
 
 _MAX_TERMINAL_SOLUTIONS = 100
 
@@ -24,15 +24,15 @@ def run(options: argparse.Namespace) -> int:
     console = LiveConsole(LiveNode(options.node), options.most)
     if options.goal:
         for goal in options.goal:
-            console.goals(
+            console.solve_goals(
                 toplevel_io.PipedInput(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n"))
             )
     elif sys.stdin.isatty():
         print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
-        console.goals(toplevel_io.TerminalInput(list))
+        console.solve_goals(toplevel_io.TerminalInput(list))
         return 0
     else:
-        console.goals(toplevel_io.PipedInput(sys.stdin))
+        console.solve_goals(toplevel_io.PipedInput(sys.stdin))
     return 1 if console.errors else 0
 
 
@@ -41,49 +41,51 @@ class LiveConsole:
 
     Args:
         node: the node.
-        most: limit for the solutions of a goal if the input is not a terminal.
+        max_solutions: limit for the solutions of a goal if the input is not a terminal.
 
     Attributes:
         errors: number of errors.
     """
 
-    def __init__(self, node: LiveNode, most: int):
+    def __init__(self, node: LiveNode, max_solutions: int):
         self.node = node
         self.errors = 0
-        self._most = most
+        self._max_solutions = max_solutions
         self._logic = PrologSystem()
 
-    def goals(self, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
+    def solve_goals(self, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
         while True:
             try:
-                read = toplevel_io.read_clause(lines, self._logic, "?- ")
-                if read is None:
+                parsed = toplevel_io.read_clause(lines, self._logic, "?- ")
+                if parsed is None:
                     return
-                if isinstance(read, SyntaxFault):
-                    self._say(str(read))
+                if isinstance(parsed, SyntaxFault):
+                    self._print_error(str(parsed))
                     continue
-                goal = deref(read.term)
+                goal = deref(parsed.term)
                 if isinstance(goal, Atom) and goal.name in toplevel_io.QUIT_GOALS:
                     return
-                self._ask(read, lines)
+                self._solve(parsed, lines)
             except UsageError as error:
-                self._say(str(error))
+                self._print_error(str(error))
             except KeyboardInterrupt:
                 lines.unread_text = ""
                 print("\n% interrupted", flush=True)
 
-    def _say(self, text: str) -> None:
+    def _print_error(self, text: str) -> None:
         self.errors += 1
         print(text, file=sys.stderr, flush=True)
 
-    def _ask(self, read: ReadTerm, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
-        names = {var: name for name, var in read.names.items()}
+    def _solve(
+        self, parsed: ReadTerm, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]
+    ) -> None:
+        names = {var: name for name, var in parsed.names.items()}
         # Parsed and written again: the node gets a single goal without comments, with the names of its variables.
-        goal = write_term(read.term, self._logic.operators, quoted=True, variable_names=names)
-        limit = _MAX_TERMINAL_SOLUTIONS if lines.is_terminal else self._most
-        response = checked(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
-        lines_shown = list(lines_of(response))
+        goal = write_term(parsed.term, self._logic.operators, quoted=True, variable_names=names)
+        limit = _MAX_TERMINAL_SOLUTIONS if lines.is_terminal else self._max_solutions
+        response = check_result(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
+        lines_shown = list(solution_lines(response))
         for number, line in enumerate(lines_shown, 1):
             print(printable(line), end="", flush=True)
             if number == len(lines_shown) and response.complete:

@@ -20,16 +20,16 @@ import rosgraph
 import rospy
 from rospy.impl.registration import get_service_manager
 
-PERIOD = 1.0
+CHECK_INTERVAL_SECONDS = 1.0
 """Seconds between two checks."""
 
-TIMEOUT = 5.0
+CALL_TIMEOUT_SECONDS = 5.0
 """Timeout in seconds of a call."""
 
-SIGN = "~get_loggers"
+REGISTRATION_INDICATOR = "~get_loggers"
 """A service that rospy offers in each node. It is registered last, so that its presence implies all the others."""
 
-SIMULATED = "/use_sim_time"
+SIM_TIME_PARAMETER = "/use_sim_time"
 
 _Pairs = List[Tuple[str, str]]
 
@@ -50,7 +50,7 @@ def wait_for_master() -> None:
                 is_reported = True
                 text = f"no master answers at {uri} ({error}): waiting for it; roscore starts one"
                 print(text, file=sys.stderr, flush=True)
-        time.sleep(PERIOD / 5)
+        time.sleep(CHECK_INTERVAL_SECONDS / 5)
 
 
 class MasterWatch:
@@ -62,18 +62,18 @@ class MasterWatch:
 
     def __init__(self) -> None:
         self._name = rospy.get_name()
-        self._sign = rospy.resolve_name(SIGN)
+        self._indicator = rospy.resolve_name(REGISTRATION_INDICATOR)
         self._master = _proxy(rosgraph.get_master_uri())
-        self._self = _proxy(rospy.get_node_uri())
+        self._own_node = _proxy(rospy.get_node_uri())
         self._parameters = self._known_parameters()
-        self._work = threading.Lock()
+        self._registration_lock = threading.Lock()
         self._ended = threading.Event()
 
     def start(self) -> None:
         """Start the periodic check, which ends with the node."""
         # A rospy without this service: its absence in the master would not prove a restart.
-        if self._sign not in dict(_services()):
-            rospy.logdebug("%s is not there: the master is not watched", self._sign)
+        if self._indicator not in dict(_services()):
+            rospy.logdebug("%s is not there: the master is not watched", self._indicator)
             return
         rospy.on_shutdown(self._stop)
         threading.Thread(target=self._run, daemon=True, name="master watch").start()
@@ -84,13 +84,13 @@ class MasterWatch:
         Raises:
             OSError, HTTPException, Error: if the master does not answer.
         """
-        code, _, _ = self._master.lookupService(self._name, self._sign)
+        code, _, _ = self._master.lookupService(self._name, self._indicator)
         if code == -1:
             self._register()
 
     def _run(self) -> None:
-        while not self._ended.wait(PERIOD):
-            with self._work:
+        while not self._ended.wait(CHECK_INTERVAL_SECONDS):
+            with self._registration_lock:
                 if self._ended.is_set():
                     return
                 try:
@@ -101,8 +101,8 @@ class MasterWatch:
     def _stop(self) -> None:
         """Stop the checks, and wait for a registration in progress: rospy is about to unregister everything."""
         self._ended.set()
-        if self._work.acquire(timeout=TIMEOUT):
-            self._work.release()
+        if self._registration_lock.acquire(timeout=CALL_TIMEOUT_SECONDS):
+            self._registration_lock.release()
 
     def _register(self) -> None:
         for name, value in self._parameters.items():
@@ -111,11 +111,11 @@ class MasterWatch:
                 self._master.setParam(self._name, name, value)
         published, subscribed, services = self._publications(), self._subscriptions(), _services()
         refused = []
-        for name, kind in published:
-            refused += self._register_one("registerPublisher", name, kind)
-        for name, kind in subscribed:
-            refused += self._subscribe(name, kind)
-        for name, uri in sorted(services, key=lambda service: service[0] == self._sign):
+        for name, topic_type in published:
+            refused += self._register_one("registerPublisher", name, topic_type)
+        for name, topic_type in subscribed:
+            refused += self._subscribe(name, topic_type)
+        for name, uri in sorted(services, key=lambda service: service[0] == self._indicator):
             if not self._ended.is_set():
                 refused += self._register_one("registerService", name, uri)
         self._unregister_closed(published, subscribed, services)
@@ -133,14 +133,16 @@ class MasterWatch:
         code, _, _ = getattr(self._master, method)(self._name, name, value, rospy.get_node_uri())
         return [] if code == 1 else [name]
 
-    def _subscribe(self, name: str, kind: str) -> List[str]:
+    def _subscribe(self, name: str, topic_type: str) -> List[str]:
         """Register a subscription, and connect to the publishers that the master knows already."""
-        code, _, publishers = self._master.registerSubscriber(self._name, name, kind, rospy.get_node_uri())
+        code, _, publishers = self._master.registerSubscriber(
+            self._name, name, topic_type, rospy.get_node_uri()
+        )
         if code != 1:
             return [name]
         # The master informs only later subscribers about new publishers; this call stands for its first
         # notification.
-        self._self.publisherUpdate("/master", name, publishers)
+        self._own_node.publisherUpdate("/master", name, publishers)
         return []
 
     def _unregister_closed(self, published: _Pairs, subscribed: _Pairs, services: _Pairs) -> None:
@@ -149,23 +151,23 @@ class MasterWatch:
             self._master.unregisterPublisher(self._name, name, rospy.get_node_uri())
         for name in _removed_names(subscribed, self._subscriptions()):
             self._master.unregisterSubscriber(self._name, name, rospy.get_node_uri())
-        kept = dict(_services())
+        remaining = dict(_services())
         for name, uri in services:
-            if name not in kept:
+            if name not in remaining:
                 self._master.unregisterService(self._name, name, uri)
 
     def _publications(self) -> _Pairs:
-        return _pairs(self._self.getPublications(self._name)[2])
+        return _pairs(self._own_node.getPublications(self._name)[2])
 
     def _subscriptions(self) -> _Pairs:
-        return _pairs(self._self.getSubscriptions(self._name)[2])
+        return _pairs(self._own_node.getSubscriptions(self._name)[2])
 
     def _known_parameters(self) -> Dict[str, Any]:
         """Return the node's parameters at its start, by full name."""
         private = rospy.get_param("~", {})
         parameters = {rospy.resolve_name("~" + name): value for name, value in private.items()}
-        simulated = rospy.get_param(SIMULATED, None)
-        return parameters if simulated is None else {**parameters, SIMULATED: simulated}
+        sim_time = rospy.get_param(SIM_TIME_PARAMETER, None)
+        return parameters if sim_time is None else {**parameters, SIM_TIME_PARAMETER: sim_time}
 
 
 class _TimeoutTransport(Transport):
@@ -173,7 +175,7 @@ class _TimeoutTransport(Transport):
 
     def make_connection(self, host: Union[str, Tuple[str, Dict[str, str]]]) -> HTTPConnection:
         connection = super().make_connection(host)
-        connection.timeout = TIMEOUT
+        connection.timeout = CALL_TIMEOUT_SECONDS
         return connection
 
 
@@ -192,5 +194,5 @@ def _pairs(entries: Any) -> _Pairs:
 
 
 def _removed_names(before: _Pairs, now: _Pairs) -> List[str]:
-    kept = {name for name, _ in now}
-    return [name for name, _ in before if name not in kept]
+    remaining = {name for name, _ in now}
+    return [name for name, _ in before if name not in remaining]

@@ -12,7 +12,7 @@ from ..foundation.errors import MessageError, RetalisError, UsageError, beginnin
 from ..messages.encoder import Encoder
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Term
-from .connection_writer import Outlet, raw_class
+from .connection_writer import Outlet, serialized_class
 from .internal_topics import OUTPUT, WATCH, resolve
 from .topic_statistics import OutputStatus
 
@@ -26,7 +26,7 @@ class OutputTopics:
     """The output topics of a program.
 
     A topic whose type is not installed is advertised as soon as a publisher of an input topic has defined the type;
-    see `learned`.
+    see `advertise_learned`.
 
     Args:
         definitions: known message types.
@@ -44,12 +44,12 @@ class OutputTopics:
         """Unknown type and latching of topics that are not advertised yet, by topic."""
         self._logged_topics: Set[str] = set()
 
-    def advertise(self, topic: str, kind: str, latched: bool = False) -> None:
+    def advertise(self, topic: str, message_type: str, latched: bool = False) -> None:
         """Advertise a topic with a message type.
 
         Args:
             topic: name of the topic.
-            kind: message type; if it is unknown, the topic is advertised when the type becomes known.
+            message_type: message type; if it is unknown, the topic is advertised when the type becomes known.
             latched: whether each new subscriber receives the last message.
 
         Raises:
@@ -58,48 +58,48 @@ class OutputTopics:
         """
         name = resolve(topic)
         with self._lock:
-            known_type = self._kind(name)
+            known_type = self._type_of(name)
             if known_type is not None:
-                if known_type != kind:
+                if known_type != message_type:
                     raise UsageError(f"topic {topic} already has the type {known_type}")
                 return
             try:
-                self._advertise(name, kind, latched)
+                self._advertise(name, message_type, latched)
             except MessageError:
-                self._awaiting_type[name] = (kind, latched)
+                self._awaiting_type[name] = (message_type, latched)
                 raise
 
     def status(self) -> List[OutputStatus]:
         """Return the counters of each topic."""
         return [outlet.status(encoder.definition.name) for outlet, encoder in list(self._typed.values())]
 
-    def knows(self, kind: str) -> bool:
+    def knows(self, message_type: str) -> bool:
         """Return whether a message type is known."""
-        return kind in self._definitions
+        return message_type in self._definitions
 
-    def _kind(self, name: str) -> Optional[str]:
+    def _type_of(self, name: str) -> Optional[str]:
         """Return the type of a topic; None if it has none."""
         if name in self._typed:
             return self._typed[name][1].definition.name
         return self._awaiting_type[name][0] if name in self._awaiting_type else None
 
-    def _advertise(self, name: str, kind: str, latched: bool) -> None:
-        definition = self._definitions.find(kind)
-        outlet = Outlet(name, raw_class(definition), self._queue, self._reports, latched=latched)
+    def _advertise(self, name: str, message_type: str, latched: bool) -> None:
+        definition = self._definitions.find(message_type)
+        outlet = Outlet(name, serialized_class(definition), self._queue, self._reports, latched=latched)
         self._typed[name] = (outlet, self._definitions.encoder(definition))
 
-    def learned(self) -> None:
+    def advertise_learned(self) -> None:
         """Advertise the topics whose types have become known through a new connection to a publisher."""
         # Called for each new connection, in nearly all programs without a topic that waits for its type.
         if not self._awaiting_type:
             return
         with self._lock:
-            for name, (kind, latched) in list(self._awaiting_type.items()):
-                if kind in self._definitions:
-                    self._advertise(name, kind, latched)
+            for name, (message_type, latched) in list(self._awaiting_type.items()):
+                if message_type in self._definitions:
+                    self._advertise(name, message_type, latched)
                     del self._awaiting_type[name]
                     rospy.loginfo(
-                        "topic %s is published: its type %s was learned from a publisher", name, kind
+                        "topic %s is published: its type %s was learned from a publisher", name, message_type
                     )
 
     def publish(self, term: Term, topic: str) -> None:
@@ -126,7 +126,8 @@ class OutputTopics:
         """
         awaited = self._awaiting_type.get(resolve(topic))
         if awaited is not None:
-            text = f"topic {topic}: a message is dropped: type {awaited[0]} is unknown until a publisher defines it"
+            message_type, _ = awaited
+            text = f"topic {topic}: a message is dropped: type {message_type} is unknown until a publisher defines it"
             self._reports.warning(text, ("out", topic))
         elif (
             len(self._logged_topics) < MAX_UNTYPED_TOPICS_NAMED

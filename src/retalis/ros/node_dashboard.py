@@ -13,7 +13,7 @@ from ..engine.engine import Engine
 from ..events.program.topic_configuration import TopicEvent, TopicType
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import SECOND
-from .diagnostics import TOPIC
+from .diagnostics import DIAGNOSTICS_TOPIC
 from .internal_topics import INPUT, OUTPUT
 from .topic_statistics import InputStatus
 
@@ -38,11 +38,11 @@ class NodeDashboard:
 
     Args:
         port: port on the loopback address; None for no page.
-        queries: whether users of the page may ask goals.
+        allow_queries: whether users of the page may ask goals.
         engine: the engine to show.
         inputs: returns the counters of the topics that this node subscribes.
-        named: topics of the program, whichever node subscribes them.
-        events: returns pairs of topic and event name, for topics whose events are not named after their type.
+        program_topics: topics of the program, whichever node subscribes them.
+        event_names: returns pairs of topic and event name, for topics whose events are not named after their type.
 
     Attributes:
         url: address of the page; "" if there is none.
@@ -51,22 +51,22 @@ class NodeDashboard:
     def __init__(
         self,
         port: Optional[int],
-        queries: bool,
+        allow_queries: bool,
         engine: Engine,
         inputs: Callable[[], Sequence[InputStatus]],
-        named: Sequence[TopicType],
-        events: Callable[[], Iterable[TopicEvent]] = tuple,
+        program_topics: Sequence[TopicType],
+        event_names: Callable[[], Iterable[TopicEvent]] = tuple,
     ):
         self._inputs = inputs
-        self._named = [
-            TopicRow(rospy.resolve_name(topic_type.topic), topic_type.type) for topic_type in named
+        self._program_topics = [
+            TopicRow(rospy.resolve_name(topic_type.topic), topic_type.type) for topic_type in program_topics
         ]
-        self._events = events
+        self._event_names = event_names
         self._remote_topics: Dict[str, TopicRow] = {}
         self.url = ""
         if port is None:
             return
-        source = DashboardSource(engine, rospy.get_name(), self.topics, queries)
+        source = DashboardSource(engine, rospy.get_name(), self.topics, allow_queries)
         try:
             page = Dashboard(source, port, port_count=MAX_PORTS_TRIED)
         except UsageError as error:
@@ -82,14 +82,16 @@ class NodeDashboard:
 
     def topics(self) -> List[TopicRow]:
         """Return all input topics with the known counters of each."""
-        by_name = {row.name: row for row in self._named}
+        by_name = {row.name: row for row in self._program_topics}
         # In increasing precedence: names only, statuses of other nodes, the node's own counters.
         by_name.update(self._remote_topics)
         by_name.update({row.topic: _topic_row(row) for row in self._inputs()})
-        events = {rospy.resolve_name(topic): event for topic, event in self._events()}
-        between = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
+        event_names = {rospy.resolve_name(topic): event for topic, event in self._event_names()}
+        internal_topics = {rospy.resolve_name(name) for name in (INPUT, OUTPUT)}
         return [
-            row._replace(event=events.get(name, "")) for name, row in by_name.items() if name not in between
+            row._replace(event=event_names.get(name, ""))
+            for name, row in by_name.items()
+            if name not in internal_topics
         ]
 
     def _subscribe_diagnostics(self) -> None:
@@ -98,7 +100,9 @@ class NodeDashboard:
             from diagnostic_msgs import msg  # noqa: PLC0415 - an optional package
         except ImportError:
             return
-        self._subscriber = rospy.Subscriber(TOPIC, msg.DiagnosticArray, self._receive, queue_size=10)
+        self._subscriber = rospy.Subscriber(
+            DIAGNOSTICS_TOPIC, msg.DiagnosticArray, self._receive, queue_size=10
+        )
 
     def _receive(self, message: Any) -> None:
         """Store the topics that nodes of this package report in the same namespace."""

@@ -23,7 +23,7 @@ from ..foundation.errors import RetalisError
 from .connection_limits import limit_connections
 from .master_watch import MasterWatch, wait_for_master
 from .parameters import Parameters, read_parameters
-from .ros_log import forward_log, write_out_each_line
+from .ros_log import forward_log, use_line_buffering
 
 SIGNAL_DELAY_SECONDS = (("xmlrpc.", 2.0), ("rospy.", 0.2))
 """Longest delay of a signal in seconds, by the module prefix of a function that the main thread is executing.
@@ -47,39 +47,41 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self._allowed = self._raised = self._is_repeating = False
-        self._since: Optional[float] = None
+        self._is_allowed = self._is_raised = self._is_repeating = False
+        self._first_signal: Optional[float] = None
 
-    def begin(self) -> None:
+    def install(self) -> None:
         """Install the signal handlers."""
-        self._set(self._handle_signal)
+        self._set_handlers(self._handle_signal)
 
     def allow(self) -> None:
         """Allow interrupts at any moment, and raise one if a signal was delayed."""
-        self._allowed = True
-        if self._since is not None:
+        self._is_allowed = True
+        if self._first_signal is not None:
             self._interrupt()
 
     def shut_down(self) -> None:
         """Interrupt the main thread if the node is shut down before its construction has ended."""
         main = threading.main_thread().ident
-        if not (self._allowed or self._raised or main is None):
+        if not (self._is_allowed or self._is_raised or main is None):
             signal.pthread_kill(main, signal.SIGTERM)
 
-    def end(self, status: int) -> None:
+    def limit_shutdown(self, status: int) -> None:
         """Ignore signals during the shutdown, and start a thread that limits its duration."""
-        self._raised = True
-        self._set(signal.SIG_IGN)
+        self._is_raised = True
+        self._set_handlers(signal.SIG_IGN)
         threading.Thread(target=_exit_after_timeout, args=(status,), daemon=True, name="last resort").start()
 
-    def _set(self, handler: Union[Callable[[int, Optional[FrameType]], None], signal.Handlers]) -> None:
+    def _set_handlers(
+        self, handler: Union[Callable[[int, Optional[FrameType]], None], signal.Handlers]
+    ) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, handler)
 
     def _handle_signal(self, number: int, frame: Optional[FrameType]) -> None:
-        if self._since is None:
-            self._since = time.monotonic()
-        if self._allowed or time.monotonic() - self._since >= _max_delay(frame):
+        if self._first_signal is None:
+            self._first_signal = time.monotonic()
+        if self._is_allowed or time.monotonic() - self._first_signal >= _max_delay(frame):
             self._interrupt()
         if not self._is_repeating:
             self._is_repeating = True
@@ -88,7 +90,7 @@ class Interrupts:
             ).start()
 
     def _interrupt(self) -> None:
-        self._raised = True
+        self._is_raised = True
         raise KeyboardInterrupt
 
     def _repeat_signal(self, number: int) -> None:
@@ -96,7 +98,7 @@ class Interrupts:
         main = threading.main_thread().ident
         while True:
             time.sleep(RETRY_INTERVAL_SECONDS)
-            if self._raised or main is None:
+            if self._is_raised or main is None:
                 return
             signal.pthread_kill(main, number)
 
@@ -107,8 +109,8 @@ def _max_delay(frame: Optional[FrameType]) -> float:
     while frame is not None:
         modules.append(frame.f_globals.get("__name__") or "")
         frame = frame.f_back
-    for begin, seconds in SIGNAL_DELAY_SECONDS:
-        if any(module.startswith(begin) for module in modules):
+    for prefix, seconds in SIGNAL_DELAY_SECONDS:
+        if any(module.startswith(prefix) for module in modules):
             return seconds
     return 0.0
 
@@ -134,24 +136,24 @@ MAX_IDLE_LOAD = 0.02
 """Share of one core below which a node counts as idle, so that the garbage collector may run."""
 
 
-def run_node(name: str, build: Callable[[Parameters], object]) -> int:
+def run_node(name: str, create_node: Callable[[Parameters], object]) -> int:
     """Run a node until it is shut down or interrupted; return its exit status.
 
     The status is 1 if the node could not be constructed, and 0 if it was asked to end, at whatever moment.
 
     Args:
         name: default name of the node.
-        build: constructs the node from its parameters.
+        create_node: constructs the node from its parameters.
     """
     interrupts = Interrupts()
     status = 0
     try:
-        interrupts.begin()
-        status = _run_until_shutdown(name, build, interrupts)
+        interrupts.install()
+        status = _run_until_shutdown(name, create_node, interrupts)
     except KeyboardInterrupt:
         pass
     finally:
-        interrupts.end(status)
+        interrupts.limit_shutdown(status)
         rospy.signal_shutdown("ended")
         # Another thread has begun the shutdown (``rosnode kill``).
         while not rospy.is_shutdown():
@@ -161,9 +163,11 @@ def run_node(name: str, build: Callable[[Parameters], object]) -> int:
     return status
 
 
-def _run_until_shutdown(name: str, build: Callable[[Parameters], object], interrupts: Interrupts) -> int:
+def _run_until_shutdown(
+    name: str, create_node: Callable[[Parameters], object], interrupts: Interrupts
+) -> int:
     # All three before `init_node`, in which rospy sets up its log, calls the master, and starts its servers.
-    write_out_each_line()
+    use_line_buffering()
     wait_for_master()
     limit_connections()
     rospy.init_node(name, disable_signals=True)
@@ -172,7 +176,7 @@ def _run_until_shutdown(name: str, build: Callable[[Parameters], object], interr
         parameters = read_parameters()
         rospy.on_shutdown(interrupts.shut_down)
         MasterWatch().start()
-        node = build(parameters)
+        node = create_node(parameters)
     except RetalisError as error:
         rospy.logfatal("%s", error)
         return 1

@@ -12,18 +12,18 @@ from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError, beginning, printable
-from ..messages.type_definition import BARE
+from ..messages.type_definition import MAX_EMPTY_ELEMENTS
 from ..prolog.machine.resource_limits import Limits, Number, checked_number
-from .diagnostics import HARDWARE
+from .diagnostics import DEFAULT_HARDWARE_ID
 
-LIMITS = Limits(seconds=10.0, megabytes=500)
+DEFAULT_LIMITS = Limits(seconds=10.0, megabytes=500)
 """Default limits for an event, a service call or a query, including everything that it triggers."""
 
-WATCHDOG = 1.0
+DEFAULT_WATCHDOG_SECONDS = 1.0
 """Default of ``~watchdog``: seconds after which work in progress is logged."""
 
 
-KNOWN = (
+PARAMETER_NAMES = (
     "program",
     "direct",
     "embedded",
@@ -62,7 +62,7 @@ class Parameters(NamedTuple):
         embedded: whether the ROS interface runs inside node retalis.
         queue: length of each queue, in events or messages.
         settings: settings of the engine.
-        bare: limit for the elements of a message that occupy no bytes.
+        max_empty_elements: limit for the elements of a message that occupy no bytes.
         explain: whether to record the causes of events.
         max_skew: largest difference in seconds between a stamp and the expected time of its topic and frame; None
             for no limit.
@@ -78,11 +78,11 @@ class Parameters(NamedTuple):
     embedded: bool
     queue: int
     settings: Settings
-    bare: int = BARE
+    max_empty_elements: int = MAX_EMPTY_ELEMENTS
     explain: bool = False
     max_skew: Optional[float] = None
     diagnostics: Optional[float] = 1.0
-    hardware_id: str = HARDWARE
+    hardware_id: str = DEFAULT_HARDWARE_ID
     dashboard: Optional[int] = None
     dashboard_queries: bool = False
     checkpoint: Optional[Path] = None
@@ -97,17 +97,17 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
     _warn_about_unknown()
     limits = Limits(
-        _limit("~max_seconds", float, LIMITS.seconds),
-        _limit("~max_inferences", int, LIMITS.inferences),
-        _limit("~max_megabytes", float, LIMITS.megabytes),
-        _limit("~max_output_megabytes", float, LIMITS.output_megabytes),
+        _limit("~max_seconds", float, DEFAULT_LIMITS.seconds),
+        _limit("~max_inferences", int, DEFAULT_LIMITS.inferences),
+        _limit("~max_megabytes", float, DEFAULT_LIMITS.megabytes),
+        _limit("~max_output_megabytes", float, DEFAULT_LIMITS.output_megabytes),
     )
     depth = _number("~max_depth", int)
     queue = _number("~queue", int)
     settings = Settings(
         limits=limits,
         limit_start=False,
-        watchdog=_limit("~watchdog", float, WATCHDOG),
+        watchdog=_limit("~watchdog", float, DEFAULT_WATCHDOG_SECONDS),
         allow_goals=_flag("~allow_goals"),
         allow_flags=_flag("~allow_flags"),
         allow_foreign=_flag("~allow_foreign"),
@@ -123,14 +123,20 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
         settings = settings._replace(queue=queue)
-    bare = _number("~max_elements", int) or BARE
+    max_empty_elements = _number("~max_elements", int) or MAX_EMPTY_ELEMENTS
     parameters = Parameters(
-        _program(argv), _direct(), _flag("~embedded"), settings.queue, settings, bare, _flag("~explain")
+        _program(argv),
+        _direct(),
+        _flag("~embedded"),
+        settings.queue,
+        settings,
+        max_empty_elements,
+        _flag("~explain"),
     )
     return parameters._replace(
         max_skew=_limit("~max_skew", float, None), diagnostics=_limit("~diagnostics", float, 1.0)
     )._replace(
-        hardware_id=_text("~hardware_id", HARDWARE),
+        hardware_id=_text("~hardware_id", DEFAULT_HARDWARE_ID),
         dashboard=_port("~dashboard"),
         dashboard_queries=_flag("~dashboard_queries"),
         checkpoint=_file("~checkpoint"),
@@ -140,9 +146,13 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
 def _warn_about_unknown() -> None:
     for name in rospy.get_param("~", {}):
         # A misspelt parameter would otherwise be ignored without notice.
-        if name not in KNOWN:
-            matches = get_close_matches(name, KNOWN, 1)
-            hint = f"did you mean ~{matches[0]}?" if matches else f"the parameters are ~{', ~'.join(KNOWN)}"
+        if name not in PARAMETER_NAMES:
+            matches = get_close_matches(name, PARAMETER_NAMES, 1)
+            hint = (
+                f"did you mean ~{matches[0]}?"
+                if matches
+                else f"the parameters are ~{', ~'.join(PARAMETER_NAMES)}"
+            )
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
@@ -151,14 +161,14 @@ def _program(argv: List[str]) -> Path:
     if not isinstance(folder, str):
         raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
     if folder:
-        return _existing(Path(folder), "parameter ~program")
+        return _existing_folder(Path(folder), "parameter ~program")
     # The argument is the folder of a package, with the program in its folder `application_source`.
     if len(argv) > 1:
-        return _existing(Path(argv[1]) / "application_source", "the program's folder")
-    return _existing(Path(_package()) / "application_source", "the program's folder")
+        return _existing_folder(Path(argv[1]) / "application_source", "the program's folder")
+    return _existing_folder(Path(_package_folder()) / "application_source", "the program's folder")
 
 
-def _existing(folder: Path, description: str) -> Path:
+def _existing_folder(folder: Path, description: str) -> Path:
     if folder.is_dir():
         return folder
     problem = "is no folder" if folder.exists() else "does not exist"
@@ -169,7 +179,7 @@ def _existing(folder: Path, description: str) -> Path:
     )
 
 
-def _package() -> str:
+def _package_folder() -> str:
     try:
         return str(rospkg.RosPack().get_path("retalis"))
     except rospkg.ResourceNotFound:
@@ -226,19 +236,21 @@ def _port(name: str) -> Optional[int]:
     return value
 
 
-def _limit(name: str, kind: Type[Number], default: Optional[Number]) -> Optional[Number]:
+def _limit(name: str, number_type: Type[Number], default: Optional[Number]) -> Optional[Number]:
     """Return a number of 0 or more; None for 0, which means no limit."""
     return (
-        checked_number(f"parameter {name} (0 means no limit)", rospy.get_param(name, default or 0), kind)
+        checked_number(
+            f"parameter {name} (0 means no limit)", rospy.get_param(name, default or 0), number_type
+        )
         or None
     )
 
 
-def _number(name: str, kind: Type[Number]) -> Optional[Number]:
+def _number(name: str, number_type: Type[Number]) -> Optional[Number]:
     value = rospy.get_param(name, None)
     if value is None:
         return None
-    number = checked_number(f"parameter {name}", value, kind)
+    number = checked_number(f"parameter {name}", value, number_type)
     if number == 0:
         raise UsageError(f"parameter {name}: expected a positive number, found {value!r}")
     return number

@@ -19,10 +19,10 @@ from ..foundation.errors import MessageError, beginning
 from ..prolog.terms.types import Functor
 from .internal_topics import MAX_CONTROL_CHARACTERS, read_control_json
 
-UNREAD_TOPIC = "retalisUnread"
+UNREAD_ARGUMENTS_TOPIC = "retalisUnread"
 """Topic of the unread arguments: JSON, lists of argument positions by functor (name and arity)."""
 
-NONE: FrozenSet[int] = frozenset()
+NO_POSITIONS: FrozenSet[int] = frozenset()
 
 
 class ProjectionPublisher:
@@ -30,12 +30,12 @@ class ProjectionPublisher:
 
     def __init__(self, engine: Engine):
         self._dispatcher = engine.dispatcher
-        self._publisher = rospy.Publisher(UNREAD_TOPIC, String, queue_size=10, latch=True)
-        self._last: Optional[str] = None
+        self._publisher = rospy.Publisher(UNREAD_ARGUMENTS_TOPIC, String, queue_size=10, latch=True)
+        self._last_published: Optional[str] = None
         self._changed = threading.Event()
         self._changed.set()
         self._dispatcher.on_change = self._changed.set
-        threading.Thread(target=self._run, name=UNREAD_TOPIC, daemon=True).start()
+        threading.Thread(target=self._run, name=UNREAD_ARGUMENTS_TOPIC, daemon=True).start()
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
@@ -46,7 +46,7 @@ class ProjectionPublisher:
                 self._publish_changes()
             except rospy.ROSException as error:
                 # The node is being shut down.
-                rospy.logdebug("%s: %s", UNREAD_TOPIC, error)
+                rospy.logdebug("%s: %s", UNREAD_ARGUMENTS_TOPIC, error)
 
     def _publish_changes(self) -> None:
         unread_positions = self._dispatcher.unread.tell()
@@ -57,31 +57,31 @@ class ProjectionPublisher:
             len(text) > MAX_CONTROL_CHARACTERS
         ):  # the receiver would reject it; "{}" means that everything is read
             text = "{}"
-        if text != self._last:
+        if text != self._last_published:
             self._publisher.publish(String(text))
-            self._last = text
+            self._last_published = text
 
 
-class _Notice(NamedTuple):
+class _ReceivedPositions(NamedTuple):
     """The last received positions, and the header of the connection on which they were received."""
 
     header: Dict[str, str]
-    unread: Dict[str, FrozenSet[int]]
+    positions: Dict[str, FrozenSet[int]]
 
 
 class ProjectionReceiver:
     """Receiver of the unread arguments in the interface node.
 
     Args:
-        links: returns the connections of the subscribers of the texts.
+        connections: returns the connections of the subscribers of the texts.
         reports: receives a warning for each malformed message.
     """
 
-    def __init__(self, links: Callable[[], List[Any]], reports: Reports):
-        self._links = links
+    def __init__(self, connections: Callable[[], List[Any]], reports: Reports):
+        self._connections = connections
         self._reports = reports
-        self._notice: Optional[_Notice] = None
-        self._subscriber = rospy.Subscriber(UNREAD_TOPIC, String, self._receive, queue_size=10)
+        self._received: Optional[_ReceivedPositions] = None
+        self._subscriber = rospy.Subscriber(UNREAD_ARGUMENTS_TOPIC, String, self._receive, queue_size=10)
 
     def of(self, functor: Functor) -> FrozenSet[int]:
         """Return the argument positions of events that may be omitted now.
@@ -89,33 +89,37 @@ class ProjectionReceiver:
         This is valid only for a text that is sent at once. A text that is stored for later subscribers has to be
         complete.
         """
-        notice = self._notice
-        positions = NONE if notice is None else notice.unread.get(str(functor), NONE)
-        return positions if positions and notice is not None and self._is_valid(notice) else NONE
+        received = self._received
+        positions = NO_POSITIONS if received is None else received.positions.get(str(functor), NO_POSITIONS)
+        return positions if positions and received is not None and self._is_valid(received) else NO_POSITIONS
 
-    def _is_valid(self, notice: _Notice) -> bool:
+    def _is_valid(self, received: _ReceivedPositions) -> bool:
         """Return whether the positions' publisher is still connected, and the only subscriber of the texts."""
-        subscribers = self._links()
-        if len(subscribers) != 1 or getattr(subscribers[0], "endpoint_id", None) != notice.header.get(
+        subscribers = self._connections()
+        if len(subscribers) != 1 or getattr(subscribers[0], "endpoint_id", None) != received.header.get(
             "callerid"
         ):
             return False
-        sources = getattr(self._subscriber.impl, "connections", ())
+        publisher_connections = getattr(self._subscriber.impl, "connections", ())
         # A restarted node has the same name, but another connection, and its rules may read other arguments.
-        return any(connection.header is notice.header and not connection.done for connection in sources)
+        return any(
+            connection.header is received.header and not connection.done
+            for connection in publisher_connections
+        )
 
     def _receive(self, message: Any) -> None:
         header = message._connection_header  # noqa: SLF001 - rospy has no other name for it
         try:
-            self._notice = _Notice(header, _read(message.data))
+            self._received = _ReceivedPositions(header, _parse_positions(message.data))
         except MessageError as error:
-            self._notice = None
+            self._received = None
             self._reports.warning(
-                f"{UNREAD_TOPIC} from {header.get('callerid', 'somebody')}: {error}", UNREAD_TOPIC
+                f"{UNREAD_ARGUMENTS_TOPIC} from {header.get('callerid', 'somebody')}: {error}",
+                UNREAD_ARGUMENTS_TOPIC,
             )
 
 
-def _read(text: str) -> Dict[str, FrozenSet[int]]:
+def _parse_positions(text: str) -> Dict[str, FrozenSet[int]]:
     """Return the argument positions by functor in a text.
 
     Raises:

@@ -28,17 +28,25 @@ from ..messages.type_definition import functor_name
 from ..messages.type_registry import Definitions, Installed
 from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.types import CompoundTerm, Term, atom
-from .checkpoint_file import StateFile
-from .diagnostics import LATE, Diagnostics, EngineHealth, Health, InputRole, NodeHealth, program_health
+from .checkpoint_file import CheckpointFile
+from .diagnostics import (
+    DEFAULT_LATE_SECONDS,
+    Diagnostics,
+    EngineHealth,
+    Health,
+    InputRole,
+    NodeHealth,
+    program_health,
+)
 from .dynamic_subscriptions import DynamicSubscriptions, subscribable_name
 from .internal_topics import INPUT, OUTPUT, UntypedTopicWarnings, resolve
 from .latched_inputs import LatchedConnection, LatchedInputs
 from .node_dashboard import NodeDashboard
 from .node_lifecycle import run_node
-from .parameters import WATCHDOG, Parameters
+from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
 from .projection_sync import ProjectionPublisher
 from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect
-from .ros_log import log_counts, log_error, print_lines_of
+from .ros_log import log_counts, log_error, print_goal_output
 from .ros_time import SimulatedTime, ros_now
 from .services import (
     EngineServices,
@@ -70,28 +78,28 @@ class RosClock(Clock):
         resumed: whether the engine continues from a checkpoint, and simulated time is still unknown.
     """
 
-    def __init__(self, runs: Optional[ClockEpochs] = None) -> None:
-        super().__init__(ros_now if runs is None else lambda: self._time_of_run(runs))
-        self._run = 0
+    def __init__(self, epochs: Optional[ClockEpochs] = None) -> None:
+        super().__init__(ros_now if epochs is None else lambda: self._time_of_epoch(epochs))
+        self._epoch = 0
         self.resumed = False
         self.engine: Optional[Engine] = None
         self._timer: Optional[rospy.Timer] = None
         self._timer_for: Optional[int] = None
 
-    def _time_of_run(self, runs: ClockEpochs) -> int:
+    def _time_of_epoch(self, epochs: ClockEpochs) -> int:
         """Return the time of the engine's epoch; messages of an older epoch may still be queued."""
-        if self._run != runs.run and time.monotonic() - runs.since > MAX_EPOCH_WAIT_SECONDS:
-            self._run = runs.run
-        now = runs.now(self._run)
+        if self._epoch != epochs.epoch and time.monotonic() - epochs.epoch_start > MAX_EPOCH_WAIT_SECONDS:
+            self._epoch = epochs.epoch
+        now = epochs.now(self._epoch)
         if self.resumed and not now:
             # Without a message on /clock, time is 0, which is not a jump back.
             return self._newest
         self.resumed = False
         return now
 
-    def begin_run(self, run: int) -> None:
+    def begin_epoch(self, epoch: int) -> None:
         """Set the engine's clock epoch."""
-        self._run = run
+        self._epoch = epoch
 
     def call_at(self, instant: int, alarm: Alarm) -> None:
         """Schedule ``alarm`` for an instant of ROS time in nanoseconds."""
@@ -149,13 +157,13 @@ class RetalisNode:
         self._program_warnings: List[str] = []
         self._reports = Reports()
         self._time = SimulatedTime(self._reports)
-        definitions = Definitions(bare=parameters.bare)
-        state = StateFile(parameters, self._reports)
-        self.engine = state.engine(lambda: RosClock(self._time.runs), definitions)
-        print_lines_of(self.engine.logic)
+        definitions = Definitions(bare=parameters.max_empty_elements)
+        checkpoint_file = CheckpointFile(parameters, self._reports)
+        self.engine = checkpoint_file.engine(lambda: RosClock(self._time.epochs), definitions)
+        print_goal_output(self.engine.logic)
         # Now the engine can be woken, and its alarms get a timer.
         clock: Any = self.engine.clock
-        clock.engine, clock.resumed = self.engine, state.resumed
+        clock.engine, clock.resumed = self.engine, checkpoint_file.resumed
         skew = ClockSkewMonitor(
             self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait
         )
@@ -168,21 +176,21 @@ class RetalisNode:
         # Before the program is loaded: its goals may subscribe topics, which are queued until the interface exists.
         subscriptions = DynamicSubscriptions()
         input_topics = self.engine.input_topics
-        input_topics.begin(subscriptions.ask, topics, direct, subscribable_name)
-        if not state.resumed:
+        input_topics.begin(subscriptions.request, topics, direct, subscribable_name)
+        if not checkpoint_file.resumed:
             self._load()
-        runs = self._time.runs
-        self._latched = LatchedInputs(int if runs is None else lambda: runs.run)
+        epochs = self._time.epochs
+        self._latched = LatchedInputs(int if epochs is None else lambda: epochs.epoch)
         self._texts = self._output_texts(topics)
         self._interface = RosInterface(
-            self._reader,
+            self._handler_factory,
             parameters.queue,
             self._reports,
             definitions,
             self.engine.post_each,
             skew=skew,
-            latched=self._latched_reader,
-            runs=runs,
+            latched=self._latched_handler_factory,
+            clock_epochs=epochs,
         )
         self._untyped_topics = UntypedTopicWarnings((topic for topic, _ in topics.published), self._reports)
         self._log_mistakes(topics)
@@ -210,12 +218,16 @@ class RetalisNode:
             self.engine, parameters.program, parameters.settings.write_folders, topics, self._reloaded
         )
         ListService(self._interface.inputs, self.engine.status)
-        texts = self._interface.subscribe_texts(INPUT, self.engine.post_text, runs, self._latched)
+        text_lock = self._interface.subscribe_texts(INPUT, self.engine.post_text, epochs, self._latched)
         self._time.begin(
-            [self._interface.processing_lock, texts], skew.begin_run, lambda end: self._begin_run(clock)
+            [self._interface.processing_lock, text_lock],
+            skew.begin_epoch,
+            lambda end: self._begin_epoch(clock),
         )
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
-        StartupWarnings(self._interface.inputs, self._named_topics(input_topics.joined(topics)), clock=True)
+        StartupWarnings(
+            self._interface.inputs, self._named_topics(input_topics.joined(topics)), check_clock=True
+        )
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
             NodeHealth(
@@ -234,25 +246,27 @@ class RetalisNode:
             [*topics.subscribed, *direct],
             lambda: input_topics.joined(topics).events,
         )
-        state.begin(self.engine)
-        if state.resumed:
+        checkpoint_file.begin(self.engine)
+        if checkpoint_file.resumed:
             threading.Thread(target=self._run_missed_alarms, daemon=True).start()
 
     def _run_missed_alarms(self) -> None:
         """Run the alarms that became due while the node was not running, after the interface has connected."""
         end = time.monotonic() + MAX_INTERFACE_WAIT_SECONDS
-        while not self._parameters.embedded and not self._texts.links() and time.monotonic() < end:
+        while not self._parameters.embedded and not self._texts.connections() and time.monotonic() < end:
             time.sleep(0.05)
         self.engine.advance()
 
-    def _begin_run(self, clock: RosClock) -> None:
+    def _begin_epoch(self, clock: RosClock) -> None:
         """Enter a new clock epoch after the engine has processed its queue, which belongs to the former one."""
-        if self._time.runs is not None:
-            self.engine.advance(partial(clock.begin_run, self._time.runs.run))
+        if self._time.epochs is not None:
+            self.engine.advance(partial(clock.begin_epoch, self._time.epochs.epoch))
 
     def _engine_health(self) -> Callable[[], List[Health]]:
         settings = self._parameters.settings
-        engine = EngineHealth(settings.watchdog or WATCHDOG, settings.limits.seconds or LATE)
+        engine_health = EngineHealth(
+            settings.watchdog or DEFAULT_WATCHDOG_SECONDS, settings.limits.seconds or DEFAULT_LATE_SECONDS
+        )
 
         def health() -> List[Health]:
             status = self.engine.status()
@@ -260,7 +274,7 @@ class RetalisNode:
                 errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
             )
             return [
-                *engine.of(time.monotonic(), status),
+                *engine_health.of(time.monotonic(), status),
                 program_health(list(self._errors), list(self._program_warnings)),
             ]
 
@@ -268,22 +282,22 @@ class RetalisNode:
 
     def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
         """Return a function from a topic to its present role in the program, whose rules may change."""
-        embedded, takes = self._parameters.embedded, self.engine.dispatcher.takes_name
+        embedded, is_read = self._parameters.embedded, self.engine.dispatcher.takes_name
         resolve_name = rospy.resolve_name
         named = set(map(resolve_name, self._named_topics(topics)))
         # Topics that the node subscribes by default, with the names of their events.
-        default = {
-            resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(kind)
-            for topic, kind in direct
+        default_events = {
+            resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(message_type)
+            for topic, message_type in direct
             if resolve_name(topic) not in named
         }
-        texts = resolve_name(INPUT)
+        text_topic = resolve_name(INPUT)
 
         def role(topic: str) -> InputRole:
-            if topic == texts:
+            if topic == text_topic:
                 return InputRole.OPTIONAL if embedded else InputRole.LINK
-            event = default.get(topic)
-            return InputRole.NEEDED if event is None or takes(event) else InputRole.UNREAD
+            event = default_events.get(topic)
+            return InputRole.NEEDED if event is None or is_read(event) else InputRole.UNREAD
 
         return role
 
@@ -322,15 +336,17 @@ class RetalisNode:
     ) -> str:
         """Return the reason why no output of a subscription fits its topic's type; "" if some may."""
         try:
-            kind = types.get(resolve(topic))
+            message_type = types.get(resolve(topic))
         except UsageError:
             # A name for other nodes only.
-            kind = None
-        if kind is None:
+            message_type = None
+        if message_type is None:
             return ""
         # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
-        type_definitions = definitions if definitions.known(kind) else Definitions(Installed(rosbags=False))
-        return explain_unsendable(goal, topic, kind, type_definitions)
+        type_definitions = (
+            definitions if definitions.known(message_type) else Definitions(Installed(rosbags=False))
+        )
+        return explain_unsendable(goal, topic, message_type, type_definitions)
 
     def _load(self) -> None:
         try:
@@ -347,28 +363,28 @@ class RetalisNode:
                 rospy.logerr("%s", error)
             return Topics()
 
-    def _subscribe(self, topic: str, kind: str, event: str) -> None:
+    def _subscribe(self, topic: str, message_type: str, event: str) -> None:
         try:
-            self._interface.subscribe(topic, kind, event)
+            self._interface.subscribe(topic, message_type, event)
         except RetalisError as error:
             rospy.logerr("parameter ~direct: %s", error)
 
-    def _reader(self, decoder: Decoder) -> MessageHandler:
+    def _handler_factory(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of messages of a type, which returns the event and its instant."""
         decode, stamp = decoder.decode, decoder.stamp
         return lambda data: (decode(data), stamp(data))
 
-    def _latched_reader(
+    def _latched_handler_factory(
         self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
     ) -> MessageHandler:
         """Return the handler of latched messages, which skips messages that the engine has processed already."""
-        read, latched = self._reader(decoder), self._latched
+        decode_event, latched_inputs = self._handler_factory(decoder), self._latched
 
         def handle(data: bytes) -> Any:
-            # Before `repeats`, which records the message as processed: decoding may fail, or the message may belong
-            # to the next clock epoch.
-            event = read(data)
-            return None if latched.repeats(connection.message(data)) else event
+            # Before `is_repetition`, which records the message as processed: decoding may fail, or the message may
+            # belong to the next clock epoch.
+            event = decode_event(data)
+            return None if latched_inputs.is_repetition(connection.message(data)) else event
 
         return handle
 

@@ -28,7 +28,7 @@ from ..messages.decoder import Decoder
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import functor
 from .connection_reader import read_in_batches
-from .connection_writer import raw_bytes
+from .connection_writer import serialized_bytes
 from .internal_topics import INPUT, OUTPUT, resolve
 from .latched_inputs import LatchedConnection, LatchedInputs
 from .message_publishers import OutputTopics
@@ -59,11 +59,11 @@ BatchHandler = Callable[[List[bytes]], None]
 _CachedHandler = Tuple[Dict[str, str], BatchHandler]
 """A connection's header, and the handler of its messages."""
 
-HOLD = 0.0012
+MAX_DELAY_SECONDS = 0.0012
 """Seconds for which a message of a fast topic may wait for the next ones."""
 
 
-discard_results: ResultConsumer = deque(maxlen=0).extend
+consume_and_discard: ResultConsumer = deque(maxlen=0).extend
 """Processes all messages of a batch and discards the results."""
 
 
@@ -76,10 +76,10 @@ class RosInterface:
         reports: receives the errors of single messages.
         definitions: known message types.
         consume_results: receives the results of messages that were read together.
-        hold: seconds for which a message of a fast topic may wait for the next ones.
+        max_delay: seconds for which a message of a fast topic may wait for the next ones.
         skew: checks the stamps of messages.
         latched: returns the handler of messages of latched connections; by default ``handler_factory`` does.
-        runs: clock epochs; messages of an epoch that has not begun are queued there.
+        clock_epochs: clock epochs; messages of an epoch that has not begun are queued there.
 
     Attributes:
         processing_lock: lock under which messages are processed.
@@ -92,63 +92,65 @@ class RosInterface:
         queue: int,
         reports: Reports,
         definitions: Optional[Definitions] = None,
-        consume_results: ResultConsumer = discard_results,
-        hold: float = HOLD,
+        consume_results: ResultConsumer = consume_and_discard,
+        max_delay: float = MAX_DELAY_SECONDS,
         skew: Optional[ClockSkewMonitor] = None,
         latched: Optional[LatchedHandlerFactory] = None,
-        runs: Optional[ClockEpochs] = None,
+        clock_epochs: Optional[ClockEpochs] = None,
     ):
-        self._runs = runs
+        self._clock_epochs = clock_epochs
         self._handler_factory = handler_factory
-        self._latched = None if latched is None else self._latched_learned(latched)
+        self._latched = None if latched is None else self._latched_handler_factory(latched)
         self._consume_results = consume_results
-        self._hold = hold
+        self._max_delay = max_delay
         self._skew = skew
         self._queue = queue
         self._definitions = Definitions() if definitions is None else definitions
         self._inputs: Dict[str, InputTopic] = {}
         self.outputs = OutputTopics(self._definitions, queue, reports)
-        self._texts: List[InputTopic] = []
-        self._elsewhere: Set[str] = set()
+        self._text_topics: List[InputTopic] = []
+        self._excluded: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
         self.processing_lock = threading.Lock()
         self._reports = reports
 
-    def subscribe(self, topic: str, kind: str, event: str = "") -> None:
+    def subscribe(self, topic: str, message_type: str, event_name: str = "") -> None:
         """Subscribe a topic; each message becomes an event.
 
         Args:
             topic: name of the topic.
-            kind: message type.
-            event: name of the events; by default it is derived from the type.
+            message_type: message type.
+            event_name: name of the events; by default it is derived from the type.
 
         Raises:
             UsageError: if the topic is subscribed already, or a name is invalid.
         """
-        topic, kind = topic_type(topic, kind)
+        topic, message_type = topic_type(topic, message_type)
         name = resolve(topic)
         if name in self._reserved:
             raise UsageError(f"topic {topic} is for events as text, between the nodes")
-        if name in self._elsewhere:
+        if name in self._excluded:
             raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
         with self._lock:
             if name in self._inputs:
-                raise UsageError(f"topic {topic} is already subscribed (as {self._inputs[name].kind})")
+                raise UsageError(
+                    f"topic {topic} is already subscribed (as {self._inputs[name].message_type})"
+                )
             self._inputs[name] = InputTopic(
                 self._definitions,
                 name,
-                kind,
-                self._learned,
+                message_type,
+                self._create_handler,
                 self._queue,
                 self.processing_lock,
                 self._reports,
                 self._consume_results,
-                self._hold,
+                self._max_delay,
                 self._skew,
                 self._latched,
-                event,
-                self._runs,
+                event_name,
+                self._clock_epochs,
             )
 
     def publishers(self) -> Set[Publisher]:
@@ -157,19 +159,19 @@ class RosInterface:
             topics = list(self._inputs.items())
         return {(name, node) for name, topic in topics for node in topic.publishers()}
 
-    def _learned(self, decoder: Decoder) -> MessageHandler:
+    def _create_handler(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of a new connection's messages, after output topics have used a type that it defines."""
-        self.outputs.learned()
+        self.outputs.advertise_learned()
         return self._handler_factory(decoder)
 
-    def _latched_learned(self, latched: LatchedHandlerFactory) -> LatchedHandlerFactory:
-        """Return the equivalent of `_learned` for latched connections."""
+    def _latched_handler_factory(self, latched_handler: LatchedHandlerFactory) -> LatchedHandlerFactory:
+        """Return the equivalent of `_create_handler` for latched connections."""
 
         def handler_factory(
             decoder: Decoder, publisher: Publisher, connection: LatchedConnection
         ) -> MessageHandler:
-            self.outputs.learned()
-            return latched(decoder, publisher, connection)
+            self.outputs.advertise_learned()
+            return latched_handler(decoder, publisher, connection)
 
         return handler_factory
 
@@ -177,7 +179,7 @@ class RosInterface:
         self,
         topic: str,
         handler: Callable[[str], object],
-        runs: Optional[ClockEpochs] = None,
+        clock_epochs: Optional[ClockEpochs] = None,
         latched: Optional[LatchedInputs] = None,
     ) -> ContextManager[object]:
         """Subscribe a topic of texts between the nodes; return the lock under which the texts are processed.
@@ -185,13 +187,13 @@ class RosInterface:
         Args:
             topic: name of the topic.
             handler: handler of a text.
-            runs: clock epochs; texts of an epoch that has not begun are queued there.
+            clock_epochs: clock epochs; texts of an epoch that has not begun are queued there.
             latched: recognizes the texts of latched messages that were processed already.
         """
         name = rospy.resolve_name(topic)
-        handler_factory = text_handler_factory(handler, runs, latched)
+        handler_factory = text_handler_factory(handler, clock_epochs, latched)
         processing_lock = threading.Lock()
-        self._texts.append(
+        self._text_topics.append(
             InputTopic(
                 self._definitions,
                 name,
@@ -204,25 +206,25 @@ class RosInterface:
         )
         return processing_lock
 
-    def leave(self, topics: Iterable[TopicType]) -> None:
+    def exclude(self, topics: Iterable[TopicType]) -> None:
         """Reject topics that node retalis subscribes itself, so that no message is processed twice."""
-        self._elsewhere = {rospy.resolve_name(topic) for topic, _ in topics}
+        self._excluded = {rospy.resolve_name(topic) for topic, _ in topics}
 
-    def learn(self, topic: str, kind: str) -> None:
+    def learn(self, topic: str, message_type: str) -> None:
         """Learn an unknown type from a publisher of a topic that node retalis subscribes; process no messages."""
-        if self.outputs.knows(kind):
+        if self.outputs.knows(message_type):
             return
         is_learned = threading.Event()
 
         def handler_factory(decoder: Decoder) -> MessageHandler:
-            self.outputs.learned()
+            self.outputs.advertise_learned()
             is_learned.set()
             return lambda data: None
 
-        listening = InputTopic(
+        input_topic = InputTopic(
             self._definitions,
             resolve(topic),
-            kind,
+            message_type,
             handler_factory,
             self._queue,
             self.processing_lock,
@@ -232,13 +234,13 @@ class RosInterface:
         # Not closed by `handler_factory`: rospy calls it in the thread of the connection that closing would end.
         def close() -> None:
             is_learned.wait()
-            listening.close()
+            input_topic.close()
 
-        threading.Thread(target=close, daemon=True, name=f"learning {kind}").start()
+        threading.Thread(target=close, daemon=True, name=f"learning {message_type}").start()
 
     def inputs(self) -> List[InputStatus]:
         """Return the counters of each subscribed topic."""
-        return [topic.status() for topic in [*self._inputs.values(), *self._texts]]
+        return [topic.status() for topic in [*self._inputs.values(), *self._text_topics]]
 
     def unsubscribe(self, topic: str) -> None:
         """Unsubscribe a topic.
@@ -268,22 +270,22 @@ class InputTopic:
         self,
         definitions: Definitions,
         name: str,
-        kind: str,
+        message_type: str,
         handler_factory: HandlerFactory,
         queue: int,
         processing_lock: ContextManager[object],
         reports: Reports,
-        consume_results: ResultConsumer = discard_results,
-        hold: float = HOLD,
+        consume_results: ResultConsumer = consume_and_discard,
+        max_delay: float = MAX_DELAY_SECONDS,
         skew: Optional[ClockSkewMonitor] = None,
         latched: Optional[LatchedHandlerFactory] = None,
-        event: str = "",
-        runs: Optional[ClockEpochs] = None,
+        event_name: str = "",
+        clock_epochs: Optional[ClockEpochs] = None,
     ):
         self._latched = latched
-        self._event = event
-        self._runs = runs
-        self.kind = kind
+        self._event_name = event_name
+        self._clock_epochs = clock_epochs
+        self.message_type = message_type
         self._skew = skew
         self._reports = reports
         self._processing_lock = processing_lock
@@ -296,7 +298,7 @@ class InputTopic:
         self._subscriber = rospy.Subscriber(
             name, rospy.AnyMsg, self._receive, queue_size=queue, tcp_nodelay=True
         )
-        read_in_batches(self._subscriber, self._handler_of, hold)
+        read_in_batches(self._subscriber, self._handler_for, max_delay)
 
     def status(self) -> InputStatus:
         """Return the counters, and request that the lag of the next message is measured."""
@@ -305,7 +307,7 @@ class InputTopic:
         age = None if counts.last is None else time.monotonic() - counts.last
         return InputStatus(
             self._name,
-            self.kind,
+            self.message_type,
             self._subscriber.get_num_connections(),
             counts.messages,
             counts.dropped,
@@ -331,10 +333,10 @@ class InputTopic:
         """Process a message that rospy has read."""
         # rospy attaches the connection's header, the same object to each message. It has no public name.
         header = message._connection_header
-        data = message._buff if message.__class__ is rospy.AnyMsg else raw_bytes(message)
-        self._handler_of(header)([data])
+        data = message._buff if message.__class__ is rospy.AnyMsg else serialized_bytes(message)
+        self._handler_for(header)([data])
 
-    def _handler_of(self, header: Dict[str, str]) -> BatchHandler:
+    def _handler_for(self, header: Dict[str, str]) -> BatchHandler:
         """Return the handler of a connection's messages."""
         # By identity: a comparison of the headers would cost more than the conversion of a small message.
         cached = self._cached_handlers.get(id(header))
@@ -346,16 +348,20 @@ class InputTopic:
         self, handler: MessageHandler, stamp: Callable[[bytes], Optional[int]], publisher: str
     ) -> BatchHandler:
         """Return the handler of messages that were read together, which queues those of a coming epoch."""
-        processing_lock, counts, runs = self._processing_lock, self.counts, self._runs
+        processing_lock, counts, clock_epochs = self._processing_lock, self.counts, self._clock_epochs
         handle_batch = self._reporting_handler(handler, publisher)
 
         def handle_messages(messages: List[bytes]) -> None:
-            counts.note(len(messages))
+            counts.count(len(messages))
             if counts.needs_lag:
                 counts.measure_lag(stamp, messages[-1])
             with processing_lock:
-                if runs is not None and runs.holding and runs.holds(publisher):
-                    runs.keep(handle_batch, messages)
+                if (
+                    clock_epochs is not None
+                    and clock_epochs.is_buffering
+                    and clock_epochs.must_buffer(publisher)
+                ):
+                    clock_epochs.buffer(handle_batch, messages)
                 else:
                     handle_batch(messages)
 
@@ -375,8 +381,8 @@ class InputTopic:
                 # The message belongs to the next epoch. It and all later ones of its connection wait for the
                 # epoch's begin, so that the order within the connection is preserved.
                 except Early:
-                    if self._runs is not None:
-                        self._runs.keep_early(publisher, handle_batch, messages[position:])
+                    if self._clock_epochs is not None:
+                        self._clock_epochs.buffer_early(publisher, handle_batch, messages[position:])
                         return
                 except Exception as error:
                     # rospy would close the connection.
@@ -405,7 +411,7 @@ class InputTopic:
         The cache holds the header, too: its identity is the key, and would be reused if the header were freed.
         """
         try:
-            decoder = self._decoder_of(header)
+            decoder = self._decoder_for(header)
             stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
@@ -444,30 +450,34 @@ class InputTopic:
         """Return a handler that drops, counts and reports messages."""
 
         def refuse(messages: List[bytes]) -> None:
-            self.counts.note(len(messages))
+            self.counts.count(len(messages))
             self.counts.refused += len(messages)
             for _ in messages:
                 self._reports.warning(reason)
 
         return refuse
 
-    def _decoder_of(self, header: Dict[str, str]) -> Decoder:
+    def _decoder_for(self, header: Dict[str, str]) -> Decoder:
         """Return the decoder for a publisher's messages.
 
         Raises:
             MessageError: if their type differs from the subscription's.
         """
-        sent = header.get("type", "*")
+        sent_type = header.get("type", "*")
         learned = self._definitions.learn(
-            self.kind, sent, header.get("message_definition", ""), header.get("md5sum", ""), self._event
+            self.message_type,
+            sent_type,
+            header.get("message_definition", ""),
+            header.get("md5sum", ""),
+            self._event_name,
         )
-        if learned.instead:
+        if learned.is_replacement:
             rospy.logwarn(
                 "topic %s is subscribed as %s, which is unknown here; %s publishes %s, which is used instead",
                 self._name,
-                self.kind,
+                self.message_type,
                 printable(beginning(header.get("callerid", "somebody"))),
-                printable(beginning(sent)),
+                printable(beginning(sent_type)),
             )
         return learned.decoder
 
@@ -476,25 +486,27 @@ OUTPUT_EVENT = functor("event", 3)
 """Functor of an output between the nodes: term, topic, and id of the subscription."""
 
 
-def connect(interface: RosInterface, topics: Topics, direct: Iterable[TopicType] = ()) -> None:
+def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[TopicType] = ()) -> None:
     """Subscribe and advertise the topics of ``pub_sub.xml``, except those that node retalis subscribes itself."""
-    direct = tuple(direct)
-    direct_names = {rospy.resolve_name(topic) for topic, _ in direct}
-    may_be_learned = any(not interface.outputs.knows(kind) for _, kind in (*topics.subscribed, *direct))
-    for topic, kind in topics.published:
+    direct_topics = tuple(direct_topics)
+    direct_names = {rospy.resolve_name(topic) for topic, _ in direct_topics}
+    may_be_learned = any(
+        not interface.outputs.knows(message_type) for _, message_type in (*topics.subscribed, *direct_topics)
+    )
+    for topic, message_type in topics.published:
         latched = topic in topics.latched
-        _try(lambda: interface.outputs.advertise(topic, kind, latched), topic, may_be_learned)  # noqa: B023
-    for topic, kind in topics.subscribed:
+        _try(lambda: interface.outputs.advertise(topic, message_type, latched), topic, may_be_learned)  # noqa: B023
+    for topic, message_type in topics.subscribed:
         if rospy.resolve_name(topic) not in direct_names:
-            _try(lambda: interface.subscribe(topic, kind, topics.event_of(topic)), topic)  # noqa: B023
+            _try(lambda: interface.subscribe(topic, message_type, topics.event_of(topic)), topic)  # noqa: B023
 
 
-def _try(work: Callable[[], None], topic: str, may_come: bool = False) -> None:
+def _try(work: Callable[[], None], topic: str, may_be_learned: bool = False) -> None:
     """Apply a line of ``pub_sub.xml``; log a failure, as information if a publisher may still define the type."""
     try:
         work()
     except RetalisError as error:
-        if may_come and isinstance(error, MessageError):
+        if may_be_learned and isinstance(error, MessageError):
             rospy.loginfo("%s: topic %s: %s; it may come with a message", TOPICS, topic, error)
         else:
             rospy.logerr("%s: topic %s: %s", TOPICS, topic, error)

@@ -1,7 +1,8 @@
 """Log of a node: forwarding of the package's records to ROS, counts of problems, and output of goals.
 
 Records and printed lines contain text from outside, for example from messages. To prevent forged log lines, control
-characters are escaped, further lines of a record are indented, and lines that goals print begin with `PRINTED`.
+characters are escaped, further lines of a record are indented, and lines that goals print begin with
+`PRINTED_LINE_PREFIX`.
 """
 
 import io
@@ -31,7 +32,7 @@ class LogCounts(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Count a record."""
-        if getattr(_sending, "counted", False):
+        if getattr(_thread_state, "is_counted", False):
             return
         if record.levelno >= logging.ERROR:
             self.errors += 1
@@ -39,17 +40,17 @@ class LogCounts(logging.Handler):
             self.warnings += 1
 
 
-_sending = threading.local()
-"""Attribute ``counted`` is true while this thread sends a record to ROS that `Reports` has counted."""
+_thread_state = threading.local()
+"""Attribute ``is_counted`` is true while this thread sends a record to ROS that `Reports` has counted."""
 
 
 class _RosHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        _sending.counted = getattr(record, COUNTED, False)
+        _thread_state.is_counted = getattr(record, COUNTED, False)
         try:
             self._send(record)
         finally:
-            _sending.counted = False
+            _thread_state.is_counted = False
 
     def _send(self, record: logging.LogRecord) -> None:
         text = self.format(record)
@@ -65,7 +66,7 @@ log_counts = LogCounts()
 """The counts of this node."""
 
 
-def write_out_each_line() -> None:
+def use_line_buffering() -> None:
     """Switch stdout to line buffering.
 
     rospy prints messages of level INFO there and does not flush. In a file or a pipe, the stdout of a node that
@@ -79,36 +80,36 @@ def write_out_each_line() -> None:
 def forward_log(logger: logging.Logger) -> None:
     """Forward the records of a logger to rospy's log functions, for the screen and ``/rosout``.
 
-    All later records of rospy are counted in `log_counts`, and escaped by `show_safely`.
+    All later records of rospy are counted in `log_counts`, and escaped by `escape_record`.
     """
     rosout = logging.getLogger("rosout")
     rosout.addHandler(log_counts)
     # Filters of a logger are not applied to records of its children, so the handlers get the filter, too.
     for filtered in (rosout, *rosout.handlers, *logging.getLogger().handlers):
-        filtered.addFilter(show_safely)
+        filtered.addFilter(escape_record)
     logger.addHandler(_RosHandler())
     logger.setLevel(logging.INFO)
     logger.propagate = False
 
 
-def show_safely(record: logging.LogRecord) -> bool:
+def escape_record(record: logging.LogRecord) -> bool:
     """Escape the text of a log record so that it cannot look like another record; return True, as a log filter.
 
     ``${`` is escaped because rospy's console handler would substitute it, and fail if the bracket is not closed.
     """
     # A record passes several handlers, and must be escaped once.
-    if not hasattr(record, "shown_safely"):
+    if not hasattr(record, "is_escaped"):
         try:
             text = printable(record.getMessage())
         except Exception:
             # Arguments that do not fit the format: rospy's handler would raise in the caller.
             text = printable(f"{record.msg} {record.args}")
         record.msg, record.args = text.replace("\n", "\n    ").replace("${", "\\x24{"), ()
-        record.shown_safely = True
+        record.is_escaped = True
     return True
 
 
-PRINTED = "| "
+PRINTED_LINE_PREFIX = "| "
 """Prefix of each line that goals print."""
 
 MAX_PRINTED_LINE_CHARACTERS = 4096
@@ -139,7 +140,7 @@ class PrintedLines:
         stream = getattr(sys, self._stream)
         if lines and stream is not None:
             # None if the node was started with it closed.
-            stream.write("".join(f"{PRINTED}{line}\n" for line in lines))
+            stream.write("".join(f"{PRINTED_LINE_PREFIX}{line}\n" for line in lines))
 
     def end(self) -> None:
         """Print the last line if it is incomplete."""
@@ -147,7 +148,7 @@ class PrintedLines:
             self("\n")
 
 
-def print_lines_of(logic: PrologSystem) -> None:
+def print_goal_output(logic: PrologSystem) -> None:
     """Redirect the output of goals to `PrintedLines`, so that it cannot be mistaken for log records."""
     streams = PrintedLines("stdout"), PrintedLines("stderr")
     logic.print_to(*streams)

@@ -40,46 +40,46 @@ class SimulatedTime:
     When simulated time jumps back, all parts of the node enter the new epoch at the same moment; see `ClockEpochs`.
 
     Attributes:
-        runs: the epochs; None for wall time.
+        epochs: the epochs; None for wall time.
     """
 
     def __init__(self, reports: Reports):
         self._reports = reports
-        self._woken = threading.Event()
+        self._wake_up = threading.Event()
         self._clock: Optional[rospy.Subscriber] = None
-        self.runs = None if is_wallclock() else ClockEpochs(reports, ros_now, self._woken.set)
+        self.epochs = None if is_wallclock() else ClockEpochs(reports, ros_now, self._wake_up.set)
 
     def now(self) -> int:
         """Return the time of the present epoch in nanoseconds."""
-        return ros_now() if self.runs is None else self.runs.now()
+        return ros_now() if self.epochs is None else self.epochs.now()
 
     def may_wait(self) -> bool:
         """Return whether messages may be queued for an epoch that has not begun."""
-        return self.runs is not None and self.runs.may_wait()
+        return self.epochs is not None and self.epochs.may_wait()
 
-    def begin(self, turns: Sequence[ContextManager[object]], *began: Callable[[int], object]) -> None:
+    def begin(self, locks: Sequence[ContextManager[object]], *callbacks: Callable[[int], object]) -> None:
         """Start to follow ``/clock``; see `ClockEpochs.begin`."""
-        runs = self.runs
-        if runs is None:
+        epochs = self.epochs
+        if epochs is None:
             return
-        runs.begin(turns, *began)
+        epochs.begin(locks, *callbacks)
 
-        def work() -> None:
-            wait: Optional[float] = None
+        def run() -> None:
+            timeout: Optional[float] = None
             while not rospy.is_shutdown():
-                self._woken.wait(wait)
-                self._woken.clear()
+                self._wake_up.wait(timeout)
+                self._wake_up.clear()
                 try:
-                    wait = runs.step()
+                    timeout = epochs.step()
                 except Exception as error:
                     # The next step continues the work of this one.
                     self._reports.error(error)
 
-        threading.Thread(target=work, daemon=True, name="runs of /clock").start()
+        threading.Thread(target=run, daemon=True, name="runs of /clock").start()
         # rospy itself subscribes /clock. Its callback is registered earlier and runs in the same thread, so rospy's
         # time has been updated when this callback runs.
         self._clock = rospy.Subscriber(
-            "/clock", ClockMessage, lambda message: runs.clock_at(message.clock.to_nsec())
+            "/clock", ClockMessage, lambda message: epochs.clock_at(message.clock.to_nsec())
         )
 
 
@@ -94,19 +94,19 @@ class Receipts:
 
     def __init__(self, now: Callable[[], int] = ros_now) -> None:
         self._clock = Clock(now)
-        self._runs = 0
+        self._epoch = 0
 
     def stamp(self) -> int:
         """Return the stamp of a message that is received now, in nanoseconds."""
         instant = self._clock.stamp_at_once()
         if instant is None:
             # Time has jumped back.
-            self.runs()
+            self.epoch()
             instant = self._clock.stamp()
         return instant
 
-    def runs(self) -> int:
+    def epoch(self) -> int:
         """Return the number of times that time has jumped back."""
         if self._clock.went_back():
-            self._runs += 1
-        return self._runs
+            self._epoch += 1
+        return self._epoch

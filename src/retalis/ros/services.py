@@ -51,17 +51,17 @@ MAX_REQUEST_CHARACTERS = 100_000
 _SUBSCRIBE = functor("subscribe", 5)
 
 
-def shown(text: str) -> str:
+def quoted_text(text: str) -> str:
     """Return the field of a request in the form in which responses quote it."""
     return printable(beginning(text.strip()))
 
 
-def provide(name: str, kind: Any, handler: Callable[[Any], Any]) -> None:
+def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) -> None:
     """Offer a service whose requests have a limited number of characters.
 
     Args:
         name: name of the service.
-        kind: class of the service; the first field of its response is the result.
+        service_class: class of the service; the first field of its response is the result.
         handler: returns the response to a request.
     """
 
@@ -72,7 +72,7 @@ def provide(name: str, kind: Any, handler: Callable[[Any], Any]) -> None:
             return {"result": f"error: the request has {size} characters: expected at most {limit}"}
         return handler(request)
 
-    rospy.Service(name, kind, handle)
+    rospy.Service(name, service_class, handle)
 
 
 def _texts(request: Any) -> Iterator[str]:
@@ -84,16 +84,16 @@ def _texts(request: Any) -> Iterator[str]:
             yield from value
 
 
-def answer(work: Callable[[], None]) -> str:
+def result_of(execute: Callable[[], None]) -> str:
     """Execute a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
     try:
-        work()
+        execute()
     except RetalisError as error:
-        return reason(error)
+        return error_result(error)
     return OK
 
 
-def reason(error: RetalisError) -> str:
+def error_result(error: RetalisError) -> str:
     """Return the result of a request that failed with an error."""
     return "error: " + " ".join(
         beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines()
@@ -106,14 +106,14 @@ class _Fields(NamedTuple):
     Attributes:
         event: pattern of events.
         conditions: goals.
-        form: template of the result; a variable stands for the event itself.
-        free: names of variables in the template that occur neither in the pattern nor in the goals.
+        template: template of the result; a variable stands for the event itself.
+        unbound_names: names of variables in the template that occur neither in the pattern nor in the goals.
     """
 
     event: Term
     conditions: List[Term]
-    form: Term
-    free: List[str]
+    template: Term
+    unbound_names: List[str]
 
 
 class EngineServices:
@@ -122,109 +122,109 @@ class EngineServices:
     Args:
         engine: engine of the node.
         untyped_topics: warns about subscribed topics without a type.
-        doubt: returns the reason why no events of a pattern are expected; "" if there may be some.
-        misfit: returns the reason why no output of a subscription, a goal ``subscribe/5``, can be a message of its
-            topic's type; "" if some may be.
+        missing_source: returns the reason why no events of a pattern are expected; "" if there may be some.
+        type_mismatch: returns the reason why no output of a subscription, a goal ``subscribe/5``, can be a message of
+            its topic's type; "" if some may be.
     """
 
     def __init__(
         self,
         engine: Engine,
         untyped_topics: UntypedTopicWarnings,
-        doubt: Callable[[Term], str],
-        misfit: Callable[[CompoundTerm, str], str],
+        missing_source: Callable[[Term], str],
+        type_mismatch: Callable[[CompoundTerm, str], str],
     ):
         from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
         self._untyped_topics = untyped_topics
-        self._doubt = doubt
-        self._misfit = misfit
-        provide("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
-        provide("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
-        provide("add_memory", srv.AddMemory, self._add_memory)
-        provide("delete_memory", srv.DeleteMemory, self._delete_memory)
+        self._missing_source = missing_source
+        self._type_mismatch = type_mismatch
+        offer_service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
+        offer_service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
+        offer_service("add_memory", srv.AddMemory, self._add_memory)
+        offer_service("delete_memory", srv.DeleteMemory, self._delete_memory)
 
     def _add_subscription(self, request: Any) -> str:
-        def work() -> None:
-            topic, key = name(request.topic, "topic"), name(request.id, "id")
+        def execute() -> None:
+            topic, key = name_term(request.topic, "topic"), name_term(request.id, "id")
             if self._engine.has_subscription(topic, key):
                 raise UsageError(
-                    f"a subscription {shown(request.id)} of topic {shown(request.topic)} already exists"
+                    f"a subscription {quoted_text(request.id)} of topic {quoted_text(request.topic)} already exists"
                 )
             fields = self._fields(request)
-            goal = (_SUBSCRIBE, fields.event, make_list(fields.conditions), fields.form, topic, key)
+            goal = (_SUBSCRIBE, fields.event, make_list(fields.conditions), fields.template, topic, key)
             # Checked before the subscription is added: a response with an error must leave the engine unchanged.
-            misfit = self._misfit(goal, request.topic.strip())
-            if misfit:
-                raise UsageError(f"format: {misfit}")
-            self._engine.add_subscription(fields.event, fields.conditions, fields.form, topic, key)
-            self._warn_about_unbound("subscribe", request.id, fields)
+            type_mismatch = self._type_mismatch(goal, request.topic.strip())
+            if type_mismatch:
+                raise UsageError(f"format: {type_mismatch}")
+            self._engine.add_subscription(fields.event, fields.conditions, fields.template, topic, key)
+            self._log_unbound("subscribe", request.id, fields)
             matched_fields = fields._replace(event=subscription_event(fields.event))
-            self._warn_about_missing_source("subscribe", request.id, matched_fields)
+            self._log_missing_source("subscribe", request.id, matched_fields)
             self._untyped_topics.check(request.topic.strip())
 
-        return answer(lambda: run_restricted(self._engine, work))
+        return result_of(lambda: run_restricted(self._engine, execute))
 
     def _add_memory(self, request: Any) -> str:
-        def work() -> None:
-            key, size = name(request.id, "id"), self._size(request.size)
+        def execute() -> None:
+            key, size = name_term(request.id, "id"), self._size(request.size)
             if self._engine.has_memory(key):
-                raise UsageError(f"a memory {shown(request.id)} already exists")
+                raise UsageError(f"a memory {quoted_text(request.id)} already exists")
             fields = self._fields(request)
-            self._engine.add_memory(fields.event, fields.conditions, fields.form, key, size)
-            self._warn_about_unbound("memorize", request.id, fields)
-            self._warn_about_missing_source("memorize", request.id, fields)
+            self._engine.add_memory(fields.event, fields.conditions, fields.template, key, size)
+            self._log_unbound("memorize", request.id, fields)
+            self._log_missing_source("memorize", request.id, fields)
 
-        return answer(lambda: run_restricted(self._engine, work))
+        return result_of(lambda: run_restricted(self._engine, execute))
 
     def _delete_subscription(self, request: Any) -> str:
-        def work() -> None:
-            topic, key = name(request.topic, "topic"), name(request.id, "id")
+        def execute() -> None:
+            topic, key = name_term(request.topic, "topic"), name_term(request.id, "id")
             if not self._engine.delete_subscription(topic, key):
                 raise UsageError(
-                    f"there is no subscription {shown(request.id)} of topic {shown(request.topic)}"
+                    f"there is no subscription {quoted_text(request.id)} of topic {quoted_text(request.topic)}"
                 )
 
-        return answer(work)
+        return result_of(execute)
 
     def _delete_memory(self, request: Any) -> str:
-        def work() -> None:
-            if not self._engine.delete_memory(name(request.id, "id")):
-                raise UsageError(f"there is no memory {shown(request.id)}")
+        def execute() -> None:
+            if not self._engine.delete_memory(name_term(request.id, "id")):
+                raise UsageError(f"there is no memory {quoted_text(request.id)}")
 
-        return answer(work)
+        return result_of(execute)
 
     def _fields(self, request: Any) -> _Fields:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
-        (event, conditions, form), names = self._parse_fields({**fields, "format": request.format})
+        (event, conditions, template), names = self._parse_fields({**fields, "format": request.format})
         goals = [] if conditions is TRUE else list(conjuncts(conditions))
         self._check("event", "an event: an atom or a compound term", event, (Atom, tuple, Var))
         for goal in goals:
             self._check("conditions", "goals: atoms or compound terms", goal, (Atom, tuple))
-        self._check("format", "an atom or a compound term, or _ for the event", form, (Atom, tuple, Var))
-        unbound = set(variables(form)).difference(variables((COMMA, event, conditions)))
-        free = [name for name, var in names.items() if var in unbound]
-        return _Fields(event, goals, form, [] if isinstance(form, Var) else free)
+        self._check("format", "an atom or a compound term, or _ for the event", template, (Atom, tuple, Var))
+        unbound = set(variables(template)).difference(variables((COMMA, event, conditions)))
+        unbound_names = [name for name, var in names.items() if var in unbound]
+        return _Fields(event, goals, template, [] if isinstance(template, Var) else unbound_names)
 
-    def _warn_about_unbound(self, goal: str, text: str, fields: _Fields) -> None:
+    def _log_unbound(self, goal: str, text: str, fields: _Fields) -> None:
         """Log variables of the format that never get a value."""
-        if fields.free:
+        if fields.unbound_names:
             rospy.logwarn(
                 "%s %s: nothing in event or conditions gives %s in the format a value",
                 goal,
-                shown(text),
-                " and ".join(fields.free),
+                quoted_text(text),
+                " and ".join(fields.unbound_names),
             )
 
-    def _warn_about_missing_source(self, goal: str, text: str, fields: _Fields) -> None:
+    def _log_missing_source(self, goal: str, text: str, fields: _Fields) -> None:
         """Log that the pattern's events have no source."""
-        doubt = self._doubt(fields.event)
-        if doubt:
-            rospy.logwarn("%s %s: %s", goal, shown(text), printable(doubt))
+        missing_source = self._missing_source(fields.event)
+        if missing_source:
+            rospy.logwarn("%s %s: %s", goal, quoted_text(text), printable(missing_source))
 
-    def _check(self, field: str, expected: str, term: Term, kinds: Tuple[type, ...]) -> None:
-        if not isinstance(deref(term), kinds):
+    def _check(self, field: str, expected: str, term: Term, types: Tuple[type, ...]) -> None:
+        if not isinstance(deref(term), types):
             raise UsageError(f"{field}: expected {expected}, found {self._engine.brief(term)}")
 
     def _parse_fields(self, fields: Dict[str, str]) -> Tuple[List[Term], Dict[str, Var]]:
@@ -237,14 +237,14 @@ class EngineServices:
             try:
                 # Separate parsing of the fields gives errors with positions within the field that the caller sent.
                 flags = ReadFlags(made=field == "format")
-                read = read_term(text, self._engine.operators, field, flags)
+                parsed = read_term(text, self._engine.operators, field, flags)
             except SyntaxFault as fault:
                 raise UsageError(f"{field}: {fault.brief()}") from fault
-            for name, var in read.names.items():
-                first = shared.setdefault(name, var)
-                if first is not var:
-                    var.ref = first
-            terms.append(read.term)
+            for name, var in parsed.names.items():
+                known_var = shared.setdefault(name, var)
+                if known_var is not var:
+                    var.ref = known_var
+            terms.append(parsed.term)
         return terms, shared
 
     def _size(self, text: str) -> int:
@@ -264,43 +264,43 @@ class InterfaceServices:
         from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._interface = interface
-        provide("add_input_subscription", srv.AddInputSubscription, self._add)
-        provide("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
+        offer_service("add_input_subscription", srv.AddInputSubscription, self._add)
+        offer_service("delete_input_subscription", srv.DeleteInputSubscription, self._delete)
 
     def _add(self, request: Any) -> str:
-        topic, kind = request.topic.strip(), request.message_type.strip()
+        topic, message_type = request.topic.strip(), request.message_type.strip()
 
-        def work() -> None:
+        def execute() -> None:
             # Rejects invalid names before any lookup.
-            topic_type(topic, kind)
-            is_known = self._interface.outputs.knows(kind)
-            suggestion = "" if is_known else Definitions().misspelt(kind)
+            topic_type(topic, message_type)
+            is_known = self._interface.outputs.knows(message_type)
+            suggestion = "" if is_known else Definitions().misspelt(message_type)
             # An unknown type is not an error: a publisher's connection header contains its definition.
-            if suggestion and not _is_published(topic, kind):
+            if suggestion and not _is_published(topic, message_type):
                 raise UsageError(
-                    f"message_type: there is no type '{shown(kind)}' here; did you mean {suggestion}? "
+                    f"message_type: there is no type '{quoted_text(message_type)}' here; did you mean {suggestion}? "
                     "If a publisher is to bring the type, start the publisher first"
                 )
-            self._interface.subscribe(topic, kind)
+            self._interface.subscribe(topic, message_type)
             if not is_known:
                 rospy.logwarn(
                     "topic %s is subscribed as %s, which is not known here: it is learned from a publisher",
-                    shown(topic),
-                    kind,
+                    quoted_text(topic),
+                    message_type,
                 )
 
-        return answer(work)
+        return result_of(execute)
 
     def _delete(self, request: Any) -> str:
-        return answer(lambda: self._interface.unsubscribe(request.topic.strip()))
+        return result_of(lambda: self._interface.unsubscribe(request.topic.strip()))
 
 
-def _is_published(topic: str, kind: str) -> bool:
+def _is_published(topic: str, message_type: str) -> bool:
     """Return whether the master knows a publisher of a topic with this type."""
-    return published_types().get(resolve(topic)) == kind
+    return published_types().get(resolve(topic)) == message_type
 
 
-def name(text: str, field: str) -> Term:
+def name_term(text: str, field: str) -> Term:
     """Return the term of a topic or an id: the parsed text if it is an atom or an integer, otherwise an atom.
 
     The parser reads a topic like ``robot/marker1`` as a division, but it is a name.
@@ -327,22 +327,22 @@ class RuleServices:
         from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
-        self._added = srv.AddRuleResponse
-        provide("~add_rule", srv.AddRule, self._add)
-        provide("~delete_rule", srv.DeleteRule, self._delete)
+        self._response = srv.AddRuleResponse
+        offer_service("~add_rule", srv.AddRule, self._add)
+        offer_service("~delete_rule", srv.DeleteRule, self._delete)
 
     def _add(self, request: Any) -> Any:
         try:
-            return self._added(OK, add_rule(self._engine, request.rule, request.label))
+            return self._response(OK, add_rule(self._engine, request.rule, request.label))
         except (SyntaxFault, ProgramErrors) as error:
-            return self._added(
+            return self._response(
                 f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", ""
             )  # with the source lines and the carets below them
         except RetalisError as error:
-            return self._added(reason(error), "")
+            return self._response(error_result(error), "")
 
     def _delete(self, request: Any) -> str:
-        return answer(lambda: delete_rule(self._engine, request.label))
+        return result_of(lambda: delete_rule(self._engine, request.label))
 
 
 DEFAULT_LISTED_ITEMS = 100
@@ -351,13 +351,13 @@ DEFAULT_LISTED_ITEMS = 100
 MAX_LISTED_ITEMS = 10_000
 """Limit for the items that ``~list`` returns of each kind."""
 
-NEVER = -1
+NO_DURATION = -1
 """Duration in nanoseconds that stands for an absent value."""
 
-_LAST = 1 << 32
+_TIME_LIMIT_SECONDS = 1 << 32
 """First second that a time in a ROS message cannot represent."""
 
-_MAX_INT32 = 1 << 31
+_DURATION_LIMIT_SECONDS = 1 << 31
 
 
 class ListService:
@@ -408,14 +408,14 @@ class ListService:
             response.work, response.work_goal = status.work.what, status.work.goal
             response.work_place = status.work.place
             response.work_time = _duration(int(status.work.seconds * SECOND))
-        for name in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
-            setattr(response, name, getattr(status, name))
-        response.rules = [self._rule(item) for item in status.rules]
-        response.memories = [self._memory(item) for item in status.memories]
-        response.subscriptions = [self._subscription(item) for item in status.subscriptions]
-        response.waiting = [self._query(item) for item in status.waiting]
-        for name, number in status.left_out._asdict().items():
-            setattr(response, f"more_{name}", number)
+        for field in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
+            setattr(response, field, getattr(status, field))
+        response.rules = [self._rule(status) for status in status.rules]
+        response.memories = [self._memory(status) for status in status.memories]
+        response.subscriptions = [self._subscription(status) for status in status.subscriptions]
+        response.waiting = [self._query(status) for status in status.waiting]
+        for field, count in status.left_out._asdict().items():
+            setattr(response, f"more_{field}", count)
 
     def _rule(self, rule: RuleStatus) -> Any:
         return self._msg.RuleStatus(**rule._replace(last_fired=_time(rule.last_fired))._asdict())
@@ -444,13 +444,15 @@ class ListService:
 
 def _time(instant: Optional[int]) -> Any:
     """Return an instant as ROS time: zero for None, and the nearest representable one if it is out of range."""
-    return rospy.Time(0, min(max(instant or 0, 0), _LAST * SECOND - 1))
+    return rospy.Time(0, min(max(instant or 0, 0), _TIME_LIMIT_SECONDS * SECOND - 1))
 
 
 def _duration(nanoseconds: Optional[int]) -> Any:
     """Return a time span as ROS duration: -1 ns for None, and the nearest representable one if it is out of range."""
-    span = NEVER if nanoseconds is None else nanoseconds
-    return rospy.Duration(0, min(max(span, -_MAX_INT32 * SECOND), _MAX_INT32 * SECOND - 1))
+    span = NO_DURATION if nanoseconds is None else nanoseconds
+    return rospy.Duration(
+        0, min(max(span, -_DURATION_LIMIT_SECONDS * SECOND), _DURATION_LIMIT_SECONDS * SECOND - 1)
+    )
 
 
 DEFAULT_MAX_SOLUTIONS = 100
@@ -474,7 +476,7 @@ MAX_EXPLANATION_SECONDS = 2.0
 MAX_EXPLANATION_LINES = 1_000
 """Limit for the lines of an explanation."""
 
-NOT_RECORDED = (
+ORIGINS_NOT_RECORDED = (
     "what events come from is not recorded: "
     "start the node with ~explain (explain:=true with roslaunch), or call set_etalis_flag(etalis_justification, on)"
 )
@@ -493,8 +495,8 @@ class QueryServices:
         self._engine = engine
         self._msg, self._srv = msg, srv
         self._waiting = BoundedSemaphore(MAX_WAITING_QUERIES)
-        provide("~query", srv.Query, self._query)
-        provide("~explain", srv.Explain, self._explain)
+        offer_service("~query", srv.Query, self._query)
+        offer_service("~explain", srv.Explain, self._explain)
 
     def _query(self, request: Any) -> Any:
         response = self._srv.QueryResponse
@@ -509,15 +511,15 @@ class QueryServices:
         except SyntaxFault as fault:
             return response(f"error: goal: {fault.brief()}", False, [])
         except RetalisError as error:
-            return response(reason(error), False, [])
+            return response(error_result(error), False, [])
         solutions = [
-            self._msg.Solution([self._msg.Binding(*value) for value in solution])
+            self._msg.Solution([self._msg.Binding(*binding) for binding in solution])
             for solution in answers.solutions
         ]
         return response(OK, answers.complete, solutions)
 
     def _await(self, request: Any) -> None:
-        names = [name(text, "wait_for") for text in request.wait_for]
+        names = [name_term(text, "wait_for") for text in request.wait_for]
         seconds = checked_number("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
         # A query beyond the limit fails at once instead of waiting: a blocked thread is what the limit avoids.
         if not self._waiting.acquire(blocking=False):
@@ -530,11 +532,11 @@ class QueryServices:
     def _explain(self, request: Any) -> Any:
         response = self._srv.ExplainResponse
         if not records_origins(self._engine):
-            return response(f"error: {NOT_RECORDED}", False, [])
+            return response(f"error: {ORIGINS_NOT_RECORDED}", False, [])
         try:
             explanation = explain(self._engine, request.event, MAX_EXPLANATION_SECONDS)
         except RetalisError as error:
-            return response(reason(error), False, [])
+            return response(error_result(error), False, [])
         lines: List[str] = []
         for tree in explanation.lines:
             lines += tree.indented()
@@ -547,7 +549,7 @@ class QueryServices:
 MAX_RELOAD_ERROR_CHARACTERS = 10_000
 """Limit for the errors in a response: a program may have several, each with its source line."""
 
-RESTART = f"topics: {TOPICS} has changed; its topics change when the node is started again"
+TOPICS_CHANGED = f"topics: {TOPICS} has changed; its topics change when the node is started again"
 
 
 class ReloadService:
@@ -558,7 +560,7 @@ class ReloadService:
         folder: folder of the program.
         writable: folders in which goals may write files; None means anywhere.
         topics: topics of the program when the node started.
-        loaded: called with the present topics after the program has been read again.
+        after_reload: called with the present topics after the program has been read again.
     """
 
     def __init__(
@@ -567,7 +569,7 @@ class ReloadService:
         folder: Path,
         writable: Optional[Tuple[str, ...]],
         topics: Topics,
-        loaded: Callable[[Topics], None],
+        after_reload: Callable[[Topics], None],
     ):
         from .. import srv  # noqa: PLC0415 - generated when the package is built
 
@@ -575,28 +577,28 @@ class ReloadService:
         self._folder = folder
         self._writable = writable
         self._topics = topics
-        self._loaded = loaded
-        self._reloaded = srv.ReloadResponse
+        self._after_reload = after_reload
+        self._response = srv.ReloadResponse
         rospy.Service("~reload", srv.Reload, self._reload)
 
     def _reload(self, request: Any) -> Any:
         try:
-            check_writers(self._folder, self._writable)
-            topics = topics_now(self._folder)
+            check_not_writable(self._folder, self._writable)
+            topics = current_topics(self._folder)
             # The engine replaces the program completely, or not at all if there are errors.
             changes = self._engine.reload(self._folder)
         except RetalisError as error:
-            return self._reloaded(
+            return self._response(
                 f"error: {beginning(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", []
             )  # with the source lines and the carets below them
         if topics != self._topics:
-            changes.append(RESTART)
-        self._loaded(topics)
+            changes.append(TOPICS_CHANGED)
+        self._after_reload(topics)
         rospy.loginfo("%s was read again: %s", self._folder, self._engine.summary())
-        return self._reloaded(OK, changes)
+        return self._response(OK, changes)
 
 
-def check_writers(folder: Path, writable: Optional[Tuple[str, ...]]) -> None:
+def check_not_writable(folder: Path, writable: Optional[Tuple[str, ...]]) -> None:
     """Check that no goal may write into a program's folder.
 
     The goals and rules of a program have more permissions than those of services. A goal that a service calls could
@@ -606,17 +608,17 @@ def check_writers(folder: Path, writable: Optional[Tuple[str, ...]]) -> None:
         UsageError: if goals may write into the folder.
     """
     # Resolved paths: a symbolic link must not hide that one folder contains the other.
-    real = os.path.realpath(folder)
+    real_folder = os.path.realpath(folder)
     for folder_of_goals in ("/",) if writable is None else writable:
         real_writable = os.path.realpath(folder_of_goals)
-        if os.path.commonpath((real, real_writable)) == real_writable:
+        if os.path.commonpath((real_folder, real_writable)) == real_writable:
             raise UsageError(
                 f"{folder} is in {folder_of_goals} of ~write_folders: goals of services could write the program; "
                 "restart the node to have it read again"
             )
 
 
-def topics_now(folder: Path) -> Topics:
+def current_topics(folder: Path) -> Topics:
     """Return the topics of a program; none if its file of topics does not exist, as when the node starts.
 
     Raises:

@@ -19,8 +19,7 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError
 from .connection_writer import Outlet
 from .internal_topics import resolve
-from .latched_inputs import MARK as LATCHED_MARK
-from .latched_inputs import LatchedInputs, LatchedMessage, latched_message
+from .latched_inputs import LATCHED_MARK, LatchedInputs, LatchedMessage, latched_message
 from .late_joiners import ENGINE, INTERFACE, LateJoinerBuffer, Publishers, SubscriberIdentifier
 from .topic_statistics import OutputStatus
 
@@ -45,8 +44,8 @@ class TextPublisher:
         topic: name of the topic.
         queue: number of texts to buffer.
         reports: receives a warning for every dropped text.
-        runs: see `LateJoinerBuffer`.
-        simulated: the epochs of a simulated clock, which are announced to the receivers; None for wall time.
+        epochs: see `LateJoinerBuffer`.
+        clock_epochs: the epochs of a simulated clock, which are announced to the receivers; None for wall time.
     """
 
     def __init__(
@@ -54,14 +53,14 @@ class TextPublisher:
         topic: str,
         queue: int,
         reports: Reports,
-        runs: Callable[[], int],
-        simulated: Optional[ClockEpochs] = None,
+        epoch: Callable[[], int],
+        clock_epochs: Optional[ClockEpochs] = None,
     ):
-        self._simulated = simulated
+        self._clock_epochs = clock_epochs
         self._identifier = SubscriberIdentifier()
         self._outlet = Outlet(topic, String, queue, reports, self._is_patient, listener=self._identifier)
-        self._late_joiners = LateJoinerBuffer(self._outlet, ENGINE, queue, reports, runs, self._mark)
-        self._waiting: List[bytes] = []
+        self._late_joiners = LateJoinerBuffer(self._outlet, ENGINE, queue, reports, epoch, self._mark)
+        self._pending: List[bytes] = []
 
     def begin(self, processing_lock: ContextManager[object], publishers: Publishers) -> None:
         """Start to identify subscribers.
@@ -74,26 +73,26 @@ class TextPublisher:
 
     def _mark(self) -> bytes:
         """Return the mark of the current epoch, framed as on the wire; empty for wall time."""
-        return b"" if self._simulated is None else text_frame(mark_of(self._simulated.run))
+        return b"" if self._clock_epochs is None else text_frame(epoch_mark(self._clock_epochs.epoch))
 
-    def begin_run(self, ended: int) -> None:
+    def begin_epoch(self, previous_end: int) -> None:
         """Announce a new epoch of simulated time, after all texts of the former one."""
         self.flush()
         self._late_joiners.send(self._mark(), 1)
 
-    def _is_patient(self, link: Any) -> bool:
+    def _is_patient(self, connection: Any) -> bool:
         """Return whether publishers wait for a receiver: not for a bystander, which may be slow."""
-        return not self._late_joiners.is_bystander(link)
+        return not self._late_joiners.is_bystander(connection)
 
     def add(self, text: str) -> None:
         """Add a text to the next write."""
-        self._waiting.append(text_frame(text))
-        if len(self._waiting) >= MAX_TEXTS_PER_WRITE:
+        self._pending.append(text_frame(text))
+        if len(self._pending) >= MAX_TEXTS_PER_WRITE:
             self.flush()
 
-    def links(self) -> Any:
+    def connections(self) -> Any:
         """Return the connections to the receivers."""
-        return self._outlet.links()
+        return self._outlet.connections()
 
     def status(self) -> OutputStatus:
         """Return the counters of the topic."""
@@ -104,7 +103,7 @@ class TextPublisher:
         text: str,
         message: LatchedMessage,
         publisher: Tuple[str, str],
-        again: Callable[[], str],
+        current_text: Callable[[], str],
         size: int,
     ) -> None:
         """Send the text of a latched message, and store it for instances of node retalis that connect later.
@@ -113,22 +112,22 @@ class TextPublisher:
             text: text to send now.
             message: description of the message, by which node retalis recognizes a repetition.
             publisher: topic and publisher of the message; the newest message of each is stored.
-            again: returns the text for a node that connects later.
+            current_text: returns the text for a node that connects later.
             size: size of the stored message in bytes.
         """
         self.flush()
         # A node whose connection has only dropped and returned has processed the message already. The flag makes
         # it compare the message with the last one that it has taken.
-        mark_again = text_frame(message._replace(is_first=True).mark())
-        self._late_joiners.latch(publisher, lambda: mark_again + text_frame(again()), size)
+        repeated_mark = text_frame(message._replace(is_first=True).mark())
+        self._late_joiners.latch(publisher, lambda: repeated_mark + text_frame(current_text()), size)
         self._late_joiners.send(text_frame(text), 1, text_frame(message.mark()))
 
     def flush(self) -> None:
         """Write the added texts."""
-        waiting = self._waiting
-        if waiting:
-            self._late_joiners.send(b"".join(waiting), len(waiting))
-            waiting.clear()
+        pending = self._pending
+        if pending:
+            self._late_joiners.send(b"".join(pending), len(pending))
+            pending.clear()
 
 
 class OutputTexts:
@@ -163,7 +162,7 @@ class OutputTexts:
         name = self._names.get(topic) or self._names.keep(topic, _full_name(topic), 2 * len(topic))
         is_published = name in self._published
         # Topics such as those of `retalis watch` exist only as text: without a subscriber nothing is written.
-        if not is_published and not self.links():
+        if not is_published and not self.connections():
             return
         frame = text_frame(write())
         with self._processing_lock:
@@ -171,9 +170,9 @@ class OutputTexts:
                 self._late_joiners.latch(name, lambda: frame, len(frame))
             self._late_joiners.send(frame, 1, for_peer=is_published)
 
-    def links(self) -> Any:
+    def connections(self) -> Any:
         """Return the connections to the subscribers."""
-        return self._outlet.links()
+        return self._outlet.connections()
 
     def status(self) -> OutputStatus:
         """Return the counters of the topic."""
@@ -188,20 +187,20 @@ def _full_name(topic: str) -> str:
         return topic
 
 
-MARK = "event(retalis_run("
+EPOCH_MARK = "event(retalis_run("
 """Beginning of the mark that announces the clock epoch of the texts after it."""
 
 _MARK_END = "))"
 
 
-def mark_of(run: int) -> str:
+def epoch_mark(epoch: int) -> str:
     """Return the mark that announces texts of an epoch."""
-    return f"{MARK}{run}{_MARK_END}"
+    return f"{EPOCH_MARK}{epoch}{_MARK_END}"
 
 
 def _epoch_of_mark(text: str) -> Optional[int]:
     """Return the epoch that a mark announces; None if the text is an event."""
-    number = text[len(MARK) : -len(_MARK_END)]
+    number = text[len(EPOCH_MARK) : -len(_MARK_END)]
     is_mark = len(number) < 10 and number.isascii() and number.isdigit() and text.endswith(_MARK_END)
     return int(number) if is_mark else None
 
@@ -212,29 +211,32 @@ _ANY_MARK = "event(retalis_"
 
 def text_handler_factory(
     handler: Callable[[str], object],
-    runs: Optional[ClockEpochs] = None,
+    epochs: Optional[ClockEpochs] = None,
     latched: Optional[LatchedInputs] = None,
 ) -> Callable[[object], Callable[[bytes], None]]:
     """Return a factory of message handlers that pass the texts of ``std_msgs/String`` messages to ``handler``.
 
     Args:
         handler: handler of a text.
-        runs: clock epochs; texts of an epoch that has not begun are queued there. None if marks are not expected.
+        epochs: clock epochs; texts of an epoch that has not begun are queued there. None if marks are not expected.
         latched: recognizes texts of latched messages that ``handler`` has received already.
     """
-    return lambda decoder: _TextReceiver(handler, runs, latched).receive
+    return lambda decoder: _TextReceiver(handler, epochs, latched).receive
 
 
 class _TextReceiver:
     """Receives the texts of one connection; see `text_handler_factory`."""
 
     def __init__(
-        self, handler: Callable[[str], object], runs: Optional[ClockEpochs], latched: Optional[LatchedInputs]
+        self,
+        handler: Callable[[str], object],
+        epochs: Optional[ClockEpochs],
+        latched: Optional[LatchedInputs],
     ):
         self._handler = handler
-        self._runs = runs
+        self._epochs = epochs
         self._latched = latched
-        self._message: Optional[LatchedMessage] = None
+        self._latched_message: Optional[LatchedMessage] = None
         """Latched message that the next text contains."""
 
     def receive(self, data: bytes) -> None:
@@ -244,32 +246,35 @@ class _TextReceiver:
         # A test of the prefix first: nearly all texts are events, and this runs for each of them.
         if text.startswith(_ANY_MARK) and self._apply_mark(text):
             return
-        runs, message = self._runs, self._message
-        if message is not None:
-            self._message = None
-        if runs is not None and runs.holding and runs.holds_texts(self):
+        epochs, latched_message = self._epochs, self._latched_message
+        if latched_message is not None:
+            self._latched_message = None
+        if epochs is not None and epochs.is_buffering and epochs.must_buffer_texts(self):
             # The text of a latched message is compared when it is taken: the next epoch may have begun by then.
-            runs.keep(self._take_all if message is None else partial(self._take_latched, message), [text])
-        elif message is None:
+            epochs.buffer(
+                self._take_all if latched_message is None else partial(self._take_latched, latched_message),
+                [text],
+            )
+        elif latched_message is None:
             self._handler(text)
         else:
-            self._take_latched(message, [text])
+            self._take_latched(latched_message, [text])
 
     def _apply_mark(self, text: str) -> bool:
         """Apply a mark; return False if the text is an event."""
-        run = _epoch_of_mark(text) if text.startswith(MARK) else None
-        if run is not None and self._runs is not None:
-            self._runs.tell(self, run)
+        epoch = _epoch_of_mark(text) if text.startswith(EPOCH_MARK) else None
+        if epoch is not None and self._epochs is not None:
+            self._epochs.report_epoch(self, epoch)
             return True
         message = latched_message(text) if text.startswith(LATCHED_MARK) else None
         if message is not None:
-            self._message = message
+            self._latched_message = message
         return message is not None
 
     def _take_all(self, texts: List[str]) -> None:
         for text in texts:
             self._handler(text)
 
-    def _take_latched(self, message: LatchedMessage, texts: List[str]) -> None:
-        if self._latched is None or not self._latched.repeats(message):
+    def _take_latched(self, latched_message: LatchedMessage, texts: List[str]) -> None:
+        if self._latched is None or not self._latched.is_repetition(latched_message):
             self._take_all(texts)

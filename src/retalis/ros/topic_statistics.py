@@ -35,9 +35,9 @@ class InputCounts:
         self.lag: Optional[int] = None
         self.needs_lag = True
 
-    def note(self, number: int) -> None:
+    def count(self, messages: int) -> None:
         """Count received messages."""
-        self.messages += number
+        self.messages += messages
         self.last = time.monotonic()
 
     def measure_lag(self, stamp: Callable[[bytes], Optional[int]], data: bytes) -> None:
@@ -111,29 +111,31 @@ class OutputStatus(NamedTuple):
 PUBLISHER_WAIT_SECONDS = 10.0
 """Seconds after the start until topics without publishers are reported."""
 
-_MIN_SIMILARITY = 0.7
+_MIN_NAME_SIMILARITY = 0.7
 
 _SERVICES = ("add_memory", "add_input_subscription")
 """Services that identify the two nodes of a program; each offers one."""
 
-_NO_MASTER = (OSError, Error, HTTPException, rosgraph.MasterException)
+_MASTER_ERRORS = (OSError, Error, HTTPException, rosgraph.MasterException)
 
 
-def unpublished(
-    inputs: Iterable[InputStatus], publishers: Mapping[str, Collection[str]], own: Collection[str]
+def unpublished_topic_warnings(
+    inputs: Iterable[InputStatus], publishers: Mapping[str, Collection[str]], own_nodes: Collection[str]
 ) -> Iterator[str]:
     """Yield a warning for each subscribed topic without a publisher.
 
     Args:
         inputs: counters of each topic.
         publishers: publishers of each topic.
-        own: nodes of this program; topics that only they publish are not suggested as intended inputs.
+        own_nodes: nodes of this program; topics that only they publish are not suggested as intended inputs.
     """
-    foreign = [topic for topic, nodes in publishers.items() if any(node not in own for node in nodes)]
+    foreign_topics = [
+        topic for topic, nodes in publishers.items() if any(node not in own_nodes for node in nodes)
+    ]
     for status in inputs:
         if status.publishers or status.messages or publishers.get(status.topic):
             continue
-        matches = get_close_matches(status.topic, foreign, 1, _MIN_SIMILARITY)
+        matches = get_close_matches(status.topic, foreign_topics, 1, _MIN_NAME_SIMILARITY)
         hint = f"; did you mean {matches[0]}?" if matches else ""
         name = f"{status.topic} ({status.type})"
         yield f"nobody publishes topic {name} {PUBLISHER_WAIT_SECONDS:g} s after the start{hint}"
@@ -143,7 +145,7 @@ def published_types() -> Dict[str, str]:
     """Return the types of all published topics; none if the master does not answer."""
     try:
         return dict(rosgraph.Master(rospy.get_name()).getPublishedTopics(""))
-    except _NO_MASTER:
+    except _MASTER_ERRORS:
         # Reported by `MasterWatch`.
         return {}
 
@@ -155,14 +157,16 @@ class StartupWarnings:
 
     Args:
         inputs: returns the counters of each topic.
-        named: topics of the program or its parameters; others are not checked.
-        clock: whether to check ``/clock``, too.
+        topics: topics of the program or its parameters; others are not checked.
+        check_clock: whether to check ``/clock``, too.
     """
 
-    def __init__(self, inputs: Callable[[], List[InputStatus]], named: Iterable[str], clock: bool = False):
+    def __init__(
+        self, inputs: Callable[[], List[InputStatus]], topics: Iterable[str], check_clock: bool = False
+    ):
         self._inputs = inputs
-        self._named = {rospy.resolve_name(topic) for topic in named}
-        self._clock = clock
+        self._topics = {rospy.resolve_name(topic) for topic in topics}
+        self._check_clock = check_clock
         timer = threading.Timer(PUBLISHER_WAIT_SECONDS, self.log_missing)
         timer.daemon = True
         timer.start()
@@ -172,17 +176,17 @@ class StartupWarnings:
         """Log the warnings."""
         if rospy.is_shutdown():
             return
-        if self._clock:
+        if self._check_clock:
             # Logs the warning, once.
             ros_now()
-        waiting = [
-            status for status in self._inputs() if not status.publishers and status.topic in self._named
+        unpublished = [
+            status for status in self._inputs() if not status.publishers and status.topic in self._topics
         ]
-        if not waiting:
+        if not unpublished:
             return
         try:
             published, _, services = rosgraph.Master(rospy.get_name()).getSystemState()
-        except _NO_MASTER:
+        except _MASTER_ERRORS:
             # Reported by `MasterWatch`.
             return
         servers = {rospy.resolve_name(name) for name in _SERVICES}
@@ -190,5 +194,5 @@ class StartupWarnings:
             rospy.get_name(),
             *(node for name, nodes in services if name in servers for node in nodes),
         }
-        for text in unpublished(waiting, dict(published), own_nodes):
+        for text in unpublished_topic_warnings(unpublished, dict(published), own_nodes):
             rospy.logwarn("%s", printable(text))

@@ -28,28 +28,28 @@ class Node:
     def __init__(self):
         self.wall = 50.0
         self.reports = Reports()
-        self.runs = ClockEpochs(self.reports, lambda: 0, lambda: None, lambda: self.wall)
+        self.epochs = ClockEpochs(self.reports, lambda: 0, lambda: None, lambda: self.wall)
         self.skew = ClockSkewMonitor(
-            self.reports, self.runs.now, lambda: round(self.wall * SECOND), may_wait=self.runs.may_wait
+            self.reports, self.epochs.now, lambda: round(self.wall * SECOND), may_wait=self.epochs.may_wait
         )
         self.taken = []
-        self.runs.begin([threading.Lock()], self.skew.begin_run, lambda end: self.taken.append("run"))
+        self.epochs.begin([threading.Lock()], self.skew.begin_epoch, lambda end: self.taken.append("run"))
         self.takers = {}
 
     def clock(self, seconds):
-        self.runs.clock_at(round(seconds * SECOND))
-        self.runs.step()
+        self.epochs.clock_at(round(seconds * SECOND))
+        self.epochs.step()
 
     def pass_time(self, seconds):
         self.wall += seconds
-        self.runs.step()
+        self.epochs.step()
 
     def send(self, stamp, publisher="/play", topic="/seen", frame="map"):
         """Receive a message; one without a stamp is noted by its time of receipt, as a text."""
         data = struct.pack("<IIII", 0, *divmod(round(stamp * SECOND), SECOND), len(frame)) + frame.encode()
         take = self.takers.get((topic, publisher)) or self.taker(topic, publisher)
-        if self.runs.holding and self.runs.holds(publisher):
-            self.runs.keep(take, [data])
+        if self.epochs.is_buffering and self.epochs.must_buffer(publisher):
+            self.epochs.buffer(take, [data])
         else:
             take([data])
 
@@ -61,18 +61,20 @@ class Node:
                 try:
                     decoder.decode(data)  # this looks, or the next
                     stamp = decoder.stamp(data)
-                    self.taken.append(f"at {self.runs.now() / SECOND:g}" if stamp is None else stamp / SECOND)
+                    self.taken.append(
+                        f"at {self.epochs.now() / SECOND:g}" if stamp is None else stamp / SECOND
+                    )
                 except Refused:
                     pass
                 except Early:
-                    self.runs.keep_early(publisher, take, messages[at:])
+                    self.epochs.buffer_early(publisher, take, messages[at:])
                     break
 
         return self.takers.setdefault((topic, publisher), take)
 
     def text(self, text, sender="other"):
-        if self.runs.holding and self.runs.holds_texts(sender):
-            self.runs.keep(self.taken.extend, [text])
+        if self.epochs.is_buffering and self.epochs.must_buffer_texts(sender):
+            self.epochs.buffer(self.taken.extend, [text])
         else:
             self.taken.append(text)
 
@@ -253,7 +255,7 @@ def test_what_waits_is_bounded(node, monkeypatch):
         node.send(1000 + at / 100)
     node.clock(1000)
     assert node.since(5) == ["run", *(1000 + at / 100 for at in range(40, 50))]
-    assert node.runs.dropped == 40
+    assert node.epochs.dropped == 40
     assert node.reports.warnings == 40
 
 
@@ -261,7 +263,7 @@ def test_what_waits_is_bounded(node, monkeypatch):
 
 
 def test_a_sender_of_texts_that_is_late(node):
-    node.runs.tell("interface", 3)
+    node.epochs.report_epoch("interface", 3)
     node.play(*BAG)
     node.text("old", "interface")
     node.clock(1000)
@@ -269,20 +271,20 @@ def test_a_sender_of_texts_that_is_late(node):
     node.send(1000)
     node.text("by hand", "somebody")
     assert node.since(5) == ["old", "still old"]
-    node.runs.tell("interface", 4)
+    node.epochs.report_epoch("interface", 4)
     node.text("new", "interface")
-    node.runs.step()
+    node.epochs.step()
     assert node.since(7) == ["run", 1000, "by hand", "new"]
 
 
 def test_a_sender_of_texts_that_is_ahead(node):
-    node.runs.tell("interface", 0)
+    node.epochs.report_epoch("interface", 0)
     node.play(*BAG)
-    node.runs.tell("interface", 1)
+    node.epochs.report_epoch("interface", 1)
     node.text("new", "interface")
     node.text("old, by hand", "somebody")
     node.send(1004.5)
-    node.runs.step()
+    node.epochs.step()
     assert node.since(5) == ["old, by hand", 1004.5]
     node.clock(1000)
     node.text("newer", "interface")
@@ -290,7 +292,7 @@ def test_a_sender_of_texts_that_is_ahead(node):
 
 
 def test_a_sender_that_never_tells_is_waited_for_once(node):
-    node.runs.tell("gone", 0)
+    node.epochs.report_epoch("gone", 0)
     node.play(*BAG)
     node.clock(1000)
     node.send(1000)
@@ -303,9 +305,9 @@ def test_a_sender_that_never_tells_is_waited_for_once(node):
 
 
 def test_a_sender_whose_clock_alone_goes_back(node):
-    node.runs.tell("interface", 0)
+    node.epochs.report_epoch("interface", 0)
     node.play(*BAG)
-    node.runs.tell("interface", 1)
+    node.epochs.report_epoch("interface", 1)
     node.text("one", "interface")
     node.pass_time(1.1)
     node.text("two", "interface")
@@ -315,22 +317,22 @@ def test_a_sender_whose_clock_alone_goes_back(node):
 
 
 def test_a_sender_that_comes_again_counts_anew(node):
-    node.runs.tell("first", 0)
+    node.epochs.report_epoch("first", 0)
     node.play(*BAG)
     node.clock(1000)
     node.pass_time(1.1)
-    node.runs.tell("second", 5)
+    node.epochs.report_epoch("second", 5)
     node.play(1001, 1002)
     node.clock(1000)
     assert node.since(6) == [1001, 1002]
-    node.runs.tell("second", 6)
-    node.runs.step()
+    node.epochs.report_epoch("second", 6)
+    node.epochs.step()
     assert node.since(8) == ["run"]
 
 
 def test_the_senders_that_are_remembered_are_bounded(node):
     for number in range(10 * clock_epochs.MAX_SENDERS):
-        node.runs.tell(number, 0)
+        node.epochs.report_epoch(number, 0)
     node.clock(1000)
     node.clock(900)
     node.pass_time(1.1)
@@ -338,17 +340,17 @@ def test_the_senders_that_are_remembered_are_bounded(node):
 
 
 def test_time_of_a_run_that_is_over_stands_still(node):
-    node.runs.tell("interface", 0)
+    node.epochs.report_epoch("interface", 0)
     node.clock(1000)
     node.clock(900)
-    assert (node.runs.now(), node.runs.now(0), node.runs.now(1)) == (
+    assert (node.epochs.now(), node.epochs.now(0), node.epochs.now(1)) == (
         1000 * SECOND,
         1000 * SECOND,
         900 * SECOND,
     )
-    node.runs.tell("interface", 1)
+    node.epochs.report_epoch("interface", 1)
     node.clock(901)
-    assert (node.runs.now(), node.runs.now(0)) == (901 * SECOND, 1000 * SECOND)
+    assert (node.epochs.now(), node.epochs.now(0)) == (901 * SECOND, 1000 * SECOND)
 
 
 @settings(max_examples=10, deadline=None)
@@ -392,9 +394,9 @@ def test_an_error_where_a_run_begins_keeps_neither_others_nor_messages_back():
     def fails(end):
         raise ValueError("not now")
 
-    node.runs.begin([threading.Lock()], fails, told.append)
+    node.epochs.begin([threading.Lock()], fails, told.append)
     node.clock(100)
     node.clock(10)
     node.wall += 60
-    node.runs.step()
-    assert (len(told), node.reports.errors, node.runs.holding) == (1, 1, False)
+    node.epochs.step()
+    assert (len(told), node.reports.errors, node.epochs.is_buffering) == (1, 1, False)

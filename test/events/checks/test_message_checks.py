@@ -114,7 +114,7 @@ def test_a_name_of_a_topics_events_that_is_no_event_is_left_alone():
     assert said_of_fans(rules, "memorize(fan(On), [], fan, fan, 1)") == []
 
 
-BARE = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan{data: ...}"
+MAX_EMPTY_ELEMENTS = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan{data: ...}"
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ BARE = "fan/0 does not match its type: std_msgs/Bool has 1 slot: data; write fan
 )
 def test_an_event_of_a_topic_without_its_slots_is_told_how_to_be_written(rules, goals):
     ((said, _),) = said_of_fans(rules, goals)
-    assert said.endswith(BARE)
+    assert said.endswith(MAX_EMPTY_ELEMENTS)
 
 
 def test_a_slot_that_is_named_in_parentheses_is_told_where_to_be_named(tmp_path):
@@ -141,7 +141,7 @@ def test_a_slot_that_is_named_in_parentheses_is_told_where_to_be_named(tmp_path)
         '<publish_subscribe><subscribe_to name="f" msg_type="std_msgs/Bool" event="fan"/></publish_subscribe>'
     )
     said = [str(one.problem) for one in check_program(tmp_path, Definitions())]
-    (bare,) = [one for one in said if BARE in one]
+    (bare,) = [one for one in said if MAX_EMPTY_ELEMENTS in one]
     (named,) = [one for one in said if "in parentheses" in one]
     assert bare.startswith(f"{tmp_path}/eventRules.txt:1:27: ")
     assert named.startswith(

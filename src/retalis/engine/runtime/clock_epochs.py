@@ -76,8 +76,9 @@ class _BufferedBatch(NamedTuple):
 class ClockEpochs:
     """The current epoch of a simulated clock, and a buffer of messages that belong to the next one.
 
-    `clock_at` and `tell` only store values and may be called by any thread. `step` runs in its own thread and changes
-    the epoch while it holds the locks of message processing, so each message is processed entirely in one epoch.
+    `clock_at` and `report_epoch` only store values and may be called by any thread. `step` runs in its own thread and
+    changes the epoch while it holds the locks of message processing, so each message is processed entirely in one
+    epoch.
 
     Args:
         reports: takes warnings.
@@ -86,9 +87,9 @@ class ClockEpochs:
         monotonic: monotonic clock, in seconds.
 
     Attributes:
-        run: number of the current epoch.
-        since: its start, by ``monotonic``.
-        holding: whether messages may have to wait; see `holds` and `holds_texts`.
+        epoch: number of the current epoch.
+        epoch_start: its start, by ``monotonic``.
+        is_buffering: whether messages may have to wait; see `must_buffer` and `must_buffer_texts`.
         dropped: number of messages that did not fit into the buffer.
     """
 
@@ -115,9 +116,9 @@ class ClockEpochs:
         self._deadline = self._early_allowed_from = 0.0
         self._locks: Sequence[ContextManager[object]] = ()
         self._callbacks: Sequence[EpochCallback] = ()
-        self.run = 0
-        self.since = monotonic()
-        self.holding = False
+        self.epoch = 0
+        self.epoch_start = monotonic()
+        self.is_buffering = False
         self.dropped = 0
 
     def begin(self, locks: Sequence[ContextManager[object]], *callbacks: EpochCallback) -> None:
@@ -125,10 +126,10 @@ class ClockEpochs:
         self._locks = locks
         self._callbacks = callbacks
 
-    def now(self, run: Optional[int] = None) -> int:
+    def now(self, epoch: Optional[int] = None) -> int:
         """Return the time of an epoch (the current one by default), in ns; its last time if it is over."""
         resets, instant, end = self._time
-        if resets != (self.run if run is None else run):
+        if resets != (self.epoch if epoch is None else epoch):
             return end
         return instant or self._read_clock()
 
@@ -139,25 +140,25 @@ class ClockEpochs:
             self._newest_time = max(instant, self._newest_time)
             self._time = resets, instant, end
             return
-        if resets == self.run:
+        if resets == self.epoch:
             end = self._newest_time
         self._newest_time = instant
         with self._lock:
             self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
-            self.holding = True
+            self.is_buffering = True
             self._time = resets + 1, instant, end
         self._wake()
 
-    def tell(self, sender: object, number: int) -> None:
+    def report_epoch(self, sender: object, reported: int) -> None:
         """Store that all further texts of a sender belong to an epoch, given by the count of the sender."""
         resets = self._time[0]
         with self._lock:
             # The first report of a sender defines the offset between the two counts.
-            _, offset = self._senders.get(sender, (0, resets - number))
+            _, offset = self._senders.get(sender, (0, resets - reported))
             if sender not in self._senders and len(self._senders) >= MAX_SENDERS:
                 del self._senders[next(iter(self._senders))]
-            self._senders[sender] = number + offset, offset
-            if number + offset > self.run:
+            self._senders[sender] = reported + offset, offset
+            if reported + offset > self.epoch:
                 self._start_buffering()
         self._wake()
 
@@ -165,28 +166,28 @@ class ClockEpochs:
         """Tell whether early messages are buffered at present."""
         return self._monotonic() >= self._early_allowed_from
 
-    def holds(self, publisher: str) -> bool:
+    def must_buffer(self, publisher: str) -> bool:
         """Tell whether messages of a publisher must be buffered."""
-        return self._time[0] != self.run or publisher in self._early_publishers
+        return self._time[0] != self.epoch or publisher in self._early_publishers
 
-    def holds_texts(self, sender: object) -> bool:
+    def must_buffer_texts(self, sender: object) -> bool:
         """Tell whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
         sender_state = self._senders.get(sender)
         if sender_state is None:
-            return self._time[0] != self.run
-        return sender_state[0] > self.run
+            return self._time[0] != self.epoch
+        return sender_state[0] > self.epoch
 
-    def keep_early(
+    def buffer_early(
         self, publisher: str, process: Callable[[List[bytes]], object], messages: List[bytes]
     ) -> None:
         """Buffer messages that begin with an early one, and all further messages of their publisher."""
         self._early_publishers.add(publisher)
-        self.keep(process, messages)
+        self.buffer(process, messages)
 
-    def keep(self, process: Callable[[List[Any]], object], messages: List[Any]) -> None:
+    def buffer(self, process: Callable[[List[Any]], object], messages: List[Any]) -> None:
         """Buffer messages or texts until the next epoch begins or the wait times out, then `process` them."""
         with self._lock:
-            starts_buffering = not self.holding
+            starts_buffering = not self.is_buffering
             self._start_buffering()
             size = sum(map(len, messages))
             self._buffer.append(_BufferedBatch(process, messages, size))
@@ -218,8 +219,8 @@ class ClockEpochs:
                 stack.enter_context(lock)
             now = self._monotonic()
             resets, _, end = self._time
-            if resets == self.run:
-                if self.holding and now >= self._deadline:
+            if resets == self.epoch:
+                if self.is_buffering and now >= self._deadline:
                     # The clock did not go back within the time limit, so the buffered messages were not early.
                     if self._buffer:
                         self._early_allowed_from = now + PAUSE_AFTER_TIMEOUT_SECONDS
@@ -227,12 +228,12 @@ class ClockEpochs:
             # The clock went back. Senders that have not reported within the time limit are removed.
             elif now >= self._deadline or not self._find_late_senders(resets):
                 self._remove_senders(self._find_late_senders(resets))
-                self.run = resets
-                self.since = self._monotonic()
+                self.epoch = resets
+                self.epoch_start = self._monotonic()
                 self._early_allowed_from = 0.0
                 self._call_callbacks(end)
                 self._release_buffer()
-            return max(0.0, self._deadline - now) if self.holding else None
+            return max(0.0, self._deadline - now) if self.is_buffering else None
 
     def _call_callbacks(self, end: int) -> None:
         """Call the callbacks of a new epoch; an error in one of them affects neither the others nor messages."""
@@ -254,9 +255,9 @@ class ClockEpochs:
                 del self._senders[sender]
 
     def _start_buffering(self) -> None:
-        if not self.holding:
+        if not self.is_buffering:
             self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
-            self.holding = True
+            self.is_buffering = True
 
     def _release_buffer(self) -> None:
         with self._lock:
@@ -264,8 +265,8 @@ class ClockEpochs:
             self._message_count = self._byte_count = 0
             self._early_publishers.clear()
             # True if the clock went back again in the meantime.
-            self.holding = self._time[0] != self.run
-            if self.holding:
+            self.is_buffering = self._time[0] != self.epoch
+            if self.is_buffering:
                 self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
         # Outside of the lock: the consumers may buffer messages again.
         for batch in batches:

@@ -294,13 +294,13 @@ class ClockSkewMonitor:
             times.previous_frames = {}
         self._clear()
 
-    def begin_run(self, ended: int) -> None:
+    def begin_epoch(self, previous_end: int) -> None:
         """Begin a new epoch after time went back.
 
         Args:
-            ended: last instant of the previous epoch; messages that continue it are refused.
+            previous_end: last instant of the previous epoch; messages that continue it are refused.
         """
-        self._previous_end = ended
+        self._previous_end = previous_end
         for times in self:
             times.previous_frames = dict(times)
         self._clear()
