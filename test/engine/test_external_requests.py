@@ -101,7 +101,7 @@ def test_others_work_while_it_waits(engine):
 
 
 def waiting(engine):
-    return len(engine.knowledge.waiting)
+    return len(engine.knowledge.pending_queries)
 
 
 def test_it_waits_no_longer_than_it_was_told(engine):

@@ -84,7 +84,7 @@ class Program:
                 if not one.library
             },
             {key: list(one.memory.records) for key, one in engine.knowledge.memories.instances.items()},
-            [(key, one.tally.sent) for key, one in engine.knowledge.subscriptions.items()],
+            [(key, one.tally.number) for key, one in engine.knowledge.subscriptions.items()],
             engine.rules.all_properties(),
         )
 
@@ -264,7 +264,7 @@ def test_queries_that_wait_for_a_kept_memory_go_on(program):
 def test_queries_that_wait_for_a_memory_that_goes_are_given_up(program):
     program.reload(rules=RULES + "synchronized(done, true, [[fires, 50]]) <- go.\n")
     program.events("go")
-    waiting = program.engine.knowledge.waiting
+    waiting = program.engine.knowledge.pending_queries
     assert len(waiting) == 1
     program.reload(goals=GOALS.replace("fires, 5", "fires, 6"))
     assert len(waiting) == 0

@@ -56,21 +56,21 @@ def others_are_served(executor):
 
 
 def _of_memories(knowledge):
-    waiting_at_all = {waiting[0] for waiting in knowledge.waiting}
+    waiting_at_all = {waiting[0] for waiting in knowledge.pending_queries}
     for instance in knowledge.memories:
         memory = instance.memory
         if memory.ends != [int(record[2]) for record in memory.records]:
             yield f"memory {instance.id}: ends and records differ"
         if instance not in instance.recorder.instances:
             yield f"memory {instance.id} records nothing"
-        waiting = {order for group in instance.waiting.values() for order in group}
+        waiting = {order for group in instance.queries.values() for order in group}
         if not waiting <= waiting_at_all:
             yield f"memory {instance.id}: queries wait that are not there"
-        if sorted(instance.waiting) and min(instance.waiting) < instance.due:
+        if sorted(instance.queries) and min(instance.queries) < instance.next_instant:
             yield f"memory {instance.id} is due too late"
-    for order, *_, missing in knowledge.waiting:
+    for order, *_, missing in knowledge.pending_queries:
         instance, instant = missing[-1]
-        if order not in instance.waiting.get(instant, {}):
+        if order not in instance.queries.get(instant, {}):
             yield "a query waits for nothing"
 
 

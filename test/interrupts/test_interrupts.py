@@ -48,7 +48,7 @@ def test_an_event_that_is_interrupted_anywhere_is_recorded_whole_or_not_at_all()
     for _ in interrupted(engine, lambda: engine.event_at(event, 1, 1)):
         memory = engine.knowledge.memories.find(atom("m")).memory
         assert len(memory.ends) == len(memory.records)
-        counts.append(memory.added)
+        counts.append(memory.added_count)
     assert {new - old for old, new in zip(counts, counts[1:])} == {0, 1}
 
 
@@ -116,9 +116,9 @@ def test_a_query_that_is_interrupted_anywhere_leaves_nothing_to_be_done_behind_i
 
 def test_a_memory_that_is_cut_when_an_interrupt_comes_counts_what_it_took():
     memory = Memory(1)
-    while len(memory.ends) < memory.room - 1:
+    while len(memory.ends) < memory.trim_length - 1:
         memory.add((atom("a"), 1, 1))
-    added = memory.added
+    added = memory.added_count
     at = 0
     where = True
     while where is not None:
@@ -130,7 +130,7 @@ def test_a_memory_that_is_cut_when_an_interrupt_comes_counts_what_it_took():
             again.add((atom("a"), 1, 1))
         where = injected.where
         again.repair()
-        assert again.added in (added, added + 1)
+        assert again.added_count in (added, added + 1)
         assert len(again.ends) == len(again.records)
 
 

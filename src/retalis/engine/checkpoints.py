@@ -559,12 +559,12 @@ class Checkpointer:
         for instance in self._engine.knowledge.memories:
             file_position = self._memories.get(instance)
             memory = instance.memory
-            # `memory.changed` is the lowest position that an insertion out of order has moved since the previous
+            # `memory.first_moved` is the lowest position that an insertion out of order has moved since the previous
             # checkpoint; everything from there on is written again.
-            first_changed = 0 if file_position is None else min(file_position.added, memory.changed)
-            memory.changed = NEVER
+            first_changed = 0 if file_position is None else min(file_position.added, memory.first_moved)
+            memory.first_moved = NEVER
             number = next(self._numbers) if file_position is None else file_position.number
-            memories[instance] = _FilePosition(number, memory.added)
+            memories[instance] = _FilePosition(number, memory.added_count)
             records.append((number, new_records(instance, first_changed)))
         self._memories = memories
         self.longest_pause_seconds = max(self.longest_pause_seconds, time.monotonic() - start_time)

@@ -187,7 +187,7 @@ class Engine:
             on_pattern=declared.require,
             on_conditions=self.rules.note_conditions,
         )
-        self.rules.flags.follow("max_gap", self.knowledge.gaps.limit)
+        self.rules.flags.follow("max_gap", self.knowledge.gaps.set_limit)
         if settings.max_gap is not None:
             self.rules.flags.set_default("max_gap", settings.max_gap)
         recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)

@@ -448,7 +448,7 @@ def _list_memories(
             format_term(instance.recorder.pattern, None),
             memory.size,
             records,
-            memory.added,
+            memory.added_count,
             ends[number - records] if records else None,
             ends[number - 1] if number else None,
         )
@@ -469,7 +469,7 @@ def _list_subscriptions(
             beginning(topic),
             show(subscription.id),
             format_term(pattern, None),
-            subscription.tally.sent,
+            subscription.tally.number,
             late,
             dropped,
         )
@@ -487,16 +487,16 @@ def _list_queries(
         awaited = [
             AwaitedMemory(show(instance.id), int(instant), _compute_lag(instance, instant))
             for instance, instant in tuple(missing)
-            if not instance.has(instant)
+            if not instance.has_reached(instant)
         ]
         listed = tuple(awaited[:MAX_AWAITED_LISTED])
         return WaitingStatus(show(definition.event(values)), int(end), listed, len(awaited) - len(listed))
 
-    return _convert_first(knowledge.waiting.all(), convert, limit)
+    return _convert_first(knowledge.pending_queries.copy_all(), convert, limit)
 
 
 def _compute_lag(instance: Any, instant: int) -> Optional[int]:
-    newest = instance.memory.latest
+    newest = instance.memory.latest_end
     return None if newest is None else max(0, int(instant) - newest)
 
 

@@ -156,10 +156,14 @@ def wait_for_memories(engine: Engine, names: Sequence[Term], instant: int, secon
     all_reached = Event()
 
     def register() -> Optional[int]:
-        missing = knowledge.behind(names, instant)
+        missing = knowledge.find_missing_memories(names, instant)
         waiting_goal = _WAIT_FUNCTOR(make_list(names))
         now = engine.clock.now()
-        return knowledge.waiting.await_all(missing, waiting_goal, now, all_reached.set) if missing else None
+        return (
+            knowledge.pending_queries.notify_when_reached(missing, waiting_goal, now, all_reached.set)
+            if missing
+            else None
+        )
 
     request_number = engine.do(register)
     if request_number is None:
@@ -168,21 +172,21 @@ def wait_for_memories(engine: Engine, names: Sequence[Term], instant: int, secon
     try:
         # A deleted memory never sets the event, so the loop checks regularly whether the request still exists.
         while not all_reached.wait(min(_POLL_SECONDS, max(0.0, deadline - monotonic()))):
-            if not knowledge.waiting.waits(request_number) and not all_reached.is_set():
+            if not knowledge.pending_queries.is_waiting(request_number) and not all_reached.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
             if monotonic() >= deadline:
                 raise UsageError(f"{_describe_missing(engine, names, instant)} after {seconds:g} s")
     finally:
         # This includes interrupts: requests that are never withdrawn would accumulate in the index of the memory.
-        engine.do(lambda: knowledge.waiting.withdraw(request_number))
+        engine.do(lambda: knowledge.pending_queries.withdraw(request_number))
 
 
 def _describe_missing(engine: Engine, names: Sequence[Term], instant: int) -> str:
     """Return a description of the memories that have not reached a time, with the missing time."""
-    behind_memories = engine.do(lambda: engine.knowledge.behind(names, instant))
+    behind_memories = engine.do(lambda: engine.knowledge.find_missing_memories(names, instant))
     descriptions = []
     for instance, required_time in behind_memories:
-        latest = instance.memory.latest
+        latest = instance.memory.latest_end
         delay = "nothing yet" if latest is None else f"{(required_time - latest) / 1e9:g} s too early"
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")
     return f"no record at the stamp or later in memory {', '.join(descriptions)}"

@@ -527,7 +527,7 @@ class ReloadTransaction:
     def _report_deleted(self, instance: MemoryInstance) -> None:
         knowledge, machine = self._engine.knowledge, self._engine.logic.machine
         if knowledge.memories.find(instance.id) is None:
-            tell_deleted = knowledge.memories.tell_deleted
+            tell_deleted = knowledge.memories.report_deleted
             self._engine.dispatcher.apart(lambda: machine.run(tell_deleted(instance, machine.done)))
 
     # ---- rollback ------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ class RunRecorder:
 
     def update_waits(self) -> None:
         """Update the waiting queries; to be called after each message."""
-        pending = self._knowledge.waiting
+        pending = self._knowledge.pending_queries
         # The usual case; this is called after every message.
         if not self._waits and not len(pending):
             return

@@ -87,7 +87,7 @@ class CheckpointFile:
             engine.summary(),
             counted(records, "record"),
             counted(engine.rules.waiting, "partial match", "partial matches"),
-            counted(len(engine.knowledge.waiting), "waiting query", "waiting queries"),
+            counted(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
         )
 
     def begin(self, engine: Engine) -> None:

@@ -61,8 +61,8 @@ class NewRecords(NamedTuple):
 def new_records(instance: MemoryInstance, since: int = 0) -> NewRecords:
     """Return the records of a memory, or only those after the first ``since`` records."""
     memory = instance.memory
-    first, records = memory.since(since)
-    return NewRecords(first, memory.oldest, memory.late, instance.open, records)
+    first, records = memory.records_since(since)
+    return NewRecords(first, memory.oldest_number, memory.late_count, instance.has_variables, records)
 
 
 def keep_records(new: NewRecords) -> KeptRecords:
@@ -278,7 +278,7 @@ def _read_instants(column: Any) -> List[int]:
 
 def restore_memories(knowledge: KnowledgeBase, kept: Sequence[Tuple[Any, ...]]) -> List[MemoryInstance]:
     """Create memories from their definitions, without records and without emitting events."""
-    return [knowledge.memories.begin(definition, active) for definition, active in kept]
+    return [knowledge.memories.create_unreported(definition, active) for definition, active in kept]
 
 
 def restore_records(instance: MemoryInstance, parts: Sequence[KeptRecords]) -> None:
@@ -287,7 +287,7 @@ def restore_records(instance: MemoryInstance, parts: Sequence[KeptRecords]) -> N
     dropped = late = 0
     for before, refused, is_open, terms, ends, starts in parts:
         late = refused
-        instance.open = instance.open or is_open
+        instance.has_variables = instance.has_variables or is_open
         record_ends = _read_instants(ends)
         record_starts = record_ends if starts is None else _read_instants(starts)
         if not records:
@@ -314,7 +314,7 @@ def keep_subscriptions(knowledge: KnowledgeBase) -> List[Term]:
 
 def keep_sent(knowledge: KnowledgeBase) -> List[int]:
     """Return the number of events that each subscription has sent."""
-    return [subscription.tally.sent for _, subscription in knowledge.subscriptions.items()]
+    return [subscription.tally.number for _, subscription in knowledge.subscriptions.items()]
 
 
 def restore_subscriptions(knowledge: KnowledgeBase, kept: Sequence[Term], sent: Sequence[int]) -> None:
@@ -322,4 +322,4 @@ def restore_subscriptions(knowledge: KnowledgeBase, kept: Sequence[Term], sent: 
     for definition in kept:
         knowledge.subscriptions.create(definition)
     for (_, subscription), number in zip(knowledge.subscriptions.items(), sent):
-        subscription.tally.sent = number
+        subscription.tally.number = number

@@ -413,7 +413,7 @@ def keep_matches(
     """Return partial matches and recorded events as rows, and the rules that they refer to, active ones first."""
     graph = GraphWriter(active)
     states = [graph.write(tuple(rule.state())) for rule in active]
-    queries = knowledge.waiting
+    queries = knowledge.pending_queries
     order, waiting = queries.snapshot()
     data = {
         "states": states,
@@ -438,7 +438,7 @@ def _alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
     for due, order, alarm in sorted(clock.alarms, key=lambda entry: entry[:2]):
         if isinstance(alarm, RuleAlarm):
             alarms.append((due, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
-        elif isinstance(alarm, TimeoutAlarm) and alarm.timeouts is knowledge.waiting.timeouts:
+        elif isinstance(alarm, TimeoutAlarm) and alarm.timeouts is knowledge.pending_queries.timeouts:
             alarms.append((due, order, alarm.set_for))
     return alarms
 
@@ -460,7 +460,7 @@ def restore_matches(
     for rule, state in zip(named, checked.states):
         rule.restore(state)
     rules.tracker.restore(checked.tracked)
-    queries = knowledge.waiting
+    queries = knowledge.pending_queries
     queries.restore(checked.order, checked.waiting)
     queries.timeouts.restore(*checked.timeouts)
     for due, order, *rest in checked.alarms:
@@ -521,7 +521,7 @@ class _CheckedState:
             name, until = entry = pair(value)
             memory = knowledge.memories.find(name)
             # A query whose memory has already reached the time would never be run.
-            if memory is None or memory.has(until):
+            if memory is None or memory.has_reached(until):
                 raise wrong(value, "a memory that has not reached an instant")
             return entry
 

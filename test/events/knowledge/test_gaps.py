@@ -138,7 +138,7 @@ def test_what_is_noted_is_bounded():
             engine.event("v(1)", start * 10 + step / 1000)
     for start in range(MAX_NOTED_GAPS * 3 - 1):
         assert engine.call(f"next_inf(m, _, _, _, {start * 10 + 5}.0)")
-    noted = engine.knowledge.gaps.noted
+    noted = engine.knowledge.gaps.noted_gaps
     assert len(noted) == MAX_NOTED_GAPS
     assert weights(engine, 1_905_000) == [pytest.approx(0.505, abs=0.01)]
     engine.knowledge.clear()

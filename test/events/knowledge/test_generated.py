@@ -107,7 +107,7 @@ def outcome(seed, everything, caplog):
     warnings = [re.sub(r" \(in \S+/\d+\)|(?<=_)G?\d+", "", record.message) for record in caplog.records]
     return (
         got,
-        len(engine.knowledge.waiting),
+        len(engine.knowledge.pending_queries),
         warnings,
     )  # without what calls a built-in of compiled code
 

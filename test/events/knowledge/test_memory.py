@@ -56,10 +56,10 @@ def test_look_ups_by_time(size, ends, instant):
 
 def test_latest_is_the_newest_end_even_where_nothing_is_kept():
     memory = Memory(0)
-    assert memory.latest is None
+    assert memory.latest_end is None
     assert memory.add(("a", 1, 5))
     assert memory.add(("b", 1, 3))
-    assert memory.latest == 5
+    assert memory.latest_end == 5
     assert len(memory) == 0
 
 
@@ -67,7 +67,7 @@ def test_counts_what_came_and_what_was_too_late():
     memory = Memory(2)
     for end in (10, 20, 5):
         memory.add(("x", end, end))
-    assert (memory.added, memory.late) == (2, 1)
+    assert (memory.added_count, memory.late_count) == (2, 1)
 
 
 def test_a_reader_is_not_disturbed_by_what_is_added_meanwhile():
@@ -94,14 +94,14 @@ def test_clear_forgets_records():
     memory.add(("x", 1, 1))
     memory.clear()
     assert len(memory) == 0
-    assert memory.latest is None
+    assert memory.latest_end is None
     assert memory.at_or_before(99) is None
 
 
 def test_steps_that_are_wider_than_the_others_are_told_of():
     memory = Memory(100)
     told = []
-    memory.on_wide = lambda start, end: told.append((start, end))
+    memory.on_wide_gap = lambda start, end: told.append((start, end))
     for end in [*range(1000, 2000, 100), 4000, 4100]:
         memory.add((end, end, end))
     for look_up in (memory.around, memory.at_or_after):
@@ -116,7 +116,7 @@ def test_steps_that_are_wider_than_the_others_are_told_of():
 def test_a_step_is_wide_from_ten_times_the_mean_of_the_others_on(gap, before):
     memory, end = Memory(100), 0
     told = []
-    memory.on_wide = lambda start, end: told.append(end - start)
+    memory.on_wide_gap = lambda start, end: told.append(end - start)
     for step in [10] * before + [gap] + [10] * 4:
         end += step
         memory.add((end, end, end))
@@ -138,37 +138,39 @@ def test_places_of_records(size, ends, instant, taken):
     def kept(matches):
         return [name for name, end in model.kept if matches(end)]
 
-    assert [name for name, _, _ in records[memory.first :]] == kept(lambda end: True)
-    assert [name for name, _, _ in records[memory.first : memory.after(instant)]] == kept(
+    assert [name for name, _, _ in records[memory.first_position :]] == kept(lambda end: True)
+    assert [name for name, _, _ in records[memory.first_position : memory.position_after(instant)]] == kept(
         lambda end: end <= instant
     )
-    assert [name for name, _, _ in records[memory.reaching(instant) :]] == kept(lambda end: end >= instant)
-    stay = min(memory.added, max(size, 1))
-    assert memory.oldest == memory.added - stay
-    first, found = memory.since(taken)
-    assert first == max(memory.oldest, min(taken, memory.added))
-    assert len(found) == memory.added - first and found == records[len(records) - len(found) :]
-    assert memory.added + memory.late == len(ends)
+    assert [name for name, _, _ in records[memory.position_reaching(instant) :]] == kept(
+        lambda end: end >= instant
+    )
+    stay = min(memory.added_count, max(size, 1))
+    assert memory.oldest_number == memory.added_count - stay
+    first, found = memory.records_since(taken)
+    assert first == max(memory.oldest_number, min(taken, memory.added_count))
+    assert len(found) == memory.added_count - first and found == records[len(records) - len(found) :]
+    assert memory.added_count + memory.late_count == len(ends)
 
 
 @given(st.integers(0, 8), ENDS)
 def test_what_has_changed_and_its_version(size, ends):
     memory, versions = Memory(size), set()
     for name, end in enumerate(ends):
-        before_first, before = memory.since(0)
-        memory.changed = NEVER
+        before_first, before = memory.records_since(0)
+        memory.first_moved = NEVER
         taken = memory.add((name, end - 1, end))
         assert (memory.version not in versions) == taken
         versions.add(memory.version)
-        first, records = memory.since(0)
-        for place in range(first, min(memory.changed, before_first + len(before))):
+        first, records = memory.records_since(0)
+        for place in range(first, min(memory.first_moved, before_first + len(before))):
             assert records[place - first] == before[place - before_first]
-        if memory.changed != NEVER:
-            assert first > memory.changed or records[memory.changed - first][0] == name
+        if memory.first_moved != NEVER:
+            assert first > memory.first_moved or records[memory.first_moved - first][0] == name
     other = Memory(size)
-    other.restore(memory.oldest, memory.late, list(memory.ends), list(memory.records))
-    assert (len(other), other.late, other.records) == (len(memory), memory.late, memory.records)
+    other.restore(memory.oldest_number, memory.late_count, list(memory.ends), list(memory.records))
+    assert (len(other), other.late_count, other.records) == (len(memory), memory.late_count, memory.records)
     assert other.version not in versions
-    added = memory.added
+    added = memory.added_count
     memory.clear()
-    assert (memory.added, len(memory)) == (added, 0) and memory.version not in versions
+    assert (memory.added_count, len(memory)) == (added, 0) and memory.version not in versions

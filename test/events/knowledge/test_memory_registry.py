@@ -274,9 +274,9 @@ def test_which_memories_are_behind():
     engine.event("b", 1)
     names = [atom("m"), atom("n")]
     for second, behind in ((0, ""), (1, ""), (2, "n"), (3, "mn")):
-        found = knowledge.behind(names, second * SECOND)
+        found = knowledge.find_missing_memories(names, second * SECOND)
         assert [(engine.show(memory.id), instant) for memory, instant in found] == [
             (name, second * SECOND) for name in behind
         ]
     with pytest.raises(UsageError, match="there is no memory o"):
-        knowledge.behind([atom("o")], 0)
+        knowledge.find_missing_memories([atom("o")], 0)

@@ -74,7 +74,7 @@ def test_another_waits_and_is_called_once_with_the_interval_of_its_own_event(run
     engine.event("v(3)", 20)
     engine.event("v(4)", 30)
     assert answers(engine) == [("answer(a,3)", 3 * 10**9, 3 * 10**9)]
-    assert len(engine.knowledge.waiting) == 0
+    assert len(engine.knowledge.pending_queries) == 0
 
 
 def test_both_spellings_hold(run):
@@ -169,7 +169,7 @@ def test_wrong_conditions_are_reported_and_the_event_is_dropped(run, conditions,
         engine.event("ask", 1)
     assert message in caplog.text
     assert answers(engine) == []
-    assert len(engine.knowledge.waiting) == 0
+    assert len(engine.knowledge.pending_queries) == 0
 
 
 def test_a_query_that_raises_is_reported(run, caplog):
@@ -225,7 +225,7 @@ def test_a_chain_of_synchronized_events_waits_for_each_anew(run):
 
 def test_those_that_wait_are_bounded(run, caplog):
     engine = run("syncronized(done(X), true, [[m, 10]]) <- ask(X).", MEMORY)
-    engine.knowledge.waiting.limit = 3
+    engine.knowledge.pending_queries.limit = 3
     with caplog.at_level(logging.WARNING, "retalis"):
         for number in range(5):
             engine.event(f"ask({number})", 1)
@@ -236,11 +236,11 @@ def test_those_that_wait_are_bounded(run, caplog):
 
 def test_a_memory_without_events_does_not_pile_up_what_was_dropped(run):
     engine = run("syncronized(done(X), true, [[m, 10], [m, 11]]) <- ask(X).", MEMORY)
-    engine.knowledge.waiting.limit = 3
+    engine.knowledge.pending_queries.limit = 3
     for number in range(50):
         engine.event(f"ask({number})", 1)
     (memory,) = engine.knowledge.memories
-    assert len(memory.times) <= 2 * 3 + 16
+    assert len(memory.instants) <= 2 * 3 + 16
     engine.event("v(1)", 10)
     assert names(engine) == []
     engine.event("v(1)", 11)
@@ -367,7 +367,7 @@ def test_a_query_waits_for_one_memory_after_the_other():
             engine.events.clear()
     engine.event("e(q)", 25)
     assert names(engine) == ["done(b)"]
-    assert len(engine.knowledge.waiting) == 0
+    assert len(engine.knowledge.pending_queries) == 0
 
 
 def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has_got_its_data(run):
@@ -377,7 +377,7 @@ def test_deleting_a_memory_drops_what_waits_for_it_among_others_but_not_what_has
     engine.event("ask(a, 20)", 1)
     engine.event("ask(b, 30)", 1)
     engine.call("delete_memory(m)")
-    assert len(engine.knowledge.waiting) == 1
+    assert len(engine.knowledge.pending_queries) == 1
     engine.event("w(1)", 50)
     assert names(engine) == ["done(a)"]
 
@@ -469,14 +469,14 @@ def test_queries_that_wait_go_on_waiting_in_another_engine(run):
     first, second = run(rules, memories), run(rules, memories)
     for at, instant in ((1, 1.0), (2, 2.0)):
         first.event(f"ask({at}, {instant})", instant)
-    order, found = first.knowledge.waiting.snapshot()
-    second.knowledge.waiting.restore(order, found)
-    assert len(second.knowledge.waiting) == 2
-    assert second.knowledge.waiting.snapshot() == (order, found)
+    order, found = first.knowledge.pending_queries.snapshot()
+    second.knowledge.pending_queries.restore(order, found)
+    assert len(second.knowledge.pending_queries) == 2
+    assert second.knowledge.pending_queries.snapshot() == (order, found)
     second.event("v(7)", 1)
     second.event("w", 1)
     second.event("v(8)", 3)
     assert names(second) == ["answer(1,7)"]
     second.event("w", 3)
     assert names(second) == ["answer(1,7)", "answer(2,7)"]
-    assert len(second.knowledge.waiting) == 0
+    assert len(second.knowledge.pending_queries) == 0

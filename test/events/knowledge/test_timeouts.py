@@ -35,7 +35,7 @@ def test_an_event_says_that_it_was_given_up():
     name, start, end = engine.seen[1]
     assert (start, end) == (3 * SECOND, 3 * SECOND)
     assert name.startswith("query_given_up(answer(_") and "[m," in name and "[n," in name
-    assert len(engine.knowledge.waiting) == 0
+    assert len(engine.knowledge.pending_queries) == 0
     engine.event("w(1)", 6)
     assert "answer(1)" not in engine.texts()
 
@@ -104,7 +104,7 @@ def test_what_was_asked_is_not_kept_for_its_time():
         engine.event(f"ask({second})", second)
         engine.event("v(1)", second)
         engine.event("w(1)", second)
-    assert len(engine.knowledge.waiting.timeouts) < 50
+    assert len(engine.knowledge.pending_queries.timeouts) < 50
     assert len(engine.clock.alarms) < 5
 
 

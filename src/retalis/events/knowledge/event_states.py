@@ -63,10 +63,10 @@ _VERSIONS = count()
 _MAX_OPENINGS = 100
 """Events with which a state may have begun that are remembered, in case the first of them is retracted."""
 
-Begun = Tuple[int, Optional[Occurrence]]
+Opening = Tuple[int, Optional[Occurrence]]
 """End of an event with which a state may have begun, and the occurrence of that event if events are tracked."""
 
-DeclarationState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Begun]]], List[Tuple[Any, ...]], int]
+DeclarationState = Tuple[List[Tuple[Hashable, Term, Hashable, List[Opening]]], List[Tuple[Any, ...]], int]
 """Open states (key, term, key of the shared values, openings), past states, and the number of dropped states."""
 
 
@@ -82,7 +82,7 @@ class OpenState:
 
     __slots__ = ("key", "term", "shared", "order", "openings")
 
-    def __init__(self, key: Hashable, term: Term, shared: Hashable, order: int, openings: List[Begun]):
+    def __init__(self, key: Hashable, term: Term, shared: Hashable, order: int, openings: List[Opening]):
         self.key = key
         self.term = term
         self.shared = shared
@@ -258,7 +258,7 @@ class DeclaredState:
         begin = state.begin
         if begin is not None and begin > end:
             return None
-        # A new version, also for what is over from here on.
+        # This also sets a new version, which dependent tables compare.
         self._remove(state)
         if begin is None:
             return None
@@ -297,31 +297,34 @@ class DeclaredState:
         ended = self._end_state(state, WholeSeconds(instant), None)
         if ended is not None:
             machine = self._logic.machine
-            # The alarm may ring while another event is served; the event of the state is dispatched independently
-            # of it.
+            # The alarm may be called while another event is dispatched; the event of the state does not depend on it.
             self._dispatcher.apart(
                 lambda: machine.run(self._dispatch_ended((self, iter([ended]), machine.done)))
             )
 
     # ---- queries -------------------------------------------------------------------------------------
 
-    def holding(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
+    def open_states(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
         """Return the open states with their beginnings: the one with a key, or all if the key is None."""
         states = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
         return [(state.term, begin) for state in states for begin in (state.begin,) if begin is not None]
 
-    def holding_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
-        """Return the states that held at an instant, as far as they are remembered."""
+    def states_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
+        """Return the states that held at an instant, as far as they are stored."""
         terms: Dict[Hashable, Term] = {}
-        for past in list(self.past):
-            if key in (None, past.key) and past.start <= instant <= past.end and not past.gone:
-                terms[past.key] = past.term
-        for term, begin in self.holding(key):
+        for past_state in list(self.past):
+            if (
+                key in (None, past_state.key)
+                and past_state.start <= instant <= past_state.end
+                and not past_state.gone
+            ):
+                terms[past_state.key] = past_state.term
+        for term, begin in self.open_states(key):
             if begin <= instant:
                 terms[freeze(term)] = term
         return list(terms.values())
 
-    # ---- from outside --------------------------------------------------------------------------------
+    # ---- administration --------------------------------------------------------------------------------
 
     def clear(self) -> None:
         """Remove all open and past states, because the clock went back or the declaration was deleted."""
@@ -378,7 +381,7 @@ class StateRegistry:
         warn: receives warnings.
 
     Attributes:
-        on_event: called with each event of a declaration before it is made; may raise an error.
+        on_event: called with each event of a declaration before it is declared; may raise an error.
     """
 
     def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn):
@@ -400,7 +403,7 @@ class StateRegistry:
         """Declare a state; a declaration that exists already continues.
 
         Raises:
-            UsageError: if the term is not a declaration; the message tells what was expected.
+            UsageError: if the term is not a declaration; the message says what was expected.
             PrologError: if the state is declared differently, or there are too many.
         """
         form = parse_state_declaration(copy(definition))
@@ -438,11 +441,11 @@ class StateRegistry:
             by_functor.setdefault(declaration.form.functor, []).append(declaration)
         self._by_functor = by_functor
 
-    def like(self, state: Any) -> Sequence[DeclaredState]:
+    def with_functor_of(self, state: Any) -> Sequence[DeclaredState]:
         """Return the declarations of states with the functor of an atom or a compound term."""
         return self._by_functor.get(state[0] if state.__class__ is tuple else state.functor, ())
 
-    def asked(self, state: Any) -> Tuple[Sequence[DeclaredState], Optional[Hashable]]:
+    def declarations_for(self, state: Any) -> Tuple[Sequence[DeclaredState], Optional[Hashable]]:
         """Return the declarations that a query refers to, and the key of the state if the query is ground.
 
         An incremental table that is being evaluated depends on them from then on.
@@ -458,7 +461,7 @@ class StateRegistry:
         key = state[0] if state.__class__ is tuple else state.functor
         if self._tables.active:
             self._tables.note(self, key)
-        declarations = self.like(state)
+        declarations = self.with_functor_of(state)
         if not declarations:
             raise existence_error("state", indicator(key))
         try:
@@ -471,7 +474,7 @@ class StateRegistry:
         declarations = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
         return self._dispatcher.retractions, tuple([declaration.version for declaration in declarations])
 
-    # ---- from outside --------------------------------------------------------------------------------
+    # ---- administration --------------------------------------------------------------------------------
 
     def clear(self) -> None:
         """Remove all open and past states, because the clock went back; the declarations remain."""
@@ -554,23 +557,25 @@ class _StateGoals:
         return True
 
     def holds(self, machine: Machine, state: Term) -> Union[bool, Iterator[bool]]:
-        declarations, key = self.states.asked(deref(state))
+        declarations, key = self.states.declarations_for(deref(state))
         if key is not None:
-            return any(declaration.holding(key) for declaration in declarations)
-        solutions = [(term,) for declaration in declarations for term, _ in declaration.holding(None)]
+            return any(declaration.open_states(key) for declaration in declarations)
+        solutions = [(term,) for declaration in declarations for term, _ in declaration.open_states(None)]
         return _unify_solutions(machine, (state,), solutions)
 
-    def holds_since(self, machine: Machine, state: Term, since: Term) -> Iterator[bool]:
-        declarations, key = self.states.asked(deref(state))
+    def holds_since(self, machine: Machine, state: Term, begin: Term) -> Iterator[bool]:
+        declarations, key = self.states.declarations_for(deref(state))
         solutions = [
-            (term, shown(begin)) for declaration in declarations for term, begin in declaration.holding(key)
+            (term, shown(instant))
+            for declaration in declarations
+            for term, instant in declaration.open_states(key)
         ]
-        return _unify_solutions(machine, (state, since), solutions)
+        return _unify_solutions(machine, (state, begin), solutions)
 
     def held_at(self, machine: Machine, state: Term, time: Term) -> Union[bool, Iterator[bool]]:
-        declarations, key = self.states.asked(deref(state))
+        declarations, key = self.states.declarations_for(deref(state))
         instant = instant_of(time)
-        solutions = [(term,) for declaration in declarations for term in declaration.holding_at(key, instant)]
+        solutions = [(term,) for declaration in declarations for term in declaration.states_at(key, instant)]
         return bool(solutions) if key is not None else _unify_solutions(machine, (state,), solutions)
 
 

@@ -29,7 +29,7 @@ MAX_GAP_FLAG = "max_gap"
 """Name of the flag."""
 
 MAX_NOTED_GAPS = 64
-"""Maximum number of wide gaps that are noted; the oldest are forgotten."""
+"""Maximum number of wide gaps that are noted; the oldest are dropped."""
 
 MIN_OTHER_STEPS = 5
 """Minimum number of other steps in a memory for one step to be called unusual."""
@@ -52,38 +52,40 @@ class MemoryGaps:
     def __init__(self, show: Callable[[Term], str], warn: Warn):
         self._show = show
         self._warn = warn
-        self.most = UNLIMITED_GAP
+        self.max_distance = UNLIMITED_GAP
         """Largest distance of two instants that is allowed, in ns."""
-        self.noted: Dict[Tuple[int, int], Tuple[MemoryInstance, ...]] = {}
+        self.noted_gaps: Dict[Tuple[int, int], Tuple[MemoryInstance, ...]] = {}
 
-    def limit(self, seconds: float) -> None:
+    def set_limit(self, seconds: float) -> None:
         """Set the largest distance in seconds; -1 or 0 for any distance."""
-        self.most = min(UNLIMITED_GAP, from_seconds(min(seconds, 1e18))) if seconds > 0 else UNLIMITED_GAP
+        self.max_distance = (
+            min(UNLIMITED_GAP, from_seconds(min(seconds, 1e18))) if seconds > 0 else UNLIMITED_GAP
+        )
 
     def clear(self) -> None:
         """Remove all noted gaps."""
-        self.noted.clear()
+        self.noted_gaps.clear()
 
     def watch(self, instance: MemoryInstance) -> None:
         """Note the wide gaps of a memory from now on."""
 
         def note_gap(start: int, end: int) -> None:
-            gaps = self.noted
+            gaps = self.noted_gaps
             # Removing and inserting the entry again moves it to the end: the dictionary is in order of last use.
             instances = gaps.pop((start, end), ())
             gaps[start, end] = instances if instance in instances else (*instances, instance)
             if len(gaps) > MAX_NOTED_GAPS:
                 del gaps[next(iter(gaps))]
 
-        instance.memory.on_wide = note_gap
+        instance.memory.on_wide_gap = note_gap
 
     def weight(self, start: int, end: int, instant: int) -> Optional[Number]:
         """Return the weight of the first of two instants at a third one; None if they are too far apart."""
         distance = end - start
         # The instants may be given in either order.
-        if distance > self.most or -distance > self.most:
+        if distance > self.max_distance or -distance > self.max_distance:
             return None
-        if self.noted and (start, end) in self.noted:
+        if self.noted_gaps and (start, end) in self.noted_gaps:
             self._warn_of_gap(int(start), int(end))
         return (end - instant) / distance if distance else 1
 
@@ -111,13 +113,14 @@ class MemoryGaps:
         logic.define_function("memory_gap", 3, gap)
 
     def _warn_of_gap(self, start: int, end: int) -> None:
-        for instance in self.noted.pop((start, end)):
-            usual = usual_step(instance.memory, end - start)
-            if usual is not None and end - start >= WIDE_STEP_FACTOR * usual:
+        for instance in self.noted_gaps.pop((start, end)):
+            mean_step = usual_step(instance.memory, end - start)
+            if mean_step is not None and end - start >= WIDE_STEP_FACTOR * mean_step:
                 name = self._show(instance.id)
                 self._warn(
                     f"memory {name}: a value is interpolated over a gap of {(end - start) / SECOND:.3g} s; its "
-                    f"records are usually {usual / SECOND:.3g} s apart; where that should fail, set {MAX_GAP_FLAG}",
+                    f"records are usually {mean_step / SECOND:.3g} s apart; if that should "
+                    f"fail, set {MAX_GAP_FLAG}",
                     ("gap", name),
                     once=True,
                 )
@@ -198,7 +201,7 @@ class TransformChains:
         if not distance:
             return pose_of_record(earlier_record)
         # The condition is rarely true; calling `weight` each time would take 7 % of the time.
-        may_be_wide = self._gaps.noted or distance > self._gaps.most
+        may_be_wide = self._gaps.noted_gaps or distance > self._gaps.max_distance
         if may_be_wide and self._gaps.weight(start, end, instant) is None:
             return None
         return interpolate(
@@ -230,7 +233,7 @@ class TransformChains:
             (weight_args[2], before_args[2]),
             (weight_args[2], after_args[2]),
         ]
-        if any(deref(one_term) is not deref(other_term) for one_term, other_term in equal_terms):
+        if any(deref(first) is not deref(second) for first, second in equal_terms):
             return None
         first_layout, second_layout = (
             _record_layout_of(first_record, v1, q1, counts),

@@ -52,7 +52,7 @@ class KnowledgeBase:
         clock: stamps events of the clock, and calls alarms for timeouts.
         deliver: receives the events of subscriptions.
         warn: receives warnings as text.
-        rules: rules of the program; they wake subscriptions that send later.
+        rules: rules of the program; they call subscriptions that send later.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class KnowledgeBase:
         self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn)
         self.gaps = MemoryGaps(logic.brief, warn)
         self.memories.on_create = self.gaps.watch
-        self.waiting = PendingQueries(logic, dispatcher, self.memories, warn, clock)
+        self.pending_queries = PendingQueries(logic, dispatcher, self.memories, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
         self.states = StateRegistry(logic, dispatcher, clock, warn)
         # Looked up at each call, because `on_pattern` is assigned later.
@@ -84,7 +84,7 @@ class KnowledgeBase:
         """Remove records, pending queries and states, because the clock went back; definitions remain."""
         self.memories.clear()
         self.gaps.clear()
-        self.waiting.clear()
+        self.pending_queries.clear()
         self.subscriptions.clear()
         self.states.clear()
 
@@ -99,13 +99,13 @@ class KnowledgeBase:
 
     def repair(self) -> None:
         """Repair all parts after an interrupt."""
-        # Memories forget who waits for them, and the pending queries register again; the order matters.
+        # The memories drop their registered queries, and then the pending queries register again.
         self.memories.repair()
-        self.waiting.repair()
+        self.pending_queries.repair()
         self.subscriptions.repair()
         self.states.repair()
 
-    def behind(self, names: Sequence[Term], instant: int) -> MissingMemories:
+    def find_missing_memories(self, names: Sequence[Term], instant: int) -> MissingMemories:
         """Return the memories that have received no event that ends at an instant or later.
 
         Raises:
@@ -116,7 +116,7 @@ class KnowledgeBase:
             instance = self.memories.find(name)
             if instance is None:
                 raise UsageError(f"there is no memory {self._logic.brief(name)}")
-            if not instance.has(instant):
+            if not instance.has_reached(instant):
                 missing[instance] = instant
         return list(missing.items())
 
@@ -138,7 +138,7 @@ class KnowledgeBase:
         TransformChains(self.memories, self.gaps).define(logic)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
         self._define_size_predicate("memory_size", attrgetter("memory.size"))
-        self._define_size_predicate("memory_counter", attrgetter("memory.added"))
+        self._define_size_predicate("memory_counter", attrgetter("memory.added_count"))
         logic.define_control("memorize", 5, self._memorize_action(True))
         logic.define_control("memorize_diactive", 5, self._memorize_action(False))
         logic.define_control("memorize", 6, self._memorize_by_flag)

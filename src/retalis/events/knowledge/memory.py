@@ -39,14 +39,14 @@ Returns the record or None.
 """
 
 
-def key_of(name: Term) -> Hashable:
+def key_of(memory_id: Term) -> Hashable:
     """Return the dictionary key of an id.
 
     Raises:
         PrologError: an instantiation error if the id contains variables.
     """
     try:
-        return freeze(deref(name))
+        return freeze(deref(memory_id))
     except ValueError:
         raise instantiation_error() from None
 
@@ -70,7 +70,7 @@ def compile_recording(
     conditions: Term,
     form: Term,
     name: str,
-    problem: Warn,
+    warn: Warn,
 ) -> Tuple[Recording, bool]:
     """Compile ``conditions`` and ``form``, which share their variables with ``pattern``.
 
@@ -83,7 +83,7 @@ def compile_recording(
         conditions: a list of goals.
         form: term of the record.
         name: name of the memory or subscription in reports.
-        problem: receives a report about a condition that raised an error.
+        warn: receives a report about a condition that raised an error.
 
     Returns:
         The function, and whether it makes a ground record of every ground event.
@@ -104,9 +104,9 @@ def compile_recording(
     recording: Recording = record_event
     if not is_event:
         recording = _form_recording(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
-    closed = is_event or pattern_variables.issuperset(variables(form))
+    preserves_ground = is_event or pattern_variables.issuperset(variables(form))
     if body is TRUE:
-        return recording, closed
+        return recording, preserves_ground
     test = logic.compile_goal(body, inputs, output_vars, name=name).test
     # An event with variables may have them bound by the conditions, so the form is an output of the goal then.
     test_open = logic.compile_goal(body, inputs, [TRUE if is_event else form], name=name).test
@@ -119,7 +119,7 @@ def compile_recording(
         except PrologError as error:
             dispatcher.restore(event, dispatcher.cause)
             if keep_back(error):
-                problem(f"{name}: event {logic.brief(term)}: {error}", name)
+                warn(f"{name}: event {logic.brief(term)}: {error}", name)
             return None
         if solution is None:
             return None
@@ -127,7 +127,7 @@ def compile_recording(
             return recording(term, values, ground)
         return build(values + solution) if ground else solution[0]
 
-    return record, closed
+    return record, preserves_ground
 
 
 def record_event(term: Term, values: Values, ground: bool) -> Term:
@@ -182,72 +182,72 @@ class Memory:
 
     Attributes:
         size: maximum number of records.
-        room: length of the lists at which they are cut.
-        late: number of events that were refused because they were older than all records of a full memory.
+        trim_length: length of the lists at which they are cut.
+        late_count: number of events that were refused because they were older than all records of a full memory.
         ends: ends of the records as plain integers, which compare faster than other forms of instants; read-only
             outside of this package.
         records: the records, at the same positions.
         indices: positions of the records by the value of an argument, by argument; see `record_lookup`.
-        changed: position of the first record that an insertion out of order has moved, counted from the first record
-            ever; `NEVER` if all records have arrived in order since this was set.
-        on_wide: called with both ends if a look-up falls between records that may be unusually far apart.
+        first_moved: position of the first record that an insertion out of order has moved, counted from the first
+            record ever; `NEVER` if all records have arrived in order since this was set.
+        on_wide_gap: called with both ends if a look-up falls between records that may be unusually far apart.
     """
 
     __slots__ = (
         "size",
-        "room",
-        "late",
+        "trim_length",
+        "late_count",
         "ends",
         "records",
         "indices",
-        "on_wide",
-        "changed",
+        "on_wide_gap",
+        "first_moved",
         "_epoch",
-        "_gone",
+        "_removed_count",
         "_next",
     )
 
     def __init__(self, size: int):
         self.size = size
-        self.room = size + size // 4 + 16
-        self.late = 0
-        self._gone = 0
+        self.trim_length = size + size // 4 + 16
+        self.late_count = 0
+        self._removed_count = 0
         self._epoch = next(_EPOCHS)
-        self.changed = NEVER
+        self.first_moved = NEVER
         self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
         """The next lists, while they are being replaced: an interrupt may come between the assignments."""
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
         self.indices: Dict[int, Any] = {}
-        self.on_wide: Callable[[int, int], object] = lambda start, end: None
+        self.on_wide_gap: Callable[[int, int], object] = lambda start, end: None
 
     def clear(self) -> None:
         """Remove all records; the counters remain."""
         self._epoch = next(_EPOCHS)
-        self._replace_records(self._gone + len(self.ends), [], [])
+        self._replace_records(self._removed_count + len(self.ends), [], [])
 
-    def _replace_records(self, gone: int, ends: List[int], records: List[MemoryRecord]) -> None:
+    def _replace_records(self, removed_count: int, ends: List[int], records: List[MemoryRecord]) -> None:
         # A write-ahead record: after an interrupt between the assignments, `repair` repeats them.
-        self._next = gone, ends, records
+        self._next = removed_count, ends, records
         self.indices = {}
-        self._gone, self.ends, self.records = gone, ends, records
+        self._removed_count, self.ends, self.records = removed_count, ends, records
         self._next = None
 
     @property
-    def oldest(self) -> int:
+    def oldest_number(self) -> int:
         """Number of records before the first one that counts; the newest record always counts."""
-        return self._gone + max(0, len(self.ends) - max(self.size, 1))
+        return self._removed_count + max(0, len(self.ends) - max(self.size, 1))
 
-    def since(self, taken: int) -> Tuple[int, List[MemoryRecord]]:
-        """Return the records after the first ``taken`` ones, and the number of records before the first of them."""
-        first_position = max(self.oldest, min(taken, self.added))
-        return first_position, self.records[first_position - self._gone :]
+    def records_since(self, count: int) -> Tuple[int, List[MemoryRecord]]:
+        """Return the records after the first ``count`` ones, and the number of records before the first of them."""
+        first_position = max(self.oldest_number, min(count, self.added_count))
+        return first_position, self.records[first_position - self._removed_count :]
 
-    def restore(self, gone: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
+    def restore(self, removed_count: int, late: int, ends: List[int], records: List[MemoryRecord]) -> None:
         """Set the records of another memory."""
         self._epoch = next(_EPOCHS)
-        self.late = late
-        self._replace_records(gone, ends, records)
+        self.late_count = late
+        self._replace_records(removed_count, ends, records)
 
     def repair(self) -> None:
         """Complete a change that was interrupted."""
@@ -260,17 +260,17 @@ class Memory:
         return min(len(self.ends), self.size)
 
     @property
-    def added(self) -> int:
+    def added_count(self) -> int:
         """Number of records that were ever added."""
-        return self._gone + len(self.ends)
+        return self._removed_count + len(self.ends)
 
     @property
     def version(self) -> Tuple[int, int]:
         """A value that changes with the records and is unique among all memories."""
-        return self._epoch, self.added
+        return self._epoch, self.added_count
 
     @property
-    def latest(self) -> Optional[int]:
+    def latest_end(self) -> Optional[int]:
         """The largest end of all events so far; None before the first."""
         return self.ends[-1] if self.ends else None
 
@@ -282,8 +282,8 @@ class Memory:
             return self._insert(record, end)
         ends.append(end)
         self.records.append(record)
-        if len(ends) >= self.room:
-            self.cut()
+        if len(ends) >= self.trim_length:
+            self.trim()
         return True
 
     def _insert(self, record: MemoryRecord, end: int) -> bool:
@@ -291,21 +291,21 @@ class Memory:
         position = bisect_right(ends, end)
         # The record would be older than all that count, and would be cut immediately.
         if self.size and position <= len(ends) - self.size:
-            self.late += 1
+            self.late_count += 1
             return False
-        self.changed = min(self.changed, self._gone + position)
+        self.first_moved = min(self.first_moved, self._removed_count + position)
         self._replace_records(
-            self._gone,
+            self._removed_count,
             [*ends[:position], end, *ends[position:]],
             [*records[:position], record, *records[position:]],
         )
-        self.cut()
+        self.trim()
         return True
 
-    def cut(self) -> None:
-        """Remove the entries beyond the size; the newest one remains even if the size is 0, for `latest`."""
+    def trim(self) -> None:
+        """Remove the entries beyond the size; the newest one remains even if the size is 0, for `latest_end`."""
         first = max(0, len(self.ends) - max(self.size, 1))
-        self._replace_records(self._gone + first, self.ends[first:], self.records[first:])
+        self._replace_records(self._removed_count + first, self.ends[first:], self.records[first:])
 
     def at_or_before(self, instant: int) -> Optional[MemoryRecord]:
         """Return the last record whose end is not after ``instant``."""
@@ -329,7 +329,7 @@ class Memory:
             ends[-1] - ends[0]
         ) and start < end:
             # At least `WIDE_STEP_FACTOR` times the mean of the other steps.
-            self.on_wide(start, end)
+            self.on_wide_gap(start, end)
         return self.records[position]
 
     def around(self, instant: int) -> Optional[Tuple[MemoryRecord, MemoryRecord]]:
@@ -350,21 +350,21 @@ class Memory:
         end = ends[position]
         # As in `at_or_after`.
         if (end - start) * (record_count + WIDE_STEP_FACTOR - 2) >= WIDE_STEP_FACTOR * (ends[-1] - ends[0]):
-            self.on_wide(start, end)
+            self.on_wide_gap(start, end)
         return self.records[position - 1], self.records[position]
 
     @property
-    def first(self) -> int:
+    def first_position(self) -> int:
         """Position of the oldest record that counts."""
         return max(0, len(self.ends) - self.size)
 
-    def after(self, instant: int) -> int:
+    def position_after(self, instant: int) -> int:
         """Return the position after all records whose ends are not after ``instant``."""
-        return bisect_right(self.ends, instant, self.first)
+        return bisect_right(self.ends, instant, self.first_position)
 
-    def reaching(self, instant: int) -> int:
+    def position_reaching(self, instant: int) -> int:
         """Return the position of the first record whose end is not before ``instant``."""
-        return bisect_left(self.ends, instant, self.first)
+        return bisect_left(self.ends, instant, self.first_position)
 
     def newest_first(self) -> Iterator[MemoryRecord]:
         """Yield the present records, newest first."""
@@ -376,10 +376,10 @@ class Memory:
 UPDATED = functor("memory_updated", 2)
 
 
-Waiting = Tuple[Any, ...]
-"""A pending query of `PendingQueries`; its first item is its order."""
+PendingQuery = Tuple[Any, ...]
+"""A pending query of `PendingQueries`; its first item is its order, which is unique and increases."""
 
-Follow = Callable[["MemoryInstance", int, Frame], Frame]
+UpdateAction = Callable[["MemoryInstance", int, Frame], Frame]
 """Takes an instance that has recorded an event, the end of the event, and the next frame.
 
 Returns the frame to continue with.
@@ -391,13 +391,23 @@ class MemoryInstance:
 
     Attributes:
         definition: its definition ``(Functor, Pattern, Conditions, Record, Id, Size)``.
-        due: smallest instant that a query waits for.
-        open: whether records may contain variables, so that a reader needs a copy.
-        times: heap of the instants that are waited for; some may have no query any more.
-        waiting: queries that wait for it, by instant and order.
+        next_instant: smallest instant that a query waits for.
+        has_variables: whether records may contain variables, so that a reader needs a copy.
+        instants: heap of the instants that are waited for; some may have no query any more.
+        queries: queries that wait for it, by instant and order.
     """
 
-    __slots__ = ("id", "active", "definition", "memory", "recorder", "open", "due", "times", "waiting")
+    __slots__ = (
+        "id",
+        "active",
+        "definition",
+        "memory",
+        "recorder",
+        "has_variables",
+        "next_instant",
+        "instants",
+        "queries",
+    )
 
     recorder: "Recorder"
 
@@ -406,68 +416,68 @@ class MemoryInstance:
         self.definition = definition
         self.memory = Memory(size)
         self.active = active
-        self.open = False
-        self.due = NEVER
-        self.times: List[int] = []
-        self.waiting: Dict[int, Dict[int, Waiting]] = {}
+        self.has_variables = False
+        self.next_instant = NEVER
+        self.instants: List[int] = []
+        self.queries: Dict[int, Dict[int, PendingQuery]] = {}
 
     @property
     def key(self) -> Hashable:
         """Key that is equal for memories that record the same of the same events under the same name."""
         return self.active, term_key(self.definition)
 
-    def has(self, instant: int) -> bool:
+    def has_reached(self, instant: int) -> bool:
         """Return whether the watermark has reached an instant: an event that ends then or later was recorded."""
         ends = self.memory.ends
         return bool(ends) and ends[-1] >= instant
 
-    def wait(self, instant: int, order: int, query: Waiting) -> None:
-        """Store a query under its order until `reached` is called with its instant or a later one."""
-        group = self.waiting.get(instant)
+    def add_query(self, instant: int, order: int, query: PendingQuery) -> None:
+        """Store a query under its order until `pop_reached` is called with its instant or a later one."""
+        group = self.queries.get(instant)
         if group is not None:
             group[order] = query
             return
         # One heap entry per instant: queries about one instant, the usual case, share it.
-        self.waiting[instant] = {order: query}
-        heappush(self.times, instant)
-        if instant < self.due:
-            self.due = instant
+        self.queries[instant] = {order: query}
+        heappush(self.instants, instant)
+        if instant < self.next_instant:
+            self.next_instant = instant
 
-    def reached(self, end: int) -> List[Waiting]:
+    def pop_reached(self, end: int) -> List[PendingQuery]:
         """Remove and return the queries that wait for an instant or an earlier one."""
-        times = self.times
-        queries: List[Waiting] = []
-        while times and times[0] <= end:
-            queries += self.waiting.pop(heappop(times), _NO_QUERIES).values()
-        self.due = times[0] if times else NEVER
+        instants = self.instants
+        queries: List[PendingQuery] = []
+        while instants and instants[0] <= end:
+            queries += self.queries.pop(heappop(instants), _NO_QUERIES).values()
+        self.next_instant = instants[0] if instants else NEVER
         return queries
 
-    def forget(self, instant: int, order: int) -> None:
+    def remove_query(self, instant: int, order: int) -> None:
         """Remove a query."""
-        group = self.waiting[instant]
+        group = self.queries[instant]
         del group[order]
         if not group:
-            del self.waiting[instant]
+            del self.queries[instant]
             # An instant cannot be removed from the middle of a heap; the heap is rebuilt when most of it is stale.
-            if len(self.times) > 2 * len(self.waiting) + _STALE_TOLERANCE:
-                self.times = list(self.waiting)
-                heapify(self.times)
+            if len(self.instants) > 2 * len(self.queries) + _STALE_TOLERANCE:
+                self.instants = list(self.queries)
+                heapify(self.instants)
 
     def repair(self) -> None:
         """Repair the records after an interrupt; `PendingQueries.repair` registers the queries again."""
         self.memory.repair()
-        self.forget_waiting()
+        self.clear_queries()
         if self not in self.recorder.instances:
             self.recorder.add(self)
 
-    def forget_waiting(self) -> None:
+    def clear_queries(self) -> None:
         """Remove all queries."""
-        self.due = NEVER
-        self.times = []
-        self.waiting = {}
+        self.next_instant = NEVER
+        self.instants = []
+        self.queries = {}
 
 
-_NO_QUERIES: Dict[int, Waiting] = {}
+_NO_QUERIES: Dict[int, PendingQuery] = {}
 _STALE_TOLERANCE = 16
 
 
@@ -479,8 +489,8 @@ class Recorder:
     Args:
         dispatcher: dispatcher of the events.
         pattern: the event pattern.
-        take: the recording function, and whether it makes a ground record of a ground event.
-        follow: takes instance, end and next frame; returns the frame that processes the update.
+        recording: the recording function, and whether it makes a ground record of a ground event.
+        on_update: takes instance, end and next frame; returns the frame that processes the update.
         key: equal for recorders that record the same of the same events; None if that is not known.
         unused: variables of the pattern whose values are not used.
     """
@@ -489,16 +499,16 @@ class Recorder:
         self,
         dispatcher: Dispatcher,
         pattern: Term,
-        take: Tuple[Recording, bool],
-        follow: Follow,
+        recording: Tuple[Recording, bool],
+        on_update: UpdateAction,
         key: Hashable,
         unused: AbstractSet[Var],
     ):
         self.key = key
         self.instances: Tuple[MemoryInstance, ...] = ()
         self._dispatcher = dispatcher
-        self._make_record, self._closed = take
-        self._follow = follow
+        self._make_record, self._preserves_ground = recording
+        self._on_update = on_update
         self._updates = dispatcher.event_filter(UPDATED)
         self._records_all_events = pattern.__class__ is Var
         self.listener = dispatcher.listen(ListenerPhase.MEMORIES, pattern, self._record_event, unused=unused)
@@ -534,7 +544,7 @@ class Recorder:
         record_term = self._make_record(term, values, ground)
         if record_term is None:
             return after
-        has_variables = not (self._closed and ground) and not is_ground(record_term)
+        has_variables = not (self._preserves_ground and ground) and not is_ground(record_term)
         return self._add_to_memories((record_term, start, end), has_variables, iter(self.instances), after)
 
     def run(self, frame: Frame) -> Frame:
@@ -542,13 +552,13 @@ class Recorder:
         return self._add_to_memories(*frame[1:])
 
     def _add_to_memories(
-        self, record: MemoryRecord, opens: bool, instances: Iterator[MemoryInstance], after: Frame
+        self, record: MemoryRecord, has_variables: bool, instances: Iterator[MemoryInstance], after: Frame
     ) -> Frame:
         end = int(record[2])
         has_update_listeners = self._updates.plan is not NOBODY
         for instance in instances:
-            if opens:
-                instance.open = True
+            if has_variables:
+                instance.has_variables = True
             memory = instance.memory
             ends = memory.ends
             if ends and end < ends[-1]:
@@ -557,13 +567,13 @@ class Recorder:
             else:  # `Memory.add` inlined: with a call, 20 memories that record every event take 26 % more time
                 ends.append(end)
                 memory.records.append(record)
-                if len(ends) >= memory.room:
-                    memory.cut()
+                if len(ends) >= memory.trim_length:
+                    memory.trim()
             # The frame contains the iterator: after the queries and reports of this memory, recording continues
             # with the next one.
-            if instance.due <= end or (has_update_listeners and instance.active):
-                frame = (self, record, opens, instances, after)
-                result = self._follow(instance, record[2], frame)
+            if instance.next_instant <= end or (has_update_listeners and instance.active):
+                frame = (self, record, has_variables, instances, after)
+                result = self._on_update(instance, record[2], frame)
                 if result is not frame:
                     return result
         return after

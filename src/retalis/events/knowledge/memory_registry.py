@@ -6,7 +6,7 @@ memories report creation, updates and deletion as events. If a program is reload
 with an unchanged definition continue with their records.
 """
 
-from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence
 
 from ...foundation.errors import UsageError
 from ...prolog.builtins.tabling import tables_of
@@ -22,9 +22,10 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from .memory import (
     UPDATED,
-    Follow,
     MemoryInstance,
+    MemoryRecord,
     Recorder,
+    UpdateAction,
     Warn,
     compile_recording,
     is_event_variable,
@@ -35,9 +36,6 @@ from .memory import (
 CREATED: Functor = functor("memory_created", 5)
 DELETED: Functor = functor("memory_deleted", 1)
 
-FoundRecord = Tuple[Term, int, int]
-"""A record with its interval."""
-
 
 class MemoryInstances:
     """All memory instances of a program.
@@ -46,7 +44,7 @@ class MemoryInstances:
         logic: the system in which the predicates are defined.
         dispatcher: dispatcher of the events that are recorded.
         stamp: returns the instant for an event of the clock.
-        problem: receives reports about conditions that raised an error.
+        warn: receives reports about conditions that raised an error.
 
     Attributes:
         instances: instances by the keys of their names.
@@ -61,19 +59,19 @@ class MemoryInstances:
         logic: PrologSystem,
         dispatcher: Dispatcher,
         stamp: Callable[[], int],
-        problem: Warn,
+        warn: Warn,
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._stamp = stamp
-        self._warn = problem
+        self._warn = warn
         self.instances: Dict[Hashable, MemoryInstance] = {}
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
         self._newest_recorder: Optional[Recorder] = None
         self._detached: Dict[Hashable, MemoryInstance] = {}
         self._updates = dispatcher.event_filter(UPDATED)
-        self.on_update: Follow = lambda instance, end, after: after
+        self.on_update: UpdateAction = lambda instance, end, after: after
         self.on_delete: Callable[[MemoryInstance], None] = lambda instance: None
         self.on_create: Callable[[MemoryInstance], None] = lambda instance: None
 
@@ -169,9 +167,9 @@ class MemoryInstances:
         del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
         self.on_delete(instance)
-        return self.tell_deleted(instance, after)
+        return self.report_deleted(instance, after)
 
-    def tell_deleted(self, instance: MemoryInstance, after: Frame) -> Frame:
+    def report_deleted(self, instance: MemoryInstance, after: Frame) -> Frame:
         """Return the frame that reports the deletion of a memory."""
         if not instance.active:
             return after
@@ -207,7 +205,7 @@ class MemoryInstances:
         for instance in instances:
             self.create(instance.definition, instance.active, done)
 
-    def begin(self, definition: Any, active: bool) -> MemoryInstance:
+    def create_unreported(self, definition: Any, active: bool) -> MemoryInstance:
         """Create a memory by its definition as `create` does, without reporting it."""
         _, _, _, _, name, size = definition
         instance = MemoryInstance(name, size, active, definition)
@@ -239,13 +237,17 @@ class MemoryInstances:
         can_share = conditions is NIL and pattern.__class__ is not Var
         key = term_key((MINUS, pattern, form)) if can_share else None
         newest = self._newest_recorder
-        may_join = key is not None and self._dispatcher.current is None
-        if may_join and newest is not None and newest.instances and key == newest.key:
+        can_share_now = key is not None and self._dispatcher.current is None
+        if can_share_now and newest is not None and newest.instances and key == newest.key:
             return newest
         title = f"memory {self._logic.brief(name)}"
-        take = compile_recording(self._logic, self._dispatcher, pattern, conditions, form, title, self._warn)
+        recording = compile_recording(
+            self._logic, self._dispatcher, pattern, conditions, form, title, self._warn
+        )
         unused = unused_variables(pattern, conditions, form)
-        self._newest_recorder = Recorder(self._dispatcher, pattern, take, self._process_update, key, unused)
+        self._newest_recorder = Recorder(
+            self._dispatcher, pattern, recording, self._process_update, key, unused
+        )
         return self._newest_recorder
 
     def _process_update(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
@@ -255,7 +257,7 @@ class MemoryInstances:
             update = (UPDATED, instance.id, timestamps.to_term(end))
             # The report becomes the continuation of the queries, so they are called before its listeners.
             after = (self, update, instant, after)
-        if instance.due <= end:
+        if instance.next_instant <= end:
             return self.on_update(instance, end, after)
         return after
 
@@ -274,28 +276,28 @@ class MemoryInstances:
 
 def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
     """Define the deterministic predicates that read memories."""
-    instance_of, to_term = memories.instances.get, timestamps.to_term
+    get_instance, to_term = memories.instances.get, timestamps.to_term
     active_tables = tables_of(logic.machine).active
 
-    def prev(name: Term, time: Any) -> Optional[FoundRecord]:
-        instance = instance_of(name) if name.__class__ is Atom and not active_tables else memories.find(name)
+    def prev(name: Term, time: Any) -> Optional[MemoryRecord]:
+        instance = get_instance(name) if name.__class__ is Atom and not active_tables else memories.find(name)
         if instance is None:
             return None
         # As in `instant_of`.
         is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
         record = instance.memory.at_or_before(time.source if is_new else instant_of(time))
-        return record if not instance.open or record is None else _with_new_variables(record)
+        return record if not instance.has_variables or record is None else _with_new_variables(record)
 
-    def next_inf(name: Term, time: Any) -> Optional[FoundRecord]:
-        instance = instance_of(name) if name.__class__ is Atom and not active_tables else memories.find(name)
+    def next_inf(name: Term, time: Any) -> Optional[MemoryRecord]:
+        instance = get_instance(name) if name.__class__ is Atom and not active_tables else memories.find(name)
         if instance is None:
             return None
         # As in `instant_of`.
         is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
         record = instance.memory.at_or_after(time.source if is_new else instant_of(time))
-        return record if not instance.open or record is None else _with_new_variables(record)
+        return record if not instance.has_variables or record is None else _with_new_variables(record)
 
-    def following(name: Term, low: Term, high: Term) -> Optional[FoundRecord]:
+    def following(name: Term, low: Term, high: Term) -> Optional[MemoryRecord]:
         if memories.find(name) is None:
             return None
         record, last_instant = next_inf(name, low), instant_of(high)
@@ -313,7 +315,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         logic.define_function(key.name, key.arity, function, record_and_interval, shows)
 
 
-def _with_new_variables(record: FoundRecord) -> FoundRecord:
+def _with_new_variables(record: MemoryRecord) -> MemoryRecord:
     """Return a record with new variables."""
     return copy(record[0]), record[1], record[2]
 
@@ -326,7 +328,7 @@ def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]
         if instance is None:
             return
         for term, start, end in instance.memory.newest_first():
-            returned_term = copy(term) if instance.open else term
+            returned_term = copy(term) if instance.has_variables else term
             record_interval = timestamps.interval_term(start, end)
             if machine.unify(record, returned_term) and machine.unify(interval, record_interval):
                 yield True

@@ -12,7 +12,7 @@ registered with the next memory that is behind, or called if there is none. Quer
 are called in order of their registration.
 
 If a rule makes the synchronized event and nothing else listens to it, the event is not created: conditions, query
-and event are compiled for the variables of the rule (`compile_conditions`, `compile_question`).
+and event are compiled for the variables of the rule (`compile_conditions`, `compile_query`).
 """
 
 from itertools import count
@@ -48,16 +48,16 @@ def missing_memories(logic: PrologSystem, memories: MemoryInstances, conditions:
         UsageError: if there is no such memory, or a condition is not ``[Id, Time]``.
     """
     awaited: Dict[MemoryInstance, int] = {}
-    # Most often all wait for one time.
+    # Conditions usually share one time, so it is converted once.
     time, instant = None, 0
-    for name, its_time in _condition_pairs(logic, conditions):
+    for name, condition_time in _condition_pairs(logic, conditions):
         instance = memories.find(name)
         if instance is None:
             raise UsageError(f"there is no memory {logic.brief(name)}")
-        if its_time is not time:
-            time, instant = its_time, required_instant(its_time)
+        if condition_time is not time:
+            time, instant = condition_time, required_instant(condition_time)
         awaited[instance] = max(instant, awaited.get(instance, instant))
-    return [(instance, instant) for instance, instant in awaited.items() if not instance.has(instant)]
+    return [(instance, instant) for instance, instant in awaited.items() if not instance.has_reached(instant)]
 
 
 def compile_conditions(
@@ -65,7 +65,7 @@ def compile_conditions(
 ) -> Optional[Callable[[Values], MissingMemories]]:
     """Return a function of the values of ``names`` that returns the memories that a query must wait for.
 
-    The function raises a `UsageError` as `behind` does. None is returned if the memories depend on the values.
+    The function raises a `UsageError` as `missing_memories` does. Return None if the memories depend on the values.
     """
     try:
         pairs = _condition_pairs(logic, conditions)
@@ -80,7 +80,7 @@ def compile_conditions(
         "first_reaching": timestamps.first_reaching,
         "no_memory": lambda name: UsageError(f"there is no memory {logic.brief(name)}"),
     }
-    places = positions(names)
+    positions_of_names = positions(names)
     lines = ["    missing = []"]
     previous = None
     for index, (key, (name, time)) in enumerate(zip(keys, pairs)):
@@ -92,7 +92,7 @@ def compile_conditions(
         ]
         # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
-            lines += _instant_source(time, names, places, index, namespace)
+            lines += _instant_source(time, names, positions_of_names, index, namespace)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
@@ -107,11 +107,15 @@ def compile_conditions(
 
 
 def _instant_source(
-    time: Term, names: Sequence[Var], places: Dict[Var, int], index: int, namespace: Dict[str, Any]
+    time: Term,
+    names: Sequence[Var],
+    positions_of_names: Dict[Var, int],
+    index: int,
+    namespace: Dict[str, Any],
 ) -> List[str]:
     """Return the source lines that compute the instant of a time."""
     if time.__class__ is Var:
-        lines = [f"    time = values[{places[time]}]"]
+        lines = [f"    time = values[{positions_of_names[time]}]"]
     else:
         namespace[f"build{index}"] = compile_builder(time, names, "time of a synchronized query")
         lines = [f"    time = build{index}(values)"]
@@ -166,7 +170,7 @@ class TriggeredQuery:
     """A query and the event that it triggers, compiled for values that are known when it is called.
 
     Args:
-        around: its context.
+        context: logic, dispatcher and receiver of warnings.
         goal: the query; None if it is always true.
         inputs: positions of the goal's inputs in the values.
         build: makes the event from the values followed by the results of the goal.
@@ -174,36 +178,46 @@ class TriggeredQuery:
 
     Attributes:
         event: makes the event from the values alone, before the query is called.
-        terms: makes event and query from the values, in the form of `general_question`.
-        ask: takes values, start, end and next frame; returns the frame that calls the query and triggers the event
-            if it has a solution.
+        terms: makes event and query from the values, in the form of `compile_general_query`.
+        execute: takes values, start, end and next frame; returns the frame that calls the query and triggers the
+            event if it has a solution.
     """
 
-    __slots__ = ("_around", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build", "event", "ask", "terms")
+    __slots__ = (
+        "_context",
+        "_dispatcher",
+        "_dispatch",
+        "_goal",
+        "_inputs",
+        "_build",
+        "event",
+        "execute",
+        "terms",
+    )
 
     terms: Callable[[Values], Tuple[Term, Term]]
 
-    ask: Callable[[Values, int, int, Frame], Frame]
+    execute: Callable[[Values, int, int, Frame], Frame]
 
     def __init__(
         self,
-        around: QueryContext,
+        context: QueryContext,
         goal: Optional[CompiledGoal],
         inputs: Tuple[int, ...],
         build: Callable[[Values], Term],
         unsolved: Callable[[Values], Term],
     ):
-        self._around = around
-        self._dispatcher = around.dispatcher
-        self._dispatch = around.dispatcher.dispatch
+        self._context = context
+        self._dispatcher = context.dispatcher
+        self._dispatch = context.dispatcher.dispatch
         self._goal = goal
         self._inputs = inputs
         self._build = build
         self.event = unsolved
-        self.ask = self._trigger if goal is None else self._call
+        self.execute = self._trigger if goal is None else self._call
 
     def _call(self, values: Values, start: int, end: int, after: Frame) -> Frame:
-        # Not None: else `ask` is `_trigger`.
+        # Not None: else `execute` is `_trigger`.
         goal: Any = self._goal
         goal_inputs = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
@@ -219,16 +233,16 @@ class TriggeredQuery:
         try:
             return self._dispatch(event, start, end, after)
         except UsageError as error:
-            show = self._around.logic.brief
-            self._around.warn(f"{show(event)} is dropped: {error}", ("dropped", event_functor(event)))
+            show = self._context.logic.brief
+            self._context.warn(f"{show(event)} is dropped: {error}", ("dropped", event_functor(event)))
             return after
 
     def _warn_of_error(self, values: Values, error: PrologError) -> None:
         if not keep_back(error):
             return
         event = self.event(values)
-        self._around.warn(
-            f"{self._around.logic.brief(event)} is dropped, its query raised: {error}",
+        self._context.warn(
+            f"{self._context.logic.brief(event)} is dropped, its query raised: {error}",
             ("raised", event_functor(event)),
         )
 
@@ -237,23 +251,23 @@ class QueryNotifier(TriggeredQuery):
     """A client outside of the program that waits for memories; it is notified instead of calling a query.
 
     Args:
-        named: its name in reports.
-        tell: called once.
+        client_name: its name in reports.
+        notify: called once.
     """
 
-    __slots__ = ("_named", "_tell")
+    __slots__ = ("_client_name", "_notify")
 
-    def __init__(self, named: Term, tell: Callable[[], None]):
-        self._named = named
-        self._tell = tell
-        self.event = self._name
-        self.ask = self._notify_client
+    def __init__(self, client_name: Term, notify: Callable[[], None]):
+        self._client_name = client_name
+        self._notify = notify
+        self.event = self._event_of_values
+        self.execute = self._notify_client
 
-    def _name(self, values: Values) -> Term:
-        return self._named
+    def _event_of_values(self, values: Values) -> Term:
+        return self._client_name
 
     def _notify_client(self, values: Values, start: int, end: int, after: Frame) -> Frame:
-        self._tell()
+        self._notify()
         return after
 
 
@@ -262,45 +276,45 @@ class DerivedQuery(TriggeredQuery):
 
     Args:
         dispatcher: dispatcher of the events.
-        asked: the query.
+        query: the query.
         token: occurrence of the event that is served when the query is registered.
     """
 
-    __slots__ = ("_asked", "_token")
+    __slots__ = ("_query", "_token")
 
     def __init__(self, dispatcher: Dispatcher, query: TriggeredQuery, token: object):
         self._dispatcher = dispatcher
-        self._asked = query
+        self._query = query
         self._token = token
         self.event = query.event
         self.terms = query.terms
-        self.ask = self._ask
+        self.execute = self._execute_derived
 
     @property
     def token(self) -> object:
         """The occurrence that its event is derived from."""
         return self._token
 
-    def _ask(self, values: Values, start: int, end: int, after: Frame) -> Frame:
-        return self._asked.ask(values, start, end, self._dispatcher.following(self._token, after))
+    def _execute_derived(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+        return self._query.execute(values, start, end, self._dispatcher.following(self._token, after))
 
 
-def general_question(around: QueryContext) -> TriggeredQuery:
+def compile_general_query(context: QueryContext) -> TriggeredQuery:
     """Return the query whose values are an event and a query term.
 
     The query comes from an event, which may have any source; it is not allowed to change flags.
     """
     event, query = Var(), Var()
-    goal = around.logic.compile_goal(
+    goal = context.logic.compile_goal(
         (_CALL, query), [event, query], [event], name=_REPORT_NAME, from_outside=True
     )
-    question = TriggeredQuery(around, goal, (0, 1), lambda values: values[2], lambda values: values[0])
-    question.terms = lambda values: (values[0], values[1])
-    return question
+    compiled_query = TriggeredQuery(context, goal, (0, 1), lambda values: values[2], lambda values: values[0])
+    compiled_query.terms = lambda values: (values[0], values[1])
+    return compiled_query
 
 
-def compile_question(
-    around: QueryContext,
+def compile_query(
+    context: QueryContext,
     event: Term,
     query: Term,
     names: Sequence[Var],
@@ -310,7 +324,7 @@ def compile_question(
     """Return the query for ground values of ``names``; None if the query itself depends on the values.
 
     Args:
-        around: its context.
+        context: logic, dispatcher and receiver of warnings.
         event: the event that it triggers.
         query: its goal.
         names: variables that are known.
@@ -318,29 +332,29 @@ def compile_question(
         from_outside: whether it was given by a service or topic instead of the program.
     """
     event, query = deref(event), deref(query)
-    mentioned = set(variables(query))
+    query_variables = set(variables(query))
     known_variables = set(names)
     # A variable query is called through `call/1`; one that is bound only at run time cannot be compiled.
     if query.__class__ is Var:
         if query not in known_variables:
             return None
         query = (_CALL, query)
-    outputs = [var for var in variables(event) if var in mentioned and var not in known_variables]
+    outputs = [var for var in variables(event) if var in query_variables and var not in known_variables]
     build = compile_builder(event, [*names, *outputs], f"event of a {_REPORT_NAME}")
-    inputs = [position for position, name in enumerate(names) if name in mentioned]
+    inputs = [position for position, name in enumerate(names) if name in query_variables]
     goal = None
     if query is not TRUE:
         try:
-            goal = around.logic.compile_goal(
+            goal = context.logic.compile_goal(
                 query, [names[position] for position in inputs], outputs, place, _REPORT_NAME, from_outside
             )
         except PrologError:  # the general form reports the error for each event
             return None
-    question = TriggeredQuery(
-        around, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in outputs]))
+    compiled_query = TriggeredQuery(
+        context, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in outputs]))
     )
-    question.terms = lambda values: copy((MINUS, event, query), dict(zip(names, values)))[1:]
-    return question
+    compiled_query.terms = lambda values: copy((MINUS, event, query), dict(zip(names, values)))[1:]
+    return compiled_query
 
 
 def event_functor(event: Term) -> Hashable:
@@ -359,7 +373,7 @@ MAX_PENDING_QUERIES = 200_000
 MAX_NAMED_QUERIES = 20
 """Maximum number of dropped queries that one warning names."""
 
-Waiting = Tuple[int, TriggeredQuery, Values, int, int, MissingMemories]
+PendingQuery = Tuple[int, TriggeredQuery, Values, int, int, MissingMemories]
 """A pending query: order, query, values, start, end, and the memories that it waits for, next one last."""
 
 
@@ -397,11 +411,11 @@ class PendingQueries:
         self._warn = warn
         self.limit = limit
         self._order = count()
-        self._all: Dict[int, Waiting] = {}
+        self._all: Dict[int, PendingQuery] = {}
         self._oldest_order = 0
-        self.timeouts = Timeouts(clock, self._all, self._give_up)
-        self._around = QueryContext(logic, dispatcher, warn)
-        self._general = general_question(self._around)
+        self.timeouts = Timeouts(clock, self._all, self._drop_timed_out)
+        self._context = QueryContext(logic, dispatcher, warn)
+        self._general_query = compile_general_query(self._context)
         memories.on_update = self._release
         memories.on_delete = self._drop_waiting_for
         for name in ("syncronized", "synchronized"):
@@ -417,11 +431,11 @@ class PendingQueries:
     def __len__(self) -> int:
         return len(self._all)
 
-    def __iter__(self) -> Iterator[Waiting]:
+    def __iter__(self) -> Iterator[PendingQuery]:
         """Yield the pending queries, oldest first."""
         return iter(self._all.values())
 
-    def all(self) -> List[Waiting]:
+    def copy_all(self) -> List[PendingQuery]:
         """Return the pending queries, oldest first; callable from other threads."""
         return list(self._all.values())
 
@@ -430,18 +444,20 @@ class PendingQueries:
         self._all.clear()
         self.timeouts.clear()
         for instance in self._memories:
-            instance.forget_waiting()
+            instance.clear_queries()
 
-    def await_all(self, missing: MissingMemories, named: Term, now: int, tell: Callable[[], None]) -> int:
-        """Notify a client when memories have caught up; return the order of its entry, for `waits`.
+    def notify_when_reached(
+        self, missing: MissingMemories, client_name: Term, now: int, notify: Callable[[], None]
+    ) -> int:
+        """Notify a client when memories have caught up; return the order of its entry, for `is_waiting`.
 
         Args:
             missing: the memories that are behind, at least one.
-            named: name of the client in warnings.
+            client_name: name of the client in warnings.
             now: present instant.
-            tell: called once, while the last missing event is being served.
+            notify: called once, while the last missing event is being served.
         """
-        return self._wait(QueryNotifier(named, tell), (), now, now, missing)
+        return self._register(QueryNotifier(client_name, notify), (), now, now, missing)
 
     def snapshot(self) -> Tuple[int, List[QueryRow]]:
         """Return the next order and the pending queries as data.
@@ -457,7 +473,9 @@ class PendingQueries:
                 continue
             event, query = triggered.terms(values)
             token = triggered.token if isinstance(triggered, DerivedQuery) else None
-            awaited = [(instance.id, instant) for instance, instant in missing if not instance.has(instant)]
+            awaited = [
+                (instance.id, instant) for instance, instant in missing if not instance.has_reached(instant)
+            ]
             queries.append((query_order, event, query, start, end, awaited, token))
         return order, queries
 
@@ -465,17 +483,26 @@ class PendingQueries:
         """Set the pending queries."""
         self._order = count(order)
         self._oldest_order = queries[0][0] if queries else order
-        for number, event, query, start, end, awaited, token in queries:
+        for query_order, event, query, start, end, awaited, token in queries:
             missing: Any = [(self._memories.find(name), instant) for name, instant in awaited]
-            question = (
-                self._general if token is None else DerivedQuery(self._dispatcher, self._general, token)
+            compiled_query = (
+                self._general_query
+                if token is None
+                else DerivedQuery(self._dispatcher, self._general_query, token)
             )
-            pending = self._all[number] = (number, question, (event, query), start, end, missing)
-            # Queries are registered with the last memory that is missing, as in `_wait`.
+            pending = self._all[query_order] = (
+                query_order,
+                compiled_query,
+                (event, query),
+                start,
+                end,
+                missing,
+            )
+            # Queries are registered with the last memory that is missing, as in `_register`.
             instance, instant = missing[-1]
-            instance.wait(instant, number, pending)
+            instance.add_query(instant, query_order, pending)
 
-    def waits(self, order: int) -> bool:
+    def is_waiting(self, order: int) -> bool:
         """Return whether a client is still waiting: neither notified nor dropped."""
         return order in self._all
 
@@ -493,9 +520,9 @@ class PendingQueries:
             return after
         # Without missing data, the query runs within the dispatch of the synchronized event.
         if missing:
-            self._wait(self._query_with_cause(), (event, query), start, end, missing)
+            self._register(self._query_with_cause(), (event, query), start, end, missing)
             return after
-        return self._general.ask((event, query), start, end, after)
+        return self._general_query.execute((event, query), start, end, after)
 
     def _arrive_with_timeout(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Process ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
@@ -507,8 +534,8 @@ class PendingQueries:
             self._drop(event, error)
             return after
         if not missing:
-            return self._general.ask((event, query), start, end, after)
-        order = self._wait(self._query_with_cause(), (event, query), start, end, missing)
+            return self._general_query.execute((event, query), start, end, after)
+        order = self._register(self._query_with_cause(), (event, query), start, end, missing)
         self.timeouts.add(order, end, wait)
         return after
 
@@ -519,36 +546,36 @@ class PendingQueries:
         """
         dispatcher = self._dispatcher
         return (
-            DerivedQuery(dispatcher, self._general, dispatcher.token())
+            DerivedQuery(dispatcher, self._general_query, dispatcher.token())
             if dispatcher.tracked
-            else self._general
+            else self._general_query
         )
 
-    def _give_up(self, order: int, instant: int) -> None:
+    def _drop_timed_out(self, order: int, instant: int) -> None:
         """Drop a query whose time is over, and dispatch an event that reports it."""
         _, _, (event, query), _, _, missing = self._all[order]
         pairs = [
             make_list([instance.id, timestamps.to_term(awaited_instant)])
             for instance, awaited_instant in missing
-            if not instance.has(awaited_instant)
+            if not instance.has_reached(awaited_instant)
         ]
         self._remove_query(order)
         machine = self._logic.machine
         report = GIVEN_UP(event, query, make_list(pairs))
-        # The alarm may ring while another event is served; the report is dispatched independently of it.
+        # The alarm may be called while another event is dispatched; the report does not depend on it.
         self._dispatcher.apart(
             lambda: machine.run(self._dispatcher.dispatch(report, instant, instant, machine.done))
         )
 
-    def _compile_rule_action(self, rule: EventRule, otherwise: EventAction) -> Optional[EventAction]:
+    def _compile_rule_action(self, rule: EventRule, default_action: EventAction) -> Optional[EventAction]:
         """Return the action for the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
         # It has the functor that this is the shortcut of.
         head: Any = rule.definition.head
         key, event, query, conditions = head
         names, firings = rule.vars, rule.firings
-        find = compile_conditions(self._logic, self._memories, conditions, names)
-        question = compile_question(self._around, event, query, names, rule.place, rule.from_outside)
-        if find is None or question is None:
+        find_missing = compile_conditions(self._logic, self._memories, conditions, names)
+        compiled_query = compile_query(self._context, event, query, names, rule.place, rule.from_outside)
+        if find_missing is None or compiled_query is None:
             return None
 
         def ask_or_wait(values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -556,38 +583,38 @@ class PendingQueries:
             firings.number += 1
             firings.last = end
             try:
-                missing = find(values)
+                missing = find_missing(values)
             except UsageError as error:
-                self._drop(question.event(values), error)
+                self._drop(compiled_query.event(values), error)
                 return after
             if missing:
-                self._wait(question, values, start, end, missing)
+                self._register(compiled_query, values, start, end, missing)
                 return after
-            return question.ask(values, start, end, after)
+            return compiled_query.execute(values, start, end, after)
 
         ground_count = rule.ground_with_event
-        return question_action(self._dispatcher, key, ground_count, ask_or_wait, otherwise, rule.meter)
+        return question_action(self._dispatcher, key, ground_count, ask_or_wait, default_action, rule.meter)
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", event_functor(event)))
 
-    def _wait(
-        self, question: TriggeredQuery, values: Values, start: int, end: int, missing: MissingMemories
+    def _register(
+        self, compiled_query: TriggeredQuery, values: Values, start: int, end: int, missing: MissingMemories
     ) -> int:
         """Register a query; return its order."""
         if len(self._all) >= self.limit:
             self._drop_oldest()
         order = next(self._order)
         # The query is in the list before it is registered: `repair` registers all that are in the list.
-        pending = self._all[order] = (order, question, values, start, end, missing)
+        pending = self._all[order] = (order, compiled_query, values, start, end, missing)
         instance, instant = missing[-1]
-        instance.wait(instant, order, pending)
+        instance.add_query(instant, order, pending)
         return order
 
     def _release(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
-        ready: List[Waiting] = []
-        for pending in instance.reached(end):
+        ready: List[PendingQuery] = []
+        for pending in instance.pop_reached(end):
             if len(pending[5]) == 1 or not self._register_with_next(pending):
                 del self._all[pending[0]]
                 ready.append(pending)
@@ -596,30 +623,30 @@ class PendingQueries:
             ready.sort()
         elif not ready:
             return after
-        return self._ask((self, iter(ready), after))
+        return self._execute_ready((self, iter(ready), after))
 
     @staticmethod
-    def _register_with_next(pending: Waiting) -> bool:
+    def _register_with_next(pending: PendingQuery) -> bool:
         """Register a query with the next memory that is behind; return whether there is one."""
         missing = pending[5]
         missing.pop()
         while missing:
             instance, instant = missing[-1]
-            if not instance.has(instant):
-                instance.wait(instant, pending[0], pending)
+            if not instance.has_reached(instant):
+                instance.add_query(instant, pending[0], pending)
                 return True
             missing.pop()
         return False
 
     def run(self, frame: Frame) -> Frame:
         """Call the remaining queries, as frame code; each is finished before the next one is called."""
-        return self._ask(frame)
+        return self._execute_ready(frame)
 
     @staticmethod
-    def _ask(frame: Frame) -> Frame:
-        ready: Iterator[Waiting] = frame[1]
-        for _, question, values, start, end, _ in ready:
-            result = question.ask(values, start, end, frame)
+    def _execute_ready(frame: Frame) -> Frame:
+        ready: Iterator[PendingQuery] = frame[1]
+        for _, compiled_query, values, start, end, _ in ready:
+            result = compiled_query.execute(values, start, end, frame)
             # The query has begun to run; the machine returns to this frame when it is finished.
             if result is not frame:
                 return result
@@ -639,10 +666,10 @@ class PendingQueries:
                 )
                 continue
             # The last condition stays even if it is fulfilled: only an event of its memory can call the query.
-            while len(missing) > 1 and missing[-1][0].has(missing[-1][1]):
+            while len(missing) > 1 and missing[-1][0].has_reached(missing[-1][1]):
                 missing.pop()
             if missing:
-                missing[-1][0].wait(missing[-1][1], order, pending)
+                missing[-1][0].add_query(missing[-1][1], order, pending)
             else:
                 del self._all[order]
 
@@ -660,27 +687,27 @@ class PendingQueries:
 
     def _remove_query(self, order: int) -> Term:
         """Remove a query; return its event."""
-        _, question, values, _, _, missing = self._all.pop(order)
+        _, compiled_query, values, _, _, missing = self._all.pop(order)
         instance, instant = missing[-1]
-        instance.forget(instant, order)
-        return question.event(values)
+        instance.remove_query(instant, order)
+        return compiled_query.event(values)
 
     def _drop_waiting_for(self, instance: MemoryInstance) -> None:
         """Drop the queries that wait for a deleted memory, with one warning that names them."""
         orders = [
             pending[0]
             for pending in self._all.values()
-            if any(memory is instance and not memory.has(instant) for memory, instant in pending[5])
+            if any(memory is instance and not memory.has_reached(instant) for memory, instant in pending[5])
         ]
         dropped = [self._remove_query(order) for order in orders]
         if dropped:
             show = self._logic.brief
             event_names = ", ".join(show(event) for event in dropped[:MAX_NAMED_QUERIES])
-            more_text = (
+            rest_text = (
                 f" and {len(dropped) - MAX_NAMED_QUERIES} more" if len(dropped) > MAX_NAMED_QUERIES else ""
             )
             self._warn(
                 f"the memory {show(instance.id)} was deleted; "
-                f"dropped are the events that waited for it: {event_names}{more_text}",
+                f"dropped are the events that waited for it: {event_names}{rest_text}",
                 ("deleted", instance),
             )

@@ -31,22 +31,22 @@ class RecordIndex:
 
     Args:
         memory: the memory.
-        at: position of the argument.
+        position: position of the argument.
     """
 
-    __slots__ = ("_at", "_records", "_taken", "_places", "_others")
+    __slots__ = ("_argument_position", "_records", "_indexed_count", "_positions", "_others")
 
     def __init__(self, memory: Memory, position: int):
-        self._at = position
+        self._argument_position = position
         self._records = memory.records
-        self._taken = 0
-        self._places: Dict[Any, List[int]] = {}
+        self._indexed_count = 0
+        self._positions: Dict[Any, List[int]] = {}
         self._others: List[int] = []
 
-    def places(self, value: Any) -> List[int]:
+    def positions_of(self, value: Any) -> List[int]:
         """Return the positions of all records that may have this atom or integer as the argument, in order."""
-        argument_position, records = self._at, self._records
-        for index in range(self._taken, len(records)):
+        argument_position, records = self._argument_position, self._records
+        for index in range(self._indexed_count, len(records)):
             term: Any = deref(records[index][0])
             argument = (
                 deref(term[argument_position])
@@ -54,14 +54,14 @@ class RecordIndex:
                 else None
             )
             if argument.__class__ is Atom or argument.__class__ is int:
-                self._places.setdefault(argument, []).append(index)
+                self._positions.setdefault(argument, []).append(index)
             elif argument is not None:
                 self._others.append(index)
             # Updated for each record: `check_limits` may raise, and a record must not be added twice.
-            self._taken = index + 1
+            self._indexed_count = index + 1
             if not index % RECORDS_PER_CHECK:
                 check_limits(RECORDS_PER_CHECK)
-        positions = self._places.get(value, _NO_POSITIONS)
+        positions = self._positions.get(value, _NO_POSITIONS)
         return sorted(positions + self._others) if self._others else positions
 
 
@@ -83,7 +83,7 @@ def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
                 if index is None:
                     index = memory.indices[position] = RecordIndex(memory, position)
                 # Of several indexed arguments, the one with the fewest records is used.
-                indexed_positions = index.places(value)
+                indexed_positions = index.positions_of(value)
                 if len(indexed_positions) < len(positions):
                     positions = indexed_positions
     return positions
@@ -97,14 +97,18 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return False
         memory = instance.memory
-        return _unify_first(machine, instance, (record, start, end), memory.first, len(memory.ends), -1)
+        return _unify_first(
+            machine, instance, (record, start, end), memory.first_position, len(memory.ends), -1
+        )
 
     def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
         instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
         memory = instance.memory
-        return _unify_first(machine, instance, (record, start, end), memory.first, memory.after(instant), -1)
+        return _unify_first(
+            machine, instance, (record, start, end), memory.first_position, memory.position_after(instant), -1
+        )
 
     def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
         instant, instance = instant_of(time), memories.find(name)
@@ -112,7 +116,7 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
             return False
         memory = instance.memory
         return _unify_first(
-            machine, instance, (record, start, end), memory.reaching(instant), len(memory.ends), 1
+            machine, instance, (record, start, end), memory.position_reaching(instant), len(memory.ends), 1
         )
 
     def following(
@@ -126,8 +130,8 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
             machine,
             instance,
             (record, start, end),
-            memory.reaching(first_instant),
-            memory.after(last_instant),
+            memory.position_reaching(first_instant),
+            memory.position_after(last_instant),
             1,
         )
 
@@ -164,7 +168,7 @@ def _unify_first(
             check_limits(RECORDS_PER_CHECK)
         term, began, ended = memory.records[positions[index]]
         # Variables in a stored record belong to the memory; the reader gets new ones.
-        record_term = copy(term) if instance.open else term
+        record_term = copy(term) if instance.has_variables else term
         to_shown_time = timestamps.shown
         if machine.unify_all(
             (record, record_term), (start, to_shown_time(began)), (end, to_shown_time(ended))

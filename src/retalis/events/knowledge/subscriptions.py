@@ -52,21 +52,21 @@ def rate_terms(part: Shaped) -> Tuple[Term, ...]:
 class OutputRateLimiter:
     """Forwards some of the events of a subscription.
 
-    The clock wakes it like the nodes of rules, but before them: subscribers receive an event first.
+    The clock calls it like the nodes of rules, but before them: subscribers receive an event first.
 
     Args:
         part: the rate operator.
         names: variables of the pattern.
         name: name of the subscription in reports.
-        clock: the rules of the program, which wake it.
+        clock: the rules of the program, which call it at its deadlines.
         warn: receives warnings.
-        place: position among all subscriptions.
+        position: position among all subscriptions.
 
     Attributes:
         send: sends the term of an event.
         serial: position among the rules.
-        active: whether it may be woken.
-        woken: instant at which it is woken next; None if it is not.
+        active: whether it may be called by the clock.
+        woken: instant of its next alarm; None if no alarm is set.
         late: number of events that arrived too late.
         dropped: number of events that were dropped because there were too many.
         widths: number of values in its key, and number of other values that it uses.
@@ -75,7 +75,7 @@ class OutputRateLimiter:
     serial = 0
 
     def __init__(
-        self, part: Shaped, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, place: int
+        self, part: Shaped, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, position: int
     ):
         self._spec = rate_node_spec(part, names)
         self.widths = (len(part.by), int(part.value is not None))
@@ -83,7 +83,7 @@ class OutputRateLimiter:
         self._clock = clock
         self._warn = warn
         self.send: Callable[[Term], None] = lambda term: None
-        self.place = place
+        self.place = position
         self.active = True
         self.woken: Optional[int] = None
         self.late = self.dropped = self._evicted_count = 0
@@ -142,14 +142,14 @@ class OutputRateLimiter:
             self._evicted_count = stream.evicted
             reason = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
             self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
-        self._wake()
+        self._set_alarm()
         self._send(outputs)
 
     def on_alarm(self, instant: int, after: Frame) -> Frame:
-        """Send everything that is due; see `TimedNode`."""
+        """Send the events that are due at an instant; see `TimedNode`."""
         self.woken = None
         outputs = self._stream.advance_to(instant)
-        self._wake()
+        self._set_alarm()
         self._send(outputs)
         return after
 
@@ -157,7 +157,7 @@ class OutputRateLimiter:
         for output in outputs:
             self.send(output.items[-1].match)
 
-    def _wake(self) -> None:
+    def _set_alarm(self) -> None:
         instant = self._stream.next
         if self.active and instant is not None and (self.woken is None or instant < self.woken):
             self.woken = instant
@@ -166,7 +166,7 @@ class OutputRateLimiter:
     # ---- state ---------------------------------------------------------------------------------------
 
     def stop(self) -> None:
-        """Stop to be woken."""
+        """Stop the operator; alarms have no effect any more."""
         self.active = False
         self.woken = None
 
@@ -189,7 +189,7 @@ class OutputRateLimiter:
         self._stream = self._create_stream()
         self._stream.restore(stream_state)
         self.woken = None
-        self._wake()
+        self._set_alarm()
 
 
 Deliver = Callable[[Term, str, Term], None]
@@ -202,10 +202,10 @@ SubscriptionKey = Tuple[str, Hashable]
 class SentCounter:
     """Number of events that a subscription has sent."""
 
-    __slots__ = ("sent",)
+    __slots__ = ("number",)
 
     def __init__(self) -> None:
-        self.sent = 0
+        self.number = 0
 
 
 class Subscription(NamedTuple):
@@ -230,19 +230,19 @@ class Subscriptions:
         logic: the system that compiles conditions.
         dispatcher: dispatcher of the events that are delivered.
         deliver: called with the term, the topic as text, and the id of the subscription.
-        problem: receives warnings, and reports about conditions that raised an error.
-        clock: the rules of the program, which wake rate limiters.
+        warn: receives warnings, and reports about conditions that raised an error.
+        rules: rules of the program; they call the rate limiters at their deadlines.
     """
 
     def __init__(
-        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, problem: Warn, clock: "RuleBase"
+        self, logic: PrologSystem, dispatcher: Dispatcher, deliver: Deliver, warn: Warn, rules: "RuleBase"
     ):
         self._logic = logic
         self._dispatcher = dispatcher
         self._deliver = deliver
-        self._problem = problem
-        self._clock = clock
-        self._places = count()
+        self._warn = warn
+        self._rules = rules
+        self._positions = count()
         self._all: Dict[SubscriptionKey, Subscription] = {}
         self._detached: Dict[SubscriptionKey, Subscription] = {}
 
@@ -264,19 +264,19 @@ class Subscriptions:
             PrologError: if the key is taken, or the arguments do not define a subscription.
         """
         copied: Any = copy(definition)
-        shaped_pattern, conditions, form, topic, name = (deref(rate_shape) for rate_shape in copied[1:])
+        full_pattern, conditions, form, topic, name = (deref(argument) for argument in copied[1:])
         try:
-            rate_shape = subscription_rate_operator(shaped_pattern)
+            rate_operator = subscription_rate_operator(full_pattern)
         except UsageError as error:
-            raise domain_error("subscription", shaped_pattern, error.message) from None
-        pattern = subscription_event(shaped_pattern)
+            raise domain_error("subscription", full_pattern, error.message) from None
+        pattern = subscription_event(full_pattern)
         topic_text = self._topic_text(topic)
         key = (topic_text, key_of(name))
         if key in self._all:
             raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
         title = f"subscription {self._logic.brief(name)}"
-        shape, _ = compile_recording(
-            self._logic, self._dispatcher, pattern, conditions, form, title, self._problem
+        recording, _ = compile_recording(
+            self._logic, self._dispatcher, pattern, conditions, form, title, self._warn
         )
         detached_subscription = self._detached.get(key)
         # Detached by a reload and unchanged: the counter and the state of the rate limiter continue.
@@ -288,60 +288,65 @@ class Subscriptions:
         tally = SentCounter() if unchanged is None else unchanged.tally
         rate = (
             None
-            if rate_shape is None
-            else self._create_rate_limiter(rate_shape, variables(pattern), title, unchanged)
+            if rate_operator is None
+            else self._create_rate_limiter(rate_operator, variables(pattern), title, unchanged)
         )
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
-            self._event_action(shape, tally, topic_text, name, rate),
+            self._event_action(recording, tally, topic_text, name, rate),
             unused=unused_variables(
-                pattern, conditions, form, () if rate_shape is None else rate_terms(rate_shape)
+                pattern, conditions, form, () if rate_operator is None else rate_terms(rate_operator)
             ),
         )
         self._all[key] = Subscription(listener, name, tally, copied, rate)
 
     def _event_action(
-        self, shape: Recording, tally: SentCounter, topic: str, name: Term, rate: Optional[OutputRateLimiter]
+        self,
+        recording: Recording,
+        tally: SentCounter,
+        topic: str,
+        name: Term,
+        rate: Optional[OutputRateLimiter],
     ) -> EventAction:
         """Return the action for the events of a subscription."""
         deliver, ground = self._deliver, self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             # Counted before delivery: a callback that reads the counter sees its own event.
-            tally.sent += 1
+            tally.number += 1
             deliver(term, topic, name)
             return after
 
-        def send_shaped(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            shaped = shape(term, values, ground())
-            if shaped is not None:
-                tally.sent += 1
-                deliver(shaped, topic, name)
+        def send_record(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            record = recording(term, values, ground())
+            if record is not None:
+                tally.number += 1
+                deliver(record, topic, name)
             return after
 
         if rate is None:
-            return send if shape is record_event else send_shaped
-        take = rate.take
+            return send if recording is record_event else send_record
+        limit_rate = rate.take
 
-        def send_one(term: Term) -> None:
-            tally.sent += 1
+        def send_term(term: Term) -> None:
+            tally.number += 1
             deliver(term, topic, name)
 
-        def let_through(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            shaped = shape(term, values, ground())
-            if shaped is not None:
-                take(shaped, values, start, end)
+        def send_limited(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+            record = recording(term, values, ground())
+            if record is not None:
+                limit_rate(record, values, start, end)
             return after
 
-        rate.send = send_one
-        return let_through
+        rate.send = send_term
+        return send_limited
 
     def _create_rate_limiter(
-        self, rate_shape: Shaped, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
+        self, rate_operator: Shaped, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
-        rate = OutputRateLimiter(rate_shape, names, title, self._clock, self._problem, next(self._places))
+        rate = OutputRateLimiter(rate_operator, names, title, self._rules, self._warn, next(self._positions))
         if unchanged is not None and unchanged.rate is not None:
             rate.restore(unchanged.rate.snapshot())
         return rate
@@ -350,7 +355,7 @@ class Subscriptions:
         """Remove subscriptions; those that are created again without a change continue with their counters."""
         for key in keys:
             subscription = self._detached[key] = self._all.pop(key)
-            self._end(subscription)
+            self._remove(subscription)
 
     def discard_detached(self) -> None:
         """Forget the subscriptions that were detached."""
@@ -383,10 +388,10 @@ class Subscriptions:
         subscription = self._all.pop((self._topic_text(topic), key_of(name)), None)
         if subscription is None:
             return False
-        self._end(subscription)
+        self._remove(subscription)
         return True
 
-    def _end(self, subscription: Subscription) -> None:
+    def _remove(self, subscription: Subscription) -> None:
         self._dispatcher.remove(subscription.listener)
         if subscription.rate is not None:
             subscription.rate.stop()

@@ -51,14 +51,16 @@ class Timeouts:
 
     Args:
         clock: clock that calls the alarms.
-        waiting: orders of the pending queries.
-        give_up: called with the order of a query and its deadline.
+        pending_orders: orders of the pending queries.
+        on_timeout: called with the order of a query and its deadline.
     """
 
-    def __init__(self, clock: AlarmClock, waiting: Container[int], give_up: Callable[[int, int], None]):
+    def __init__(
+        self, clock: AlarmClock, pending_orders: Container[int], on_timeout: Callable[[int, int], None]
+    ):
         self._clock = clock
-        self._pending_orders = waiting
-        self._give_up = give_up
+        self._pending_orders = pending_orders
+        self._on_timeout = on_timeout
         self._deadlines: List[Tuple[int, int]] = []
         self._rebuild_size = _STALE_TOLERANCE
         """Size of the heap at which deadlines of answered queries are removed."""
@@ -90,7 +92,7 @@ class Timeouts:
     def _set_alarm(self) -> None:
         while self._deadlines and self._deadlines[0][1] not in self._pending_orders:
             heappop(self._deadlines)
-        # An alarm cannot be removed from the clock. An earlier alarm sets the next one when it rings, so none is
+        # An alarm cannot be removed from the clock. An earlier alarm sets the next one when it is called, so none is
         # set now.
         if self._deadlines and not any(instant <= self._deadlines[0][0] for instant in self._alarm_instants):
             instant = self._deadlines[0][0]
@@ -98,14 +100,14 @@ class Timeouts:
             self._clock.call_at(instant, TimeoutAlarm(self, instant))
 
     def on_alarm(self, set_for: int, now: int) -> None:
-        """Give up the queries whose deadline has passed, when an alarm rings that was set for an instant."""
+        """Report the queries whose deadline has passed; called by the alarm that was set for an instant."""
         self._alarm_instants.discard(set_for)
         try:
             while self._deadlines and self._deadlines[0][0] <= max(now, set_for):
                 instant, order = heappop(self._deadlines)
                 if order in self._pending_orders:
-                    self._give_up(order, instant)
-        finally:  # `give_up` may raise
+                    self._on_timeout(order, instant)
+        finally:  # `on_timeout` may raise
             self._set_alarm()
 
     def snapshot(self) -> Tuple[List[Tuple[int, int]], List[int]]:
@@ -114,9 +116,9 @@ class Timeouts:
             self._alarm_instants
         )
 
-    def restore(self, due: List[Tuple[int, int]], alarms: List[int]) -> None:
+    def restore(self, deadlines: List[Tuple[int, int]], alarms: List[int]) -> None:
         """Set deadlines and instants of alarms; the alarms are set in the clock already."""
-        self._deadlines = list(due)
+        self._deadlines = list(deadlines)
         heapify(self._deadlines)
         self._alarm_instants = set(alarms)
 
@@ -126,7 +128,7 @@ class TimeoutAlarm:
 
     Args:
         timeouts: the deadlines.
-        set_for: the instant at which it rings.
+        set_for: the instant for which it is set.
     """
 
     __slots__ = ("set_for", "timeouts")
@@ -136,5 +138,5 @@ class TimeoutAlarm:
         self.set_for = set_for
 
     def __call__(self, now: int) -> None:
-        """Ring."""
+        """Process the alarm."""
         self.timeouts.on_alarm(self.set_for, now)
