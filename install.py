@@ -27,9 +27,9 @@ fi
 exec "$python" "$0" "$@"
 """  # noqa: D415
 
-__doc__ = """Bring Debian 12 or Ubuntu 20.04 to where retalis runs, and run its example or its tests.
+__doc__ = """Install what retalis needs on Debian 12 or Ubuntu 20.04, build it, and run its example or its tests.
 
-Each step looks first at what is there: it can be run again at any time.
+Each step does only what is missing, so the program can be run again at any time.
 """
 
 import argparse
@@ -49,31 +49,31 @@ from xml.etree import ElementTree
 from install_apt import (
     KEY_FILE,
     SOURCE_FILE,
+    encode_key,
     fetch_key,
-    for_file,
-    key_place,
+    key_file,
     key_problem,
     network_problem,
-    ros_lines,
+    ros_source_lines,
 )
-from install_shell import Problem, Shell, minimal, search_path
+from install_shell import Problem, Shell, minimal_environment, search_path
 
 HERE = Path(__file__).resolve().parent
-PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
-DEMO = str(HERE / "examples" / "nao" / "demo.py")
-# The last mypy for Python 3.8 cannot tell the kind of a term by its class: a term is Any to it, so that what is
-# made of one is Any too, and what newer ones are told to ignore is no error there.
-LENIENT = ("--no-warn-unused-ignores", "--no-warn-return-any")
+SYSTEM_PYTHON = "/usr/bin/python3"  # the one interpreter that sees the distribution's ROS modules
+DEMO_SCRIPT = str(HERE / "examples" / "nao" / "demo.py")
+# The last mypy for Python 3.8 does not narrow the type of a term by its class: terms and everything computed from
+# them are Any, and errors that newer versions have to ignore do not occur.
+MYPY_38_OPTIONS = ("--no-warn-unused-ignores", "--no-warn-return-any")
 
 
 class Platform(NamedTuple):
     """A distribution that is known to work.
 
     Attributes:
-        name: What to call it.
-        packages: System packages that building and running need.
-        setup: Script to source before ROS is there, or None where it is part of the system.
-        source: Line for apt's sources that has to be there, or None.
+        name: name of the distribution.
+        packages: system packages that building and running need.
+        setup: script that has to be sourced to use ROS; None if ROS is part of the system.
+        source: line that apt's sources need; None if they need none.
     """
 
     name: str
@@ -85,8 +85,8 @@ class Platform(NamedTuple):
 HOSTS = "/etc/hosts"
 LOCAL_HOST = "127.0.0.1 localhost"
 
-OWN_PYTHON = "RETALIS_INSTALLED"
-"""Variable in which the lines for the shell, above, pass on the package that they have installed."""
+INSTALLED_PYTHON_VARIABLE = "RETALIS_INSTALLED"
+"""Environment variable with the package that the shell lines at the beginning of this file have installed."""
 
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 
@@ -134,11 +134,13 @@ DEPENDENCIES = {
     "tf2_msgs": "python3-tf2-msgs",
     "tf2_py": "python3-tf2",
 }
-"""The keys of rosdep that package.xml may name, with the package of Debian 12 that each stands for; pip: one of the
-requirements. rosdep's own data is not there without a network, and catkin_lint then takes any name."""
+"""rosdep keys that package.xml may contain, with their Debian 12 packages; ``pip`` for those in the requirements.
 
-SWI = "swi-prolog-nox"
-"""The package of SWI-Prolog, for those who ask for it: without what draws windows."""
+rosdep's own data need a network, and catkin_lint accepts any name without them.
+"""
+
+SWI_PACKAGE = "swi-prolog-nox"
+"""Package of SWI-Prolog without graphics, installed on request."""
 
 DEBIAN_12 = Platform("Debian 12", [*_COMMON.split(), *_DEBIAN.split()])
 
@@ -153,7 +155,7 @@ PLATFORMS = {("debian", "12"): DEBIAN_12, ("ubuntu", "20.04"): UBUNTU_20_04}
 
 
 def default_workspace(source: Path, environ: Mapping[str, str]) -> Path:
-    """Return the cache folder's place for a copy of the sources: each copy has its own workspace.
+    """Return the default workspace of a copy of the sources, in the cache folder; each copy has its own.
 
     Its name has only letters, digits and `_.-`: scripts of ROS, such as rosrun, split paths at spaces.
     """
@@ -163,16 +165,16 @@ def default_workspace(source: Path, environ: Mapping[str, str]) -> Path:
 
 
 def parse_os_release(text: str) -> Dict[str, str]:
-    """Read the assignments of an os-release file."""
+    """Return the assignments in an os-release file."""
     pairs = (line.split("=", 1) for line in text.splitlines() if "=" in line and not line.startswith("#"))
     return {key.strip(): "".join(shlex.split(value)) for key, value in pairs}
 
 
 def choose_platform(release: Dict[str, str]) -> Platform:
-    """Look the distribution up.
+    """Return the platform of a distribution.
 
     Raises:
-        Problem: It is not one of those that are known to work.
+        Problem: if the distribution is not supported.
     """
     key = (release.get("ID", ""), release.get("VERSION_ID", ""))
     if key not in PLATFORMS:
@@ -192,19 +194,19 @@ def installed_packages(names: Iterable[str]) -> str:
 
 
 def missing_packages(wanted: Iterable[str], report: str) -> List[str]:
-    """Return what is wanted and not installed, given dpkg-query's lines of package and status."""
+    """Return the packages that are not installed, given dpkg-query's lines of package and status."""
     installed = {line.split()[0] for line in report.splitlines() if line.endswith("install ok installed")}
     return [name for name in wanted if name not in installed]
 
 
 def dpkg_was_interrupted() -> bool:
-    """Tell whether dpkg has something left to configure, with which apt installs nothing."""
+    """Return whether an installation was interrupted: apt installs nothing until dpkg has configured the packages."""
     audit = subprocess.run(["dpkg", "--audit"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     return bool(audit.stdout.strip()) or any(Path("/var/lib/dpkg/updates").glob("[0-9]*"))
 
 
-def knows_local_host() -> bool:
-    """Tell whether the name localhost has an address."""
+def localhost_is_known() -> bool:
+    """Return whether the name localhost has an address."""
     try:
         return bool(socket.gethostbyname("localhost"))
     except OSError:
@@ -212,17 +214,17 @@ def knows_local_host() -> bool:
 
 
 def as_root(command: Sequence[str], uid: int) -> List[str]:
-    """Put sudo before a command where it is needed."""
+    """Return a command with sudo before it, unless the user is root."""
     return list(command) if uid == 0 else ["sudo", *command]
 
 
 def digest(*parts: str) -> str:
-    """Return a short name for these texts together; it changes when one of them does."""
+    """Return a short digest of several texts."""
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
 class Installation:
-    """The steps, each of which does only what is not done yet."""
+    """Installation steps; each does only what is missing."""
 
     def __init__(self, platform: Platform, workspace: Path, shell: Shell, system: bool = True) -> None:
         self.platform = platform
@@ -232,42 +234,42 @@ class Installation:
         self.venv = workspace / "venv"
         self.package = workspace / "src" / "retalis"
 
-    def system_packages(self) -> None:
-        """Install the system packages that are missing, after saying which."""
+    def install_system_packages(self) -> None:
+        """Print and install the missing system packages."""
         missing = missing_packages(self.platform.packages, installed_packages(self.platform.packages))
-        if OWN_PYTHON in os.environ:
-            self._record([os.environ.pop(OWN_PYTHON)])
+        if INSTALLED_PYTHON_VARIABLE in os.environ:
+            self._record_packages([os.environ.pop(INSTALLED_PYTHON_VARIABLE)])
         if not missing:
             return
         if not self.system:
             raise Problem("system packages are missing: " + " ".join(missing))
         print("These system packages will be installed with apt-get:\n  " + " ".join(missing), flush=True)
         uid = os.getuid()
-        if uid and not self.shell.dry and self.shell.show(["sudo", "-v"]):
+        if uid and not self.shell.dry and self.shell.run_visible(["sudo", "-v"]):
             raise Problem("installing system packages needs root or sudo")
         noninteractive = as_root(["env", "DEBIAN_FRONTEND=noninteractive"], uid)
         if dpkg_was_interrupted():
             finish = [*noninteractive, "dpkg", "--configure", "-a"]
-            self.shell.step("Finishing an installation that was interrupted", "dpkg", finish)
+            self.shell.run_logged("Finishing an installation that was interrupted", "dpkg", finish)
         apt = [*noninteractive, "apt-get"]
         install = [*apt, "install", "-y", "--no-install-recommends"]
         update = [*apt, "update"]
-        if self.platform.source and not Path(self.platform.setup or "").exists() and not ros_lines():
+        if self.platform.source and not Path(self.platform.setup or "").exists() and not ros_source_lines():
             if not Path(CERTIFICATES).exists():  # without them no key can be had
-                self.shell.step("Reading the package lists", "apt-update", update)
-                self._fetching("Installing certificates", "apt-certificates", [*install, "ca-certificates"])
+                self.shell.run_logged("Reading the package lists", "apt-update", update)
+                self._run_apt("Installing certificates", "apt-certificates", [*install, "ca-certificates"])
             self._add_source(self.platform.source, uid)
-        self._update(update, uid)
-        self._record(missing)
-        self._fetching(f"Installing {len(missing)} system packages", "apt-install", [*install, *missing])
+        self._update_package_lists(update, uid)
+        self._record_packages(missing)
+        self._run_apt(f"Installing {len(missing)} system packages", "apt-install", [*install, *missing])
 
-    def _fetching(self, title: str, name: str, command: Sequence[str]) -> None:
-        """Run apt; if it fails since nothing can be fetched, say so.
+    def _run_apt(self, title: str, name: str, command: Sequence[str]) -> None:
+        """Run apt; if it fails for lack of a network, raise an error with that reason.
 
-        `apt-get update` itself ends with 0 then, and the packages are unknown.
+        `apt-get update` itself exits with 0 without a network, and the packages are unknown afterwards.
         """
         try:
-            self.shell.step(title, name, command)
+            self.shell.run_logged(title, name, command)
         except Problem as problem:
             log, lists = (self.shell.logs / f"{each}.log" for each in (name, "apt-update"))
             texts = [each.read_text(errors="replace") if each.exists() else "" for each in (log, lists)]
@@ -279,76 +281,81 @@ class Installation:
                 f"all of the output is in {log}"
             ) from problem
 
-    def _record(self, packages: Sequence[str]) -> None:
-        """Note system packages before they are installed, for `uninstall` to name them."""
+    def _record_packages(self, packages: Sequence[str]) -> None:
+        """Record system packages before they are installed, so that `uninstall` can list them."""
         if not self.shell.dry:
             self.workspace.mkdir(parents=True, exist_ok=True)
-            with (self.workspace / RECORD).open("a") as record:
+            with (self.workspace / PACKAGE_RECORD).open("a") as record:
                 record.writelines(name + "\n" for name in packages)
 
-    def _update(self, update: Sequence[str], uid: int) -> None:
-        """Read the package lists; where the key of ROS's packages has expired, get the present one and read again."""
+    def _update_package_lists(self, update: Sequence[str], uid: int) -> None:
+        """Update the package lists; if the key of the ROS packages has expired, replace it and try again."""
         log = self.shell.logs / "apt-update.log"
-        failed = None
+        failure = None
         try:
-            self._fetching("Reading the package lists", "apt-update", update)
+            self._run_apt("Reading the package lists", "apt-update", update)
         except Problem as problem:
-            failed = problem
-        wrong = key_problem(log.read_text(errors="replace")) if log.exists() else None
-        if wrong is not None:
-            place = key_place(ros_lines())
-            print(f"apt refuses the key of packages.ros.org ({wrong}): {place} will be replaced", flush=True)
-            self._put(for_file(fetch_key(), place), place, uid)
-            self.shell.step("Reading the package lists again", "apt-update", update)
-        elif failed is not None:
-            raise failed
+            failure = problem
+        key_error = key_problem(log.read_text(errors="replace")) if log.exists() else None
+        if key_error is not None:
+            target = key_file(ros_source_lines())
+            print(
+                f"apt refuses the key of packages.ros.org ({key_error}): {target} will be replaced",
+                flush=True,
+            )
+            self._write_system_file(encode_key(fetch_key(), target), target, uid)
+            self.shell.run_logged("Reading the package lists again", "apt-update", update)
+        elif failure is not None:
+            raise failure
 
     def _add_source(self, line: str, uid: int) -> None:
-        """Tell apt where ROS is, with its key."""
+        """Add the ROS packages and their key to apt's sources."""
         print(f"ROS noetic will be added to apt: {SOURCE_FILE} with the key {KEY_FILE}", flush=True)
         if self.shell.dry:
             return
-        for text, place in ((fetch_key(), KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
-            self._put(text, place, uid)
+        for text, target in ((fetch_key(), KEY_FILE), (line.encode() + b"\n", SOURCE_FILE)):
+            self._write_system_file(text, target, uid)
 
-    def _put(self, text: bytes, place: str, uid: int) -> None:
-        """Write a file of the system's."""
+    def _write_system_file(self, text: bytes, target: str, uid: int) -> None:
+        """Write a system file."""
         self.shell.logs.mkdir(parents=True, exist_ok=True)
-        source = self.shell.logs / Path(place).name
+        source = self.shell.logs / Path(target).name
         source.write_bytes(text)
-        self.shell.step(place, "apt-source", as_root(["install", "-m", "644", str(source), place], uid))
+        self.shell.run_logged(
+            target, "apt-source", as_root(["install", "-m", "644", str(source), target], uid)
+        )
 
-    def local_host(self) -> None:
-        """Have the name localhost known, by which ROS's nodes call each other: a minimal root has no /etc/hosts."""
-        if knows_local_host():
+    def add_localhost(self) -> None:
+        """Add localhost to /etc/hosts, which a minimal system lacks; ROS nodes call each other by this name."""
+        if localhost_is_known():
             return
         if not self.system:
             raise Problem(f"the name localhost is unknown: add the line '{LOCAL_HOST}' to {HOSTS}")
         print(f"The name localhost is unknown: the line '{LOCAL_HOST}' will be added to {HOSTS}", flush=True)
         add = ["sh", "-c", 'echo "$0" >> "$1"', LOCAL_HOST, HOSTS]
-        self.shell.step(HOSTS, "hosts", as_root(add, os.getuid()))
-        self._record([HOSTS])
+        self.shell.run_logged(HOSTS, "hosts", as_root(add, os.getuid()))
+        self._record_packages([HOSTS])
 
-    def python_packages(self, requirements: Sequence[str]) -> None:
-        """Install what the distribution lacks into a venv of the workspace."""
+    def install_python_packages(self, requirements: Sequence[str]) -> None:
+        """Install the Python packages that the distribution lacks into a virtual environment of the workspace."""
         texts = [(HERE / name).read_text() for name in requirements]
         stamp = self.venv / ("done-" + digest(self.platform.name, str(self.venv), *texts))
         if stamp.exists():
             return
         print(f"Python packages that the distribution lacks will be installed into {self.venv}", flush=True)
-        make = [PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
-        self.shell.step("Creating a virtual environment", "venv", make)
+        make = [SYSTEM_PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
+        self.shell.run_logged("Creating a virtual environment", "venv", make)
         pip = [str(self.venv / "bin" / "python3"), "-m", "pip", "--disable-pip-version-check"]
         files = [part for name in requirements for part in ("-r", str(HERE / name))]
-        self.shell.step("Installing Python packages", "pip", [*pip, "install", *files])
+        self.shell.run_logged("Installing Python packages", "pip", [*pip, "install", *files])
         # catkin needs the distribution's setuptools, which lays packages out as the distribution does
         remove = [*pip, "uninstall", "-y", "setuptools"]
-        self.shell.step("Leaving setuptools to the distribution", "pip-setuptools", remove)
+        self.shell.run_logged("Leaving setuptools to the distribution", "pip-setuptools", remove)
         if not self.shell.dry:
             stamp.touch()
 
     def build(self, install: bool) -> None:
-        """Build the workspace, and its install space where asked for."""
+        """Build the workspace, and its install space on request."""
         if not self.package.exists() and not self.shell.dry:
             self.package.parent.mkdir(parents=True, exist_ok=True)
             if self.package.is_symlink():  # the copy it led to is gone
@@ -357,26 +364,33 @@ class Installation:
         if self.package.exists() and self.package.resolve() != HERE:
             raise Problem(f"{self.package} is another copy of retalis; choose another --workspace")
         packages = f"-Dretalis_PYTHON_PACKAGES={self.site_packages()}"
-        make = ["catkin_make", "-DPYTHON_EXECUTABLE=" + PYTHON, packages, *(["install"] if install else [])]
-        before = [sourcing(self.platform.setup)] if self.platform.setup else []
-        self.shell.step("Building", "catkin_make", bash([*before, 'exec "$@"'], make), cwd=self.workspace)
+        make = [
+            "catkin_make",
+            "-DPYTHON_EXECUTABLE=" + SYSTEM_PYTHON,
+            packages,
+            *(["install"] if install else []),
+        ]
+        before = [source_line(self.platform.setup)] if self.platform.setup else []
+        self.shell.run_logged(
+            "Building", "catkin_make", bash_command([*before, 'exec "$@"'], make), cwd=self.workspace
+        )
 
     def site_packages(self) -> Path:
-        """Return the venv's folder of packages."""
+        """Return the package folder of the virtual environment."""
         version = subprocess.run(
-            [PYTHON, "-c", "import sys; print('python%d.%d' % sys.version_info[:2])"],
+            [SYSTEM_PYTHON, "-c", "import sys; print('python%d.%d' % sys.version_info[:2])"],
             stdout=subprocess.PIPE,
             text=True,
         ).stdout.strip()
         return self.venv / "lib" / version / "site-packages"
 
     def run(self, command: Sequence[str], cwd: Optional[Path] = HERE) -> int:
-        """Run a command that sees the package, before the user's eyes, and return its exit status."""
+        """Run a command in the built workspace with its output on the terminal; return its exit status."""
         script = str(self.workspace / "devel" / "setup.bash")
-        return self.shell.show(bash([sourcing(script), 'exec "$@"'], command), cwd)
+        return self.shell.run_visible(bash_command([source_line(script), 'exec "$@"'], command), cwd)
 
 
-def sourcing(script: str) -> str:
+def source_line(script: str) -> str:
     """Return a line of bash that sources a script.
 
     A sourced script sees the arguments of the shell, and catkin's acts on options such as ``--help``; inside a
@@ -385,13 +399,13 @@ def sourcing(script: str) -> str:
     return "sourced() { source " + shlex.quote(script) + "; } && sourced"
 
 
-def bash(lines: Sequence[str], command: Sequence[str]) -> List[str]:
+def bash_command(lines: Sequence[str], command: Sequence[str]) -> List[str]:
     """Return a command that runs a shell script with another command as its arguments."""
     return ["bash", "-c", " && ".join(lines), "bash", *command]
 
 
-def own_options() -> argparse.ArgumentParser:
-    """Return what reads the options that are not those of the example or of pytest."""
+def create_option_parser() -> argparse.ArgumentParser:
+    """Return a parser of the options that are not passed on to the example or to pytest."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     add = parser.add_argument
     add(
@@ -411,9 +425,9 @@ def own_options() -> argparse.ArgumentParser:
     return parser
 
 
-def arguments(argv: Sequence[str]) -> argparse.Namespace:
-    """Read the command line; options may stand before the command or behind it."""
-    parser = argparse.ArgumentParser(prog="install.py", description=__doc__, parents=[own_options()])
+def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line; options may precede or follow the command."""
+    parser = argparse.ArgumentParser(prog="install.py", description=__doc__, parents=[create_option_parser()])
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     commands.add_parser("build", help="install what is needed and build (the default)")
     commands.add_parser("demo", help="... and run the NAO example (see demo --help)", add_help=False)
@@ -422,9 +436,9 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("lint", help="... and check the style: ruff, mypy, catkin_lint")
     commands.add_parser("docs", help="build the documentation site, which needs no ROS, and say where it is")
     commands.add_parser("uninstall", help="remove what was built; say what is left")
-    options, behind = parser.parse_known_args(argv)
-    given, options.rest = own_options().parse_known_args(behind)
-    for name, value in vars(given).items():
+    options, remaining = parser.parse_known_args(argv)
+    later_options, options.rest = create_option_parser().parse_known_args(remaining)
+    for name, value in vars(later_options).items():
         setattr(options, name, value or getattr(options, name))
     if options.rest and options.command not in ("demo", "test"):
         parser.error("unknown argument: " + options.rest[0])
@@ -432,28 +446,28 @@ def arguments(argv: Sequence[str]) -> argparse.Namespace:
     options.workspace = (options.workspace or default_workspace(HERE, os.environ)).expanduser().resolve()
     if options.workspace == HERE or HERE in options.workspace.parents:
         parser.error("the workspace must be outside the package: ROS searches a package's whole folder")
-    unfit = re.search(r"[^\w/.,+@%=~-]", str(options.workspace))
-    if unfit:
+    invalid = re.search(r"[^\w/.,+@%=~-]", str(options.workspace))
+    if invalid:
         parser.error(
-            f"the workspace '{options.workspace}' has '{unfit.group()}' in its path, which scripts of ROS cannot "
+            f"the workspace '{options.workspace}' has '{invalid.group()}' in its path, which scripts of ROS cannot "
             "read: give a --workspace whose path has letters, digits and _.- only"
         )
     return options
 
 
 def lint(installation: Installation) -> int:
-    """Run the checks that need no master; return how many failed."""
+    """Run the checks that need no master; return the number of failures."""
     python = str(installation.venv / "bin" / "python3")
     checks = [
         [python, "-m", "ruff", "check", "--output-format", "concise", "."],
         [python, "-m", "ruff", "format", "--check", "--output-format", "concise", "."],
         [python, "-m", "catkin_lint", "-W2", "--strict", "--offline", str(installation.package)],
-        [python, "-m", "mypy", *(LENIENT if sys.version_info < (3, 9) else ())],
+        [python, "-m", "mypy", *(MYPY_38_OPTIONS if sys.version_info < (3, 9) else ())],
     ]
-    failed = 0
+    failed_checks = 0
     for check in checks:
         print("$ " + " ".join(["python3", *check[1:]]), flush=True)
-        failed += bool(installation.run(check))
+        failed_checks += bool(installation.run(check))
     problems = dependency_problems((HERE / "package.xml").read_text())
     if installation.platform is DEBIAN_12:
         packages = [name for name in DEPENDENCIES.values() if name != "pip"]
@@ -461,11 +475,11 @@ def lint(installation: Installation) -> int:
         problems += [f"DEPENDENCIES in install.py: '{name}' is not installed" for name in missing]
     for problem in problems:
         print(problem)
-    return failed + bool(problems)
+    return failed_checks + bool(problems)
 
 
 def dependency_problems(manifest: str) -> List[str]:
-    """Return what is wrong with the dependencies of a package.xml, one message each."""
+    """Return an error message for each wrong dependency in a package.xml."""
     tags = ("depend", "build_depend", "build_export_depend", "buildtool_depend", "buildtool_export_depend")
     tags += ("exec_depend", "run_depend", "test_depend", "doc_depend")
     root = ElementTree.fromstring(manifest)
@@ -477,10 +491,10 @@ def dependency_problems(manifest: str) -> List[str]:
     ]
 
 
-SITE = HERE / "docs" / "_build" / "html"
+SITE_FOLDER = HERE / "docs" / "_build" / "html"
 """The documentation site, after `build_site`."""
 
-DOCS_VENVS = "docs-venv-*"
+DOCS_VENV_PATTERN = "docs-venv-*"
 """Virtual environments of a workspace that have Sphinx, one for each version of Python."""
 
 DOCS_REQUIREMENTS = ("requirements.txt", "requirements-docs.txt")
@@ -495,42 +509,53 @@ def build_site(options: argparse.Namespace, shell: Shell) -> int:
         # Debian's python3 can make no virtual environment without this package.
         platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
         platform = platform._replace(packages=["python3-venv"], source=None)
-        Installation(platform, options.workspace, shell, not options.no_system).system_packages()
-    python = docs_venv(options.workspace, shell)
-    if SITE.exists() and not shell.dry:
-        shutil.rmtree(SITE)  # pages that have been removed since would stay
+        Installation(platform, options.workspace, shell, not options.no_system).install_system_packages()
+    python = create_docs_venv(options.workspace, shell)
+    if SITE_FOLDER.exists() and not shell.dry:
+        shutil.rmtree(SITE_FOLDER)  # pages that have been removed since would stay
     strict = ["-q", "-W", "--keep-going", "-n", "-E"]
-    doctrees = str(SITE.parent / "doctrees")
-    command = [python, "-m", "sphinx", *strict, "-b", "html", "-d", doctrees, str(HERE / "docs"), str(SITE)]
-    status = shell.show(command, cwd=HERE)
+    doctrees = str(SITE_FOLDER.parent / "doctrees")
+    command = [
+        python,
+        "-m",
+        "sphinx",
+        *strict,
+        "-b",
+        "html",
+        "-d",
+        doctrees,
+        str(HERE / "docs"),
+        str(SITE_FOLDER),
+    ]
+    status = shell.run_visible(command, cwd=HERE)
     if status == 0 and not shell.dry:
-        print(f"The documentation site is built: {SITE / 'index.html'}")
+        print(f"The documentation site is built: {SITE_FOLDER / 'index.html'}")
     return status
 
 
-def docs_venv(workspace: Path, shell: Shell) -> str:
+def create_docs_venv(workspace: Path, shell: Shell) -> str:
     """Return the Python of a virtual environment that has Sphinx, after installing what is missing in it."""
-    venv = workspace / DOCS_VENVS.replace("*", "{}.{}".format(*sys.version_info))
+    venv = workspace / DOCS_VENV_PATTERN.replace("*", "{}.{}".format(*sys.version_info))
     python = str(venv / "bin" / "python3")
     texts = [(HERE / name).read_text() for name in DOCS_REQUIREMENTS]
     stamp = venv / ("done-" + digest(sys.version, str(venv), *texts))
     if not stamp.exists():
         make = [sys.executable, "-m", "venv", "--clear", str(venv)]
-        shell.step("Creating a virtual environment", "docs-venv", make)
+        shell.run_logged("Creating a virtual environment", "docs-venv", make)
         files = [part for name in DOCS_REQUIREMENTS for part in ("-r", str(HERE / name))]
         install = [python, "-m", "pip", "--disable-pip-version-check", "install", *files]
-        shell.step("Installing Sphinx", "docs-pip", install)
+        shell.run_logged("Installing Sphinx", "docs-pip", install)
         if not shell.dry:
             stamp.touch()
     return python
 
 
-DURATION = (
+TEST_DURATION_TEXT = (
     "All tests take up to 25 minutes on two cores that have nothing else to do; "
     "./install.py test -m 'not slow' --ignore test/ros takes 2."
 )
-SHARE = ("-n", "2", "--dist", "loadfile")
-"""Two processes that take a file of tests at a time: those on ROS wait for most of their time."""
+PARALLEL_OPTIONS = ("-n", "2", "--dist", "loadfile")
+"""Two processes, each with whole test files: tests with ROS spend most of their time waiting."""
 
 _ONE_PROCESS = {
     "--pdb",
@@ -545,51 +570,52 @@ _ONE_PROCESS = {
 }
 
 
-def shared(options: Sequence[str]) -> Sequence[str]:
-    """Return the options by which pytest shares the tests between processes, given the user's options.
+def parallel_options(options: Sequence[str]) -> Sequence[str]:
+    """Return the pytest options that distribute tests over processes.
 
-    None if these say how, name single files, whose tests begin sooner in one process, or need one.
+    They are empty if the user's options determine the distribution, require a single process, or name single files,
+    whose tests start sooner without further processes.
     """
-    for before, option in zip(["", *options], options):
+    for previous, option in zip(["", *options], options):
         if option in _ONE_PROCESS or option.startswith(("-n", "--numprocesses", "--dist")):
             return ()
         is_file = option.endswith(".py") or "::" in option
-        if is_file and not option.startswith("-") and before not in ("--ignore", "--deselect"):
+        if is_file and not option.startswith("-") and previous not in ("--ignore", "--deselect"):
             return ()
-    return SHARE
+    return PARALLEL_OPTIONS
 
 
-RECORD = "installed-packages"
-"""File of a workspace with the system packages that were installed for it, one in a line."""
+PACKAGE_RECORD = "installed-packages"
+"""File of a workspace with the system packages that were installed for it, one per line."""
 
-BUILT = ("build", "devel", "install", ".catkin_workspace", "src/CMakeLists.txt")
-"""What catkin_make puts into a workspace for all of its packages."""
+CATKIN_OUTPUTS = ("build", "devel", "install", ".catkin_workspace", "src/CMakeLists.txt")
+"""Files and folders that catkin_make creates in a workspace for all its packages."""
 
 
 def uninstall(workspace: Path, dry: bool) -> None:
-    """Remove what `Installation` has put into a workspace, and the workspace where it holds nothing else.
+    """Remove what `Installation` has created in a workspace, and the workspace if nothing else is in it.
 
     Raises:
-        Problem: It was built from another copy of the sources, or not by this program.
+        Problem: if it was built from another copy of the sources, or not by this program.
     """
     link = workspace / "src" / "retalis"
     if not workspace.exists():
         raise Problem(f"nothing is installed in {workspace}; give the --workspace that it was built in")
-    begun = not os.path.lexists(link) and workspace == default_workspace(HERE, os.environ).resolve()
-    if not begun and not (link.is_symlink() and link.resolve() == HERE):
+    is_incomplete = not os.path.lexists(link) and workspace == default_workspace(HERE, os.environ).resolve()
+    if not is_incomplete and not (link.is_symlink() and link.resolve() == HERE):
         raise Problem(f"{link} does not lead to this copy of retalis: {workspace} was not built from it")
-    others = sorted({one.name for one in link.parent.glob("*")} - {"retalis", "CMakeLists.txt"})
-    logs = [one for one in (workspace / "log").glob("*") if one.is_file()]
-    record = recorded(workspace)
-    made = [
+    other_packages = sorted({path.name for path in link.parent.glob("*")} - {"retalis", "CMakeLists.txt"})
+    logs = [path for path in (workspace / "log").glob("*") if path.is_file()]
+    record = recorded_packages(workspace)
+    built_paths = [
         link,
         workspace / "venv",
-        *workspace.glob(DOCS_VENVS),
-        workspace / RECORD,
+        *workspace.glob(DOCS_VENV_PATTERN),
+        workspace / PACKAGE_RECORD,
         *logs,
-        *([] if others else [workspace / name for name in BUILT]),
+        *([] if other_packages else [workspace / name for name in CATKIN_OUTPUTS]),
     ]
-    for path in filter(os.path.lexists, made):
+    for path in filter(os.path.lexists, built_paths):
         print(f"{'would remove' if dry else 'Removing'} {path}", flush=True)
         if not dry:
             remove(path)
@@ -597,27 +623,27 @@ def uninstall(workspace: Path, dry: bool) -> None:
         is_own = folder != workspace.parent or folder.name == "retalis"
         if not dry and is_own and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
-    if others:
+    if other_packages:
         print(
-            f"{workspace} holds {', '.join(others)} too: build, devel and install are left; build them again"
+            f"{workspace} holds {', '.join(other_packages)} too: build, devel and install are left; build them again"
         )
     elif workspace.exists() and not dry:
         print(
-            f"{workspace} is left: it holds {', '.join(sorted(one.name for one in workspace.iterdir()))} too"
+            f"{workspace} is left: it holds {', '.join(sorted(path.name for path in workspace.iterdir()))} too"
         )
-    tell_what_is_left(record)
+    print_remaining(record)
 
 
-def recorded(workspace: Path) -> List[str]:
-    """Return the system packages that were installed for a workspace and still are, and files that were changed."""
-    record = workspace / RECORD
+def recorded_packages(workspace: Path) -> List[str]:
+    """Return the system packages that were installed for a workspace and still are, and changed system files."""
+    record = workspace / PACKAGE_RECORD
     names = list(dict.fromkeys(record.read_text().split())) if record.exists() else []
     missing = missing_packages(names, installed_packages(names))
     return [name for name in names if name == HOSTS or name not in missing]
 
 
-def tell_what_is_left(record: Sequence[str]) -> None:
-    """Name what was installed outside of the workspace, or may have been."""
+def print_remaining(record: Sequence[str]) -> None:
+    """Print what was installed outside of the workspace."""
     packages = [name for name in record if name != HOSTS]
     if packages:
         print("These system packages were installed and are left, since other programs may need them:")
@@ -631,7 +657,7 @@ def tell_what_is_left(record: Sequence[str]) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a link or a folder with all that is in it."""
+    """Remove a file, a link, or a folder with its contents."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -639,13 +665,15 @@ def remove(path: Path) -> None:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Do what the command line says and return the exit status."""
-    options = arguments(argv)
-    environment = minimal(os.environ) if options.command in ("test", "lint", "docs") else dict(os.environ)
+    """Execute the command line; return the exit status."""
+    options = parse_arguments(argv)
+    environment = (
+        minimal_environment(os.environ) if options.command in ("test", "lint", "docs") else dict(os.environ)
+    )
     os.environ.clear()
     os.environ.update(environment, PATH=search_path(environment.get("PATH", "")))
     if options.command == "demo" and {"-h", "--help"} & set(options.rest):
-        return subprocess.call([sys.executable, DEMO, "--help"])
+        return subprocess.call([sys.executable, DEMO_SCRIPT, "--help"])
     setup = options.workspace / "devel" / "setup.bash"
     if options.command == "where":
         if not setup.exists():
@@ -663,24 +691,26 @@ def main(argv: Sequence[str]) -> int:
         return build_site(options, shell)
     platform = choose_platform(parse_os_release(Path("/etc/os-release").read_text()))
     if options.with_swi:
-        platform = platform._replace(packages=[*platform.packages, SWI])
-    return carry_out(options, Installation(platform, options.workspace, shell, not options.no_system))
+        platform = platform._replace(packages=[*platform.packages, SWI_PACKAGE])
+    return run_command(options, Installation(platform, options.workspace, shell, not options.no_system))
 
 
-def carry_out(options: argparse.Namespace, installation: Installation) -> int:
-    """Install what a command needs, build, and run it; return its exit status."""
+def run_command(options: argparse.Namespace, installation: Installation) -> int:
+    """Install the dependencies of a command, build, and run the command; return its exit status."""
     if options.command == "test" and not options.rest:
-        print(DURATION, flush=True)
+        print(TEST_DURATION_TEXT, flush=True)
     develop = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
-    installation.system_packages()
-    installation.local_host()
-    installation.python_packages(["requirements.txt", *develop])
+    installation.install_system_packages()
+    installation.add_localhost()
+    installation.install_python_packages(["requirements.txt", *develop])
     installation.build(install=options.install or options.command == "test")
     if options.command == "demo":
-        return installation.run([PYTHON, DEMO, *options.rest], cwd=None)
+        return installation.run([SYSTEM_PYTHON, DEMO_SCRIPT, *options.rest], cwd=None)
     if options.command == "test":
         os.environ["RETALIS_WORKSPACE"] = str(options.workspace)
-        return installation.run([PYTHON, "-m", "pytest", *shared(options.rest), *options.rest])
+        return installation.run(
+            [SYSTEM_PYTHON, "-m", "pytest", *parallel_options(options.rest), *options.rest]
+        )
     if options.command == "lint":
         return lint(installation)
     setup = options.workspace / "devel" / "setup.bash"

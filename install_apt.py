@@ -1,4 +1,4 @@
-"""Where apt finds ROS on Ubuntu, and the key of its packages. Needs Python 3.8 only."""
+"""apt sources of ROS on Ubuntu, the key of its packages, and errors in apt's output. Needs only Python 3.8."""
 
 import base64
 import re
@@ -13,15 +13,15 @@ INSTRUCTIONS = "http://wiki.ros.org/noetic/Installation/Ubuntu"
 KEY_URL = "https://raw.githubusercontent.com/ros/rosdistro/master/ros.asc"
 KEY_FILE = "/usr/share/keyrings/ros-archive-keyring.asc"
 SOURCE_FILE = "/etc/apt/sources.list.d/ros-noetic.list"
-TRUSTED = "/etc/apt/trusted.gpg.d/ros-archive-keyring.asc"
-"""Where a key goes that apt takes for sources which name none."""
+DEFAULT_KEY_FILE = "/etc/apt/trusted.gpg.d/ros-archive-keyring.asc"
+"""Key file for sources that do not name one."""
 
-ROS = "packages.ros.org/ros/"
+ROS_REPOSITORY = "packages.ros.org/ros/"
 _SIGNED_BY = re.compile(r"signed-by=([^\s\],]+)", re.IGNORECASE)
 _WRONG_KEY = re.compile(r"(?:EXPKEYSIG|KEYEXPIRED|NO_PUBKEY|REVKEYSIG)[^\n]*")
 
 
-def ros_lines(root: Path = Path("/etc/apt")) -> List[str]:
+def ros_source_lines(root: Path = Path("/etc/apt")) -> List[str]:
     """Return the lines of apt's sources that name ROS's packages."""
     files = [root / "sources.list", *sorted((root / "sources.list.d").glob("*"))]
     texts = [path.read_text(errors="replace") for path in files if path.is_file()]
@@ -29,22 +29,22 @@ def ros_lines(root: Path = Path("/etc/apt")) -> List[str]:
         line
         for text in texts
         for line in text.splitlines()
-        if ROS in line and not line.lstrip().startswith("#")
+        if ROS_REPOSITORY in line and not line.lstrip().startswith("#")
     ]
 
 
-def key_place(lines: Sequence[str]) -> str:
-    """Return the file of the key by which apt checks a source, given the source's lines."""
-    found = (_SIGNED_BY.search(line) for line in lines)
-    return next((one.group(1) for one in found if one is not None), TRUSTED)
+def key_file(lines: Sequence[str]) -> str:
+    """Return the key file of a source, given the source's lines."""
+    matches = (_SIGNED_BY.search(line) for line in lines)
+    return next((match.group(1) for match in matches if match is not None), DEFAULT_KEY_FILE)
 
 
 def key_problem(log: str) -> Optional[str]:
-    """Return what apt says of ROS's key where it has expired or is missing, given the output of an update."""
+    """Return apt's error about an expired or missing ROS key in the output of an update; None if there is none."""
     for line in log.splitlines():
-        wrong = _WRONG_KEY.search(line)
-        if wrong is not None and ROS in line:
-            return wrong.group()
+        match = _WRONG_KEY.search(line)
+        if match is not None and ROS_REPOSITORY in line:
+            return match.group()
     return None
 
 
@@ -56,21 +56,21 @@ _UNKNOWN = re.compile(r"Unable to locate package|has no installation candidate")
 
 
 def network_problem(log: str, lists: str = "") -> Optional[str]:
-    """Return why apt could fetch nothing, or None if it failed for another reason.
+    """Return the network error that made apt fail; None if it failed for another reason.
 
     Args:
-        log: Output of the command that failed.
-        lists: Output of the update before it, which ends with 0 without a network too, and makes packages unknown.
+        log: output of the command that failed.
+        lists: output of the preceding update, which exits with 0 even without a network.
     """
-    found = _UNREACHABLE.search(log) or (_UNKNOWN.search(log) and _UNREACHABLE.search(lists))
-    return found.group().strip() if found else None
+    match = _UNREACHABLE.search(log) or (_UNKNOWN.search(log) and _UNREACHABLE.search(lists))
+    return match.group().strip() if match else None
 
 
 def fetch_key() -> bytes:
-    """Return the key of ROS's packages, in ASCII armour.
+    """Download the key of the ROS packages, in ASCII armour.
 
     Raises:
-        Problem: It cannot be had.
+        Problem: if it cannot be downloaded.
     """
     try:
         with urllib.request.urlopen(KEY_URL, timeout=60) as answer:
@@ -80,16 +80,16 @@ def fetch_key() -> bytes:
     return key
 
 
-def for_file(key: bytes, place: str) -> bytes:
-    """Return a key as apt wants it in a file: in armour where its name ends in .asc, in binary else."""
-    return key if place.endswith(".asc") else without_armour(key)
+def encode_key(key: bytes, path: str) -> bytes:
+    """Return a key in the form that apt expects in a file: armoured if its name ends in .asc, otherwise binary."""
+    return key if path.endswith(".asc") else dearmor(key)
 
 
-def without_armour(key: bytes) -> bytes:
-    """Return the binary form of keys in ASCII armour (RFC 4880, 6.2): the checksum's line is left out.
+def dearmor(key: bytes) -> bytes:
+    """Return the binary form of keys in ASCII armour (RFC 4880, 6.2), without the checksum line.
 
     Raises:
-        Problem: There is none in the text.
+        Problem: if the text contains no key.
     """
     blocks = re.findall(
         rb"-----BEGIN PGP PUBLIC KEY BLOCK-----(.*?)-----END PGP PUBLIC KEY BLOCK-----", key, re.DOTALL

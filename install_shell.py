@@ -1,7 +1,7 @@
-"""Commands of `install.py`: the environment they get, and their output in a log or on the terminal.
+"""Execution of commands for `install.py`: environment, logs, and progress on the terminal.
 
-As a program, run a command with nothing of the environment but what `minimal` keeps:
-``python3 install_shell.py COMMAND ARGUMENT...``. Needs Python 3.8 only.
+As a program, it runs a command with only the environment variables that `minimal_environment` keeps:
+``python3 install_shell.py COMMAND ARGUMENT...``. Needs only Python 3.8.
 """
 
 import os
@@ -13,65 +13,69 @@ import time
 from pathlib import Path
 from typing import IO, Callable, Dict, Mapping, Optional, Sequence
 
-TAIL = 15  # lines of a log shown when a step fails
+SHOWN_LOG_LINES = 15  # lines of a log shown when a step fails
 
 _KEPT = """
     HOME USER LOGNAME PATH LANG LANGUAGE LC_ALL LC_CTYPE LC_MESSAGES TERM TMPDIR XDG_CACHE_HOME CI DEBIAN_FRONTEND
     HTTP_PROXY HTTPS_PROXY FTP_PROXY ALL_PROXY NO_PROXY http_proxy https_proxy ftp_proxy all_proxy no_proxy
     SSL_CERT_FILE SSL_CERT_DIR REQUESTS_CA_BUNDLE CURL_CA_BUNDLE PIP_CERT PIP_CONFIG_FILE
     """
-KEPT = frozenset(_KEPT.split())
-"""Variables that the tests are run with: places, language, and how to get at the network. pip reads the rest from its
+KEPT_VARIABLES = frozenset(_KEPT.split())
+"""Environment variables of the tests: folders, language, and network access. pip reads the rest from its
 configuration files."""
 
-OWN = "RETALIS_"
-"""Prefix of the variables of this package, which are kept too."""
+PACKAGE_PREFIX = "RETALIS_"
+"""Prefix of this package's environment variables, which are kept, too."""
 
 SYSTEM_FOLDERS = ("/usr/bin", "/bin", "/usr/sbin", "/sbin")
-"""Where programs are. `su` and `env -i` leave the last two out, without which root cannot install a package."""
+"""Program folders. `su` and `env -i` omit the last two, without which root cannot install packages."""
 
 
 class Problem(Exception):
-    """Something that ends the run; its text is one line for the user."""
+    """Error that ends the program; its text is one line for the user."""
 
 
-def minimal(environ: Mapping[str, str]) -> Dict[str, str]:
-    """Return the part of an environment that the result of a test may depend on.
+def minimal_environment(environ: Mapping[str, str]) -> Dict[str, str]:
+    """Return the variables of an environment that test results may depend on.
 
-    A shell has more: PYTHONUNBUFFERED and its like, another ROS that was sourced, options of pip. With those, tests
-    pass that fail where they are not set, or the other way round.
+    Shells have further ones, for example PYTHONUNBUFFERED, another ROS that was sourced, or pip options. With them,
+    tests would pass in one shell and fail in another.
     """
-    return {name: value for name, value in environ.items() if name in KEPT or name.startswith(OWN)}
+    return {
+        name: value
+        for name, value in environ.items()
+        if name in KEPT_VARIABLES or name.startswith(PACKAGE_PREFIX)
+    }
 
 
 def search_path(path: str) -> str:
-    """Return a PATH that begins with the distribution's programs and has all of its folders."""
-    given = [folder for folder in path.split(os.pathsep) if folder]  # an empty one is the current folder
-    behind = [folder for folder in SYSTEM_FOLDERS if folder not in given]
-    return os.pathsep.join(dict.fromkeys(["/usr/bin", *given, *behind]))
+    """Return a PATH that begins with ``/usr/bin`` and contains all `SYSTEM_FOLDERS`."""
+    folders = [folder for folder in path.split(os.pathsep) if folder]  # an empty one is the current folder
+    missing = [folder for folder in SYSTEM_FOLDERS if folder not in folders]
+    return os.pathsep.join(dict.fromkeys(["/usr/bin", *folders, *missing]))
 
 
-def tail(text: str, count: int = TAIL) -> str:
+def tail(text: str, count: int = SHOWN_LOG_LINES) -> str:
     """Return the last lines of a text, indented."""
     return "\n".join("    " + line for line in text.rstrip().splitlines()[-count:])
 
 
 def stop(process: "subprocess.Popen[bytes]") -> None:
-    """End a process that was started here, first asking, then telling it."""
-    for number, patience in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
+    """End a child process with increasingly strong signals."""
+    for signal_number, timeout in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
         try:
-            process.send_signal(number)
-        except PermissionError:  # sudo's: the terminal has told it
+            process.send_signal(signal_number)
+        except PermissionError:  # A process of sudo, which gets the signal from the terminal.
             pass
         try:
-            process.wait(patience)
+            process.wait(timeout)
             return
         except subprocess.TimeoutExpired:
             continue
 
 
-class Line:
-    """A line for the user that says what is being done; on a terminal also for how many seconds."""
+class ProgressLine:
+    """Progress line with the title of a step; on a terminal also its duration in seconds."""
 
     def __init__(self, title: str) -> None:
         self._title = title
@@ -79,12 +83,12 @@ class Line:
         print(title + " ...", end="", flush=True)
 
     def tick(self) -> None:
-        """Show the seconds so far."""
+        """Update the duration."""
         if sys.stdout.isatty():
             print(f"\r{self._title} ... {self._seconds()}", end="", flush=True)
 
     def end(self, result: str) -> None:
-        """Show the result and end the line."""
+        """Print the result and end the line."""
         begin = f"\r{self._title} ..." if sys.stdout.isatty() else ""
         print(f"{begin} {result} ({self._seconds()})", flush=True)
 
@@ -93,24 +97,24 @@ class Line:
 
 
 class Shell:
-    """Runs commands: quietly with a log for each, or before the user's eyes."""
+    """Runs commands, each with its output in a log or on the terminal."""
 
     def __init__(self, logs: Path, dry: bool = False) -> None:
         self.logs = logs
         self.dry = dry
 
-    def step(self, title: str, name: str, command: Sequence[str], cwd: Optional[Path] = None) -> None:
-        """Run a command with its output in a log, one line for the user.
+    def run_logged(self, title: str, name: str, command: Sequence[str], cwd: Optional[Path] = None) -> None:
+        """Run a command with its output in a log, and print one progress line.
 
         Raises:
-            Problem: It failed; the end of its log is printed and the log named.
+            Problem: if it fails; the end of its log is printed.
         """
         if self.dry:
             print("would run: " + " ".join(map(shlex.quote, command)))
             return
         self.logs.mkdir(parents=True, exist_ok=True)
         log = self.logs / (name + ".log")
-        line = Line(title)
+        line = ProgressLine(title)
         with log.open("wb") as output:
             code = self._wait(command, cwd, output, line.tick)
         line.end("failed" if code else "done")
@@ -118,8 +122,8 @@ class Shell:
             print(tail(log.read_text(errors="replace")), file=sys.stderr)
             raise Problem(f"{name} failed with exit status {code}; all of its output is in {log}")
 
-    def show(self, command: Sequence[str], cwd: Optional[Path] = None) -> int:
-        """Run a command before the user's eyes and return its exit status."""
+    def run_visible(self, command: Sequence[str], cwd: Optional[Path] = None) -> int:
+        """Run a command with its output on the terminal; return its exit status."""
         if self.dry:
             print("would run: " + " ".join(map(shlex.quote, command)))
             return 0
@@ -145,11 +149,11 @@ class Shell:
                     tick()
         except KeyboardInterrupt:
             try:
-                process.wait(5)  # the terminal has told the command as well
+                process.wait(5)  # The terminal has sent the signal to the command, too.
             except subprocess.TimeoutExpired:
                 stop(process)
             raise
 
 
 if __name__ == "__main__":
-    os.execvpe(sys.argv[1], sys.argv[1:], minimal(os.environ))
+    os.execvpe(sys.argv[1], sys.argv[1:], minimal_environment(os.environ))

@@ -15,7 +15,7 @@ nox.options.reuse_existing_virtualenvs = True
 WITHOUT_ROS = ("--ignore", "test/ros")
 
 LENIENT = ("--no-warn-unused-ignores", "--no-warn-return-any")
-"""What the last mypy for Python 3.8 needs, see `LENIENT` in ``install.py``."""
+"""What the last mypy for Python 3.8 needs, see `MYPY_38_OPTIONS` in ``install.py``."""
 
 
 def _install(session: nox.Session) -> None:

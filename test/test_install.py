@@ -71,22 +71,24 @@ def test_digest_tells_texts_apart(install):
 
 
 def test_bash_keeps_arguments_apart(install):
-    command = install.bash(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
+    command = install.bash_command(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
     assert subprocess.check_output(command) == b"a b|$X|'|"
 
 
 def test_a_sourced_script_does_not_see_the_options_of_the_command(install, tmp_path):
     script = tmp_path / "set up.bash"
     script.write_text('seen="$*"\n', encoding="utf-8")
-    command = install.bash([install.sourcing(str(script)), 'printf "%s|" "$seen" "$@"'], ["--help", "a b"])
+    command = install.bash_command(
+        [install.source_line(str(script)), 'printf "%s|" "$seen" "$@"'], ["--help", "a b"]
+    )
     assert subprocess.check_output(command) == b"|--help|a b|"
 
 
 def test_arguments(install):
-    options = install.arguments([])
+    options = install.parse_arguments([])
     assert (options.command, options.rest, options.dry_run) == ("build", [], False)
     assert options.workspace == install.default_workspace(HERE, os.environ).resolve()
-    options = install.arguments(["--workspace", "~/ws", "demo", "--bag", "x.bag", "--seconds", "5"])
+    options = install.parse_arguments(["--workspace", "~/ws", "demo", "--bag", "x.bag", "--seconds", "5"])
     assert options.workspace == Path.home().resolve() / "ws"
     assert (options.command, options.rest) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
 
@@ -103,14 +105,14 @@ def test_each_copy_of_the_sources_has_its_own_workspace(install):
 @pytest.mark.parametrize("place", [".", "build/workspace"])
 def test_a_workspace_inside_the_package_is_refused(install, place, capsys):
     with pytest.raises(SystemExit):
-        install.arguments(["--workspace", str(HERE / place)])
+        install.parse_arguments(["--workspace", str(HERE / place)])
     assert "outside the package" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("argv", [["lint", "--fast"], ["--fast"], ["buidl"]])
 def test_wrong_arguments_are_refused(install, argv, capsys):
     with pytest.raises(SystemExit) as raised:
-        install.arguments(argv)
+        install.parse_arguments(argv)
     assert raised.value.code == 2
     assert "install.py: error:" in capsys.readouterr().err
 
@@ -124,10 +126,10 @@ class Recorder:
         self.logs = logs
         self.commands = []
 
-    def step(self, title, name, command, cwd=None):
+    def run_logged(self, title, name, command, cwd=None):
         self.commands.append(command)
 
-    def show(self, command, cwd=None):
+    def run_visible(self, command, cwd=None):
         self.commands.append(command)
         return 0
 
@@ -146,11 +148,11 @@ def noetic(install, tmp_path, monkeypatch):
 
 
 def test_noetic_gets_its_source_and_key_before_its_packages(install, apt, noetic, monkeypatch, capsys):
-    monkeypatch.setattr(install, "ros_lines", list)
+    monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(
         apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key of " + url.encode())
     )
-    noetic.system_packages()
+    noetic.install_system_packages()
     lines = [" ".join(command) for command in noetic.shell.commands]
     assert lines[0] == "sudo -v"
     assert lines[1].startswith("sudo install -m 644 ") and lines[1].endswith(install.KEY_FILE)
@@ -167,17 +169,17 @@ def test_no_key_says_where_to_read_on(install, apt, noetic, monkeypatch):
     def refuse(url, timeout):
         raise OSError("no route")
 
-    monkeypatch.setattr(install, "ros_lines", list)
+    monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(apt.urllib.request, "urlopen", refuse)
     with pytest.raises(install.Problem, match=r"no key for packages.ros.org \(no route\); add it as http"):
-        noetic.system_packages()
+        noetic.install_system_packages()
 
 
 def test_certificates_come_before_the_key(install, apt, noetic, monkeypatch, tmp_path):
-    monkeypatch.setattr(install, "ros_lines", list)
+    monkeypatch.setattr(install, "ros_source_lines", list)
     monkeypatch.setattr(install, "CERTIFICATES", str(tmp_path / "none"))
     monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"key"))
-    noetic.system_packages()
+    noetic.install_system_packages()
     lines = [" ".join(command) for command in noetic.shell.commands]
     assert lines[1].endswith("apt-get update")
     assert lines[2].endswith("install -y --no-install-recommends ca-certificates")
@@ -213,12 +215,12 @@ IFJPUw==
 )
 @pytest.mark.parametrize("fails", [False, True])
 def test_a_key_that_has_expired_is_replaced(install, apt, noetic, monkeypatch, line, place, written, fails):
-    monkeypatch.setattr(install, "ros_lines", lambda: [line])
+    monkeypatch.setattr(install, "ros_source_lines", lambda: [line])
     monkeypatch.setattr(apt.urllib.request, "urlopen", lambda url, timeout: io.BytesIO(ARMOURED))
     shell = noetic.shell
-    note = shell.step
+    note = shell.run_logged
 
-    def step(title, name, command, cwd=None):
+    def run_logged(title, name, command, cwd=None):
         note(title, name, command, cwd)
         if name == "apt-update":
             shell.logs.mkdir(exist_ok=True)
@@ -227,10 +229,10 @@ def test_a_key_that_has_expired_is_replaced(install, apt, noetic, monkeypatch, l
             if first and fails:
                 raise install.Problem("apt-update failed")
 
-    shell.step = step
-    noetic.system_packages()
+    shell.run_logged = run_logged
+    noetic.install_system_packages()
     lines = [" ".join(command) for command in shell.commands]
-    place = place or apt.TRUSTED
+    place = place or apt.DEFAULT_KEY_FILE
     assert lines[1].endswith("apt-get update")
     assert lines[2].startswith("sudo install -m 644 ") and lines[2].endswith(" " + place)
     assert (shell.logs / Path(place).name).read_bytes() == written
@@ -239,14 +241,16 @@ def test_a_key_that_has_expired_is_replaced(install, apt, noetic, monkeypatch, l
 
 
 def test_an_update_that_fails_otherwise_ends_the_run(install, noetic, monkeypatch):
-    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    monkeypatch.setattr(
+        install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
+    )
 
-    def step(title, name, command, cwd=None):
+    def run_logged(title, name, command, cwd=None):
         raise install.Problem(f"{name} failed")
 
-    noetic.shell.step = step
+    noetic.shell.run_logged = run_logged
     with pytest.raises(install.Problem, match="apt-update failed"):
-        noetic.system_packages()
+        noetic.install_system_packages()
 
 
 UNREACHABLE = """Err:1 http://deb.debian.org/debian bookworm InRelease
@@ -264,18 +268,20 @@ W: Failed to fetch http://deb.debian.org/debian/dists/bookworm/InRelease  Tempor
     ],
 )
 def test_without_a_network_the_network_is_named(install, noetic, monkeypatch, update, log):
-    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    monkeypatch.setattr(
+        install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
+    )
     noetic.shell.logs.mkdir()
 
-    def step(title, name, command, cwd=None):
+    def run_logged(title, name, command, cwd=None):
         (noetic.shell.logs / f"{name}.log").write_text(update if name == "apt-update" else log)
         if name == "apt-install":
             raise install.Problem("apt-install failed")
 
-    noetic.shell.step = step
+    noetic.shell.run_logged = run_logged
     expected = r"no packages can be fetched: Temporary failure resolving 'deb.debian.org': check the network"
     with pytest.raises(install.Problem, match=expected):
-        noetic.system_packages()
+        noetic.install_system_packages()
 
 
 def test_a_failure_that_is_not_of_the_network_stays_what_it_is(apt):
@@ -287,9 +293,11 @@ def test_an_installation_that_was_interrupted_is_finished_first(install, noetic,
     def run(command, **options):
         return subprocess.CompletedProcess(command, 0, stdout=audit if "--audit" in command else "")
 
-    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    monkeypatch.setattr(
+        install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
+    )
     monkeypatch.setattr(install.subprocess, "run", run)
-    noetic.system_packages()
+    noetic.install_system_packages()
     lines = [" ".join(command) for command in noetic.shell.commands]
     finish = "sudo env DEBIAN_FRONTEND=noninteractive dpkg --configure -a"
     assert lines[: 2 if audit else 1] == ["sudo -v", finish][: 2 if audit else 1]
@@ -396,17 +404,17 @@ def test_names_of_workspaces_have_no_special_characters(install, name):
 
 def test_what_is_no_key_is_refused(apt):
     with pytest.raises(apt.Problem, match="is not a key"):
-        apt.without_armour(b"<html>")
+        apt.dearmor(b"<html>")
 
 
 def test_lines_of_ros(apt, tmp_path):
     (tmp_path / "sources.list.d").mkdir()
     (tmp_path / "sources.list").write_text("# deb http://packages.ros.org/ros/ubuntu x\ndeb http://other y\n")
-    assert apt.ros_lines(tmp_path) == []
+    assert apt.ros_source_lines(tmp_path) == []
     (tmp_path / "sources.list.d" / "ros.list").write_text(
         "deb http://packages.ros.org/ros/ubuntu focal main\n"
     )
-    assert len(apt.ros_lines(tmp_path)) == 1
+    assert len(apt.ros_source_lines(tmp_path)) == 1
     assert apt.key_problem("Hit:1 http://packages.ros.org/ros/ubuntu focal InRelease") is None
 
 
@@ -415,7 +423,7 @@ def test_without_system_the_missing_packages_are_named(install, noetic):
     with pytest.raises(
         install.Problem, match=r"system packages are missing: ca-certificates cmake .*ros-noetic-rospy"
     ):
-        noetic.system_packages()
+        noetic.install_system_packages()
     assert noetic.shell.commands == []
 
 
@@ -460,10 +468,10 @@ def test_lint_fails_where_the_package_of_a_dependency_is_not_installed(
 @pytest.mark.parametrize("command", ["demo", "test", "lint", "docs", "uninstall"])
 @pytest.mark.parametrize("place", [["--workspace", "/some/where"], ["--workspace=/some/where"]])
 def test_options_may_stand_before_the_command_and_behind_it(install, command, place):
-    before = install.arguments([*place, "--dry-run", command])
+    before = install.parse_arguments([*place, "--dry-run", command])
     assert before.workspace == Path("/some/where").resolve() and before.dry_run and not before.no_system
-    assert vars(install.arguments([command, *place, "--dry-run"])) == vars(before)
-    assert vars(install.arguments(["--dry-run", command, *place])) == vars(before)
+    assert vars(install.parse_arguments([command, *place, "--dry-run"])) == vars(before)
+    assert vars(install.parse_arguments(["--dry-run", command, *place])) == vars(before)
 
 
 @pytest.fixture
@@ -473,7 +481,7 @@ def ran(install, monkeypatch, tmp_path):
         install.os, "environ", dict(os.environ, PYTHONUNBUFFERED="1", RETALIS_SCENARIOS="here")
     )
     monkeypatch.setattr(install, "Shell", lambda logs, dry: Recorder(logs))
-    for step in ("system_packages", "python_packages"):
+    for step in ("install_system_packages", "install_python_packages"):
         monkeypatch.setattr(install.Installation, step, lambda *_: None)
 
     def run(*argv):
@@ -499,14 +507,14 @@ def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
 
 @pytest.mark.parametrize("options", [[], ["test/ros"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
 def test_both_cores_run_tests(install, options):
-    assert install.shared(options) == ("-n", "2", "--dist", "loadfile")
+    assert install.parallel_options(options) == ("-n", "2", "--dist", "loadfile")
 
 
 @pytest.mark.parametrize(
     "options", [["-n", "4"], ["-n0"], ["--pdb"], ["test/test_api.py"], ["test/test_api.py::test_x"], ["--co"]]
 )
 def test_a_single_file_and_what_the_user_says_are_left_to_pytest(install, options):
-    assert install.shared(options) == ()
+    assert install.parallel_options(options) == ()
 
 
 def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_path):
@@ -529,7 +537,7 @@ def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_p
 
 
 def test_what_is_not_for_the_installation_goes_on(install):
-    options = install.arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
+    options = install.parse_arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
     assert (options.dry_run, options.no_system, options.install) == (True, False, False)
     assert options.rest == ["-k", "a or b", "--no-summary", "--inst"]
 
@@ -567,7 +575,7 @@ def test_uninstall_removes_what_was_made_and_says_what_is_left(install, workspac
 
 
 def test_uninstall_names_the_packages_that_it_leaves(install, workspace, capsys, monkeypatch):
-    (workspace / install.RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
+    (workspace / install.PACKAGE_RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
     status = "catkin install ok installed\npython3 install ok installed\ngone deinstall ok config-files\n"
     monkeypatch.setattr(install, "installed_packages", lambda names: status)
     install.main(["uninstall", "--workspace", str(workspace)])
@@ -581,29 +589,31 @@ def no_address(name):
 
 def test_localhost_is_made_known(install, noetic, workspace, monkeypatch, capsys):
     monkeypatch.setattr(install.socket, "gethostbyname", no_address)
-    noetic.local_host()
+    noetic.add_localhost()
     (command,) = noetic.shell.commands
     assert command[:3] == ["sudo", "sh", "-c"] and command[4:] == ["127.0.0.1 localhost", "/etc/hosts"]
-    shutil.copy(noetic.workspace / install.RECORD, workspace)
+    shutil.copy(noetic.workspace / install.PACKAGE_RECORD, workspace)
     install.main(["uninstall", "--workspace", str(workspace)])
     assert "The line '127.0.0.1 localhost' is left in /etc/hosts.\n" in capsys.readouterr().out
     noetic.system = False
     with pytest.raises(install.Problem, match="the name localhost is unknown: add the line"):
-        noetic.local_host()
+        noetic.add_localhost()
 
 
 def test_a_localhost_that_is_known_is_left_alone(install, noetic, monkeypatch):
     monkeypatch.setattr(install.socket, "gethostbyname", lambda name: "127.0.0.1")
-    noetic.local_host()
+    noetic.add_localhost()
     assert noetic.shell.commands == []
 
 
 def test_packages_that_are_installed_are_recorded(install, noetic, monkeypatch):
-    monkeypatch.setattr(install, "ros_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"])
+    monkeypatch.setattr(
+        install, "ros_source_lines", lambda: ["deb http://packages.ros.org/ros/ubuntu focal main"]
+    )
     monkeypatch.setenv("RETALIS_INSTALLED", "python3")
-    noetic.system_packages()
-    recorded = (noetic.workspace / install.RECORD).read_text().split()
-    assert recorded == ["python3", *noetic.platform.packages]
+    noetic.install_system_packages()
+    recorded_packages = (noetic.workspace / install.PACKAGE_RECORD).read_text().split()
+    assert recorded_packages == ["python3", *noetic.platform.packages]
     assert "RETALIS_INSTALLED" not in os.environ
 
 
@@ -665,13 +675,13 @@ def site(install, monkeypatch, tmp_path):
     """Commands that `install.py docs` runs, with a site of a former build."""
     shell = Recorder(tmp_path / "log")
     monkeypatch.setattr(install, "Shell", lambda logs, dry: shell)
-    monkeypatch.setattr(install, "SITE", tmp_path / "docs" / "html")
+    monkeypatch.setattr(install, "SITE_FOLDER", tmp_path / "docs" / "html")
     monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: True)
     # pip makes the folder in which the note is put that all is installed.
     venv = tmp_path / "workspace" / "docs-venv-{}.{}".format(*install.sys.version_info)
     (venv / "bin").mkdir(parents=True)
-    install.SITE.mkdir(parents=True)
-    (install.SITE / "removed.html").touch()
+    install.SITE_FOLDER.mkdir(parents=True)
+    (install.SITE_FOLDER / "removed.html").touch()
     return shell
 
 
@@ -683,14 +693,14 @@ def test_docs_builds_the_site_in_a_virtual_environment_of_its_own(install, site,
     assert fetch[0] == build[0] == f"{make[4]}/bin/python3"
     assert [Path(name).name for name in fetch[-3::2]] == ["requirements.txt", "requirements-docs.txt"]
     assert {"-W", "--keep-going", "-n"} < set(build)
-    assert build[-2:] == [str(HERE / "docs"), str(install.SITE)] and not install.SITE.exists()
-    assert capsys.readouterr().out == f"The documentation site is built: {install.SITE}/index.html\n"
+    assert build[-2:] == [str(HERE / "docs"), str(install.SITE_FOLDER)] and not install.SITE_FOLDER.exists()
+    assert capsys.readouterr().out == f"The documentation site is built: {install.SITE_FOLDER}/index.html\n"
     assert install.main(command) == 0
     assert site.commands[3:] == [build]
 
 
 def test_docs_ends_with_the_status_of_sphinx(install, site, tmp_path, capsys):
-    site.show = lambda command, cwd: 2
+    site.run_visible = lambda command, cwd: 2
     assert install.main(["docs", "--workspace", str(tmp_path / "workspace")]) == 2
     assert "is built" not in capsys.readouterr().out
 

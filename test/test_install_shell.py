@@ -22,7 +22,7 @@ def test_tail_is_the_end_indented(shell):
 
 
 def test_step_logs_and_says_so(shell, tmp_path, capfd):
-    shell.Shell(tmp_path / "log").step("Talking", "talk", [sys.executable, "-c", "print('hello')"])
+    shell.Shell(tmp_path / "log").run_logged("Talking", "talk", [sys.executable, "-c", "print('hello')"])
     assert (tmp_path / "log" / "talk.log").read_text() == "hello\n"
     out, err = capfd.readouterr()
     assert out.startswith("Talking ... done (") and "hello" not in out
@@ -32,7 +32,7 @@ def test_step_logs_and_says_so(shell, tmp_path, capfd):
 def test_failed_step_shows_its_end_and_names_its_log(shell, tmp_path, capfd):
     failing = [sys.executable, "-c", "print('reason'); raise SystemExit(3)"]
     with pytest.raises(shell.Problem, match=r"talk failed with exit status 3; .*talk\.log"):
-        shell.Shell(tmp_path).step("Talking", "talk", failing)
+        shell.Shell(tmp_path).run_logged("Talking", "talk", failing)
     out, err = capfd.readouterr()
     assert "failed (" in out
     assert err == "    reason\n"
@@ -40,13 +40,13 @@ def test_failed_step_shows_its_end_and_names_its_log(shell, tmp_path, capfd):
 
 def test_unknown_program_is_one_line(shell, tmp_path):
     with pytest.raises(shell.Problem, match="no-such-program is not installed"):
-        shell.Shell(tmp_path).step("Talking", "talk", ["no-such-program"])
+        shell.Shell(tmp_path).run_logged("Talking", "talk", ["no-such-program"])
 
 
 def test_dry_run_runs_nothing(shell, tmp_path, capsys):
     runs = shell.Shell(tmp_path / "log", dry=True)
-    runs.step("Talking", "talk", ["touch", str(tmp_path / "a b")])
-    assert runs.show(["touch", str(tmp_path / "c")]) == 0
+    runs.run_logged("Talking", "talk", ["touch", str(tmp_path / "a b")])
+    assert runs.run_visible(["touch", str(tmp_path / "c")]) == 0
     assert list(tmp_path.iterdir()) == []
     assert capsys.readouterr().out.startswith("would run: touch '")
 
@@ -93,7 +93,7 @@ def test_interrupt_ends_the_command(shell, tmp_path, monkeypatch):
 
     monkeypatch.setattr(shell.subprocess, "Popen", Interrupted)
     with pytest.raises(KeyboardInterrupt):
-        shell.Shell(tmp_path).show([sys.executable, "-c", "import time; time.sleep(60)"])
+        shell.Shell(tmp_path).run_visible([sys.executable, "-c", "import time; time.sleep(60)"])
     assert len(ended) == 1 and ended[0].returncode is not None
 
 
@@ -121,7 +121,7 @@ LEAKS = {
 
 
 def test_the_environment_of_tests_is_what_their_results_may_depend_on(shell):
-    assert shell.minimal({**SHELL, **LEAKS}) == SHELL
+    assert shell.minimal_environment({**SHELL, **LEAKS}) == SHELL
 
 
 def test_as_a_program_it_runs_a_command_with_that_environment():
