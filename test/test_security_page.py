@@ -15,7 +15,7 @@ from retalis.events.language import state_parser
 from retalis.events.program import topic_configuration
 from retalis.events.rules import timer_service
 from retalis.foundation import errors, ros_names
-from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS, SHOWN
+from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS, MAX_SHOWN_CHARACTERS
 from retalis.messages import type_definition, type_registry
 from retalis.prolog.builtins import text_arguments, text_streams
 from retalis.prolog.machine import arithmetic
@@ -48,7 +48,7 @@ FIXED = {
     ),
     "`pub_sub.xml`": f"{millions(topic_configuration.MAX_XML_CHARACTERS)} characters, depth {topic_configuration.MAX_XML_DEPTH}, no DOCTYPE",
     "errors of one file that are shown": f"{errors.MAX_ERRORS}, and the number",
-    "characters of a text from outside that are shown": f"{SHOWN}; {MAX_MESSAGE_CHARACTERS:,} of a whole error",
+    "characters of a text from outside that are shown": f"{MAX_SHOWN_CHARACTERS}; {MAX_MESSAGE_CHARACTERS:,} of a whole error",
     "open streams": f"{text_streams.MAX_OPEN_STREAMS}",
     "integers": f"{arithmetic.MAX_INTEGER_BITS:,} bits ({int(arithmetic.MAX_INTEGER_BITS * log10(2)) + 1:,} digits)",
     "texts that goals make": f"{millions(text_arguments.MAX_TEXT_CHARACTERS)} characters",

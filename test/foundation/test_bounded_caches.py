@@ -5,7 +5,7 @@ import ast
 import pytest
 from source import NODES, TREES
 
-from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, Texts
+from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, TextCache
 
 DECORATED = {
     ("messages/field_values.py", "array_maker"): "one entry for each of the 13 number types",
@@ -127,7 +127,7 @@ KINDS = {
 def test_entries_are_bounded():
     cache = Cache(10, 1 << 20)
     for number in range(100):
-        assert cache.keep(number, -number, 8) == -number
+        assert cache.store(number, -number, 8) == -number
         assert cache[number] == -number
         assert len(cache) <= 10
 
@@ -135,17 +135,17 @@ def test_entries_are_bounded():
 def test_bytes_are_bounded():
     cache = Cache(1000, 100_000, 50_000)
     for number in range(1000):
-        cache.keep(number, "", 9000)
-        assert cache.held <= 100_000
-        assert cache.held == len(cache) * (9000 + ENTRY_BYTES)
+        cache.store(number, "", 9000)
+        assert cache.total_bytes <= 100_000
+        assert cache.total_bytes == len(cache) * (9000 + ENTRY_BYTES)
     cache.clear()
-    assert (len(cache), cache.held) == (0, 0)
+    assert (len(cache), cache.total_bytes) == (0, 0)
 
 
 def test_what_is_too_large_is_not_kept_and_takes_nobodys_place():
     cache = Cache(10, 10_000, 1000)
-    cache.keep("small", 1, 10)
-    assert cache.keep("large", 2, 1000) == 2
+    cache.store("small", 1, 10)
+    assert cache.store("large", 2, 1000) == 2
     assert list(cache) == ["small"]
 
 
@@ -156,7 +156,7 @@ def test_texts_are_made_once_where_they_are_short():
         made.append(text)
         return text * 2
 
-    texts = Texts(make, 10, 1 << 20, 1000)
+    texts = TextCache(make, 10, 1 << 20, 1000)
     for text in ("a", "a", "b" * 1000, "b" * 1000):
         assert texts[text] == text * 2
     assert made == ["a", "b" * 1000, "b" * 1000]

@@ -12,10 +12,10 @@ import pytest
 
 from retalis.foundation.cpython_and_pypy import (
     PYPY,
-    confine,
-    releasing,
-    remove_dead,
-    seen_elsewhere,
+    drop_unshared,
+    make_releasing_list,
+    remove_dead_reference,
+    restrict_builtins,
     text_size,
 )
 
@@ -83,7 +83,7 @@ def test_what_nothing_else_holds_is_dropped():
     objects = [Thing(), kept, Other(), chained.next, Thing()]
     objects[4].next = Thing()
     objects.append(objects[4].next)  # held by one that goes
-    left = seen_elsewhere(objects, Thing)
+    left = drop_unshared(objects, Thing)
     assert objects == []
     assert [type(one) for one in left] == [Thing, Other, Thing]
     assert left[0] is kept and left[2] is chained.next
@@ -101,7 +101,7 @@ def test_what_is_taken_off_a_list_ends_there():
             def __del__(self):
                 ended.append(self.name)
 
-    items = releasing(lambda item: ended.append(item.name))
+    items = make_releasing_list(lambda item: ended.append(item.name))
     for name in "abcde":
         items.append(Ending(name))
     items.pop().name = "popped"
@@ -115,13 +115,13 @@ def test_what_is_taken_off_a_list_ends_there():
 def test_only_what_is_gone_is_taken_out():
     one, other = Thing(), Thing()
     table = {"one": weakref.ref(one), "other": weakref.ref(other)}
-    remove_dead(table, "one")
+    remove_dead_reference(table, "one")
     assert set(table) == {"one", "other"}
     del one
     gc.collect()
     for key in ("one", "other", "none"):
         try:
-            remove_dead(table, key)
+            remove_dead_reference(table, key)
         except KeyError:  # CPython up to 3.8: nobody asks for what is not there
             assert key == "none"
     assert set(table) == {"other"}
@@ -148,7 +148,7 @@ def test_code_finds_no_other_functions(source, seen):
     code = compile(source, "test", "exec")
 
     def run():
-        confine(code, names, {"len": len})
+        restrict_builtins(code, names, {"len": len})
         exec(code, names)
         names["made"](*[1] * names["made"].__code__.co_argcount)
 

@@ -6,7 +6,15 @@ from xml.etree import ElementTree
 import pytest
 
 from retalis import Operators, Place
-from retalis.foundation.errors import SHOWN, beginning, counted, place_at, place_in, printable, printable_json
+from retalis.foundation.errors import (
+    MAX_SHOWN_CHARACTERS,
+    beginning,
+    counted,
+    place_at,
+    place_in,
+    printable,
+    printable_json,
+)
 from retalis.prolog.syntax.term_reader import read_program
 
 
@@ -18,8 +26,8 @@ def test_the_caret_stands_under_the_column_of_a_line_of_any_length(length, colum
     for place in (place_in("file", 3, column, line), place_at("file", f"1\n\n{line}\nend", column + 2)):
         assert (place.source, place.line, place.column) == ("file", 3, column)
         shown, caret = place.context().split("\n")
-        assert len(shown) <= SHOWN and len(caret) <= SHOWN + 1
-        assert shown in line and (shown == line or length > SHOWN)
+        assert len(shown) <= MAX_SHOWN_CHARACTERS and len(caret) <= MAX_SHOWN_CHARACTERS + 1
+        assert shown in line and (shown == line or length > MAX_SHOWN_CHARACTERS)
         assert caret.index("^") == len(caret) - 1
         assert shown[len(caret) - 1 : len(caret)] == line[column - 1 : column]
 
@@ -29,8 +37,8 @@ def test_a_place_made_of_a_whole_line_shows_it():
 
 
 def test_texts_are_shown_by_their_beginning():
-    assert beginning("a" * SHOWN) == "a" * SHOWN
-    assert beginning("a" * 5000) == "a" * SHOWN + "..."
+    assert beginning("a" * MAX_SHOWN_CHARACTERS) == "a" * MAX_SHOWN_CHARACTERS
+    assert beginning("a" * 5000) == "a" * MAX_SHOWN_CHARACTERS + "..."
 
 
 @pytest.mark.slow

@@ -171,7 +171,7 @@ def test_stamps():
 
 
 def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
-    monkeypatch.setattr(field_values.cached_texts, "entries", 10)
+    monkeypatch.setattr(field_values.cached_texts, "max_entries", 10)
     field_values.cached_texts.clear()  # what other tests have left there
     found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     tail = struct.pack("<d", 1.0)

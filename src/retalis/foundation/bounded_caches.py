@@ -20,25 +20,25 @@ class Cache(Dict[Key, Value]):
     """Bounded cache of computed values by key; cleared when it is full.
 
     Args:
-        entries: maximum number of entries.
-        size: maximum total size of the entries in bytes, as given to `keep`.
-        longest: maximum size of one entry in bytes; larger values are not stored. One sixteenth of ``size`` by
-            default.
+        max_entries: maximum number of entries.
+        max_bytes: maximum total size of the entries in bytes, as given to `store`.
+        max_entry_bytes: maximum size of one entry in bytes; larger values are not stored. One sixteenth of
+            ``max_bytes`` by default.
 
     Attributes:
-        held: total size of the entries in bytes.
+        total_bytes: total size of the entries in bytes.
     """
 
-    __slots__ = ("entries", "size", "longest", "held")
+    __slots__ = ("max_entries", "max_bytes", "max_entry_bytes", "total_bytes")
 
-    def __init__(self, entries: int, size: int, longest: int = 0):
+    def __init__(self, max_entries: int, max_bytes: int, max_entry_bytes: int = 0):
         super().__init__()
-        self.entries = entries
-        self.size = size
-        self.longest = longest or size // 16
-        self.held = 0
+        self.max_entries = max_entries
+        self.max_bytes = max_bytes
+        self.max_entry_bytes = max_entry_bytes or max_bytes // 16
+        self.total_bytes = 0
 
-    def keep(self, key: Key, value: Value, size: int) -> Value:
+    def store(self, key: Key, value: Value, size: int) -> Value:
         """Store the value of a key unless it is too large; return the value.
 
         Args:
@@ -48,37 +48,39 @@ class Cache(Dict[Key, Value]):
         """
         # A cache of many tiny entries would otherwise take a multiple of its limit.
         size += ENTRY_BYTES
-        if size <= self.longest:
+        if size <= self.max_entry_bytes:
             # Not atomic on purpose: a race between threads can only lose entries or count them twice until the next
             # `clear`, which resets the count.
-            if len(self) >= self.entries or self.held + size > self.size:
+            if len(self) >= self.max_entries or self.total_bytes + size > self.max_bytes:
                 self.clear()
-            self.held += size
+            self.total_bytes += size
             self[key] = value
         return value
 
     def clear(self) -> None:
         """Remove all entries."""
         super().clear()
-        self.held = 0
+        self.total_bytes = 0
 
 
-class Texts(Cache[str, str]):
-    """Cache of a function on strings: ``texts[text]`` is ``make(text)``, stored if it is short.
+class TextCache(Cache[str, str]):
+    """Cache of a function on strings: ``texts[text]`` is ``compute(text)``, stored if it is short.
 
     Args:
-        make: the function.
-        entries: see `Cache`.
-        size: see `Cache`.
-        longest: see `Cache`.
+        compute: the function.
+        max_entries: see `Cache`.
+        max_bytes: see `Cache`.
+        max_entry_bytes: see `Cache`.
     """
 
-    __slots__ = ("_make",)
+    __slots__ = ("_compute",)
 
-    def __init__(self, make: Callable[[str], str], entries: int, size: int, longest: int = 0):
-        super().__init__(entries, size, longest)
-        self._make = make
+    def __init__(
+        self, compute: Callable[[str], str], max_entries: int, max_bytes: int, max_entry_bytes: int = 0
+    ):
+        super().__init__(max_entries, max_bytes, max_entry_bytes)
+        self._compute = compute
 
     def __missing__(self, text: str) -> str:
-        value = self._make(text)
-        return self.keep(text, value, text_size(text) + text_size(value))
+        value = self._compute(text)
+        return self.store(text, value, text_size(text) + text_size(value))

@@ -12,7 +12,7 @@ from itertools import count
 from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple, Sequence, Tuple, Union
 
 from .bounded_caches import Cache
-from .cpython_and_pypy import confine
+from .cpython_and_pypy import restrict_builtins
 from .errors import shortened
 
 _BUILTINS: Dict[str, object] = {
@@ -52,7 +52,7 @@ function. Messages and rules that people write stay far below.
 _serials = count(1)
 
 _Key = Tuple[str, Tuple[str, ...], str]
-_makers: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _BYTES_PER_CHARACTER * 8000)
+_factories: Cache[_Key, Callable[..., Any]] = Cache(1000, 16 << 20, _BYTES_PER_CHARACTER * 8000)
 """Functions of `shared_function` by source. Longer sources are not cached, because they are rarely equal."""
 
 
@@ -72,7 +72,7 @@ class BoundNames:
     """Allocator of identifiers in generated source, for variables and for values.
 
     Args:
-        given: names that exist already; new names of values are added to this dictionary.
+        existing_names: names that exist already; new names of values are added to this dictionary.
 
     Attributes:
         values: values by name, as `function` expects them.
@@ -80,8 +80,8 @@ class BoundNames:
 
     __slots__ = ("values", "_serial", "_constants")
 
-    def __init__(self, given: Dict[str, Any]):
-        self.values = given
+    def __init__(self, existing_names: Dict[str, Any]):
+        self.values = existing_names
         self._serial = 0
         self._constants: Dict[Hashable, str] = {}
 
@@ -165,7 +165,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     names["__loader__"] = _GeneratedSource(source)
     code = compile(source, file, "exec", dont_inherit=True)
     # Without this, Python would add all built-in functions to the globals when the code is executed.
-    confine(code, names, _BUILTINS)
+    restrict_builtins(code, names, _BUILTINS)
     exec(code, names)
     return names
 
@@ -188,19 +188,21 @@ def shared_function(source: str, names: Mapping[str, object], title: str) -> Any
     """
     # The values are not part of the key: rules that differ in them share the code.
     key = source, tuple(names), title
-    factory = _makers.get(key) or _makers.keep(key, _maker(*key), _BYTES_PER_CHARACTER * len(source))
+    factory = _factories.get(key) or _factories.store(
+        key, _make_factory(*key), _BYTES_PER_CHARACTER * len(source)
+    )
     return factory(*names.values())
 
 
-def _maker(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any]:
+def _make_factory(source: str, names: Tuple[str, ...], title: str) -> Callable[..., Any]:
     """Return a factory that binds values to ``names`` and returns the function of a source."""
     for name in names:
         if not _NAME.match(name):
             raise ValueError(f"{shortened(name)} is not a name for generated source")
     lines = ["    " + line for line in source.splitlines(True)]
     text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return made\n"])
-    maker: Callable[..., Any] = define(text, {}, title).pop("maker")
-    return maker
+    factory: Callable[..., Any] = define(text, {}, title).pop("maker")
+    return factory
 
 
 def _printable_title(title: str) -> str:

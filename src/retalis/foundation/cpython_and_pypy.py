@@ -20,37 +20,37 @@ LONG_DECIMALS = find_spec("_decimal") is not None
 O_PATH = getattr(os, "O_PATH", 0)
 """Flag that opens a folder without the right to list it; 0 (read access) if Python does not define it."""
 
-remove_dead: Callable[[Dict[Any, Any], Any], None]
+remove_dead_reference: Callable[[Dict[Any, Any], Any], None]
 """Atomically remove the weak reference of a key from a dictionary if its object is dead; keep any other value."""
 
-SEEN_AT: int
-"""Minimum number of objects for which `seen_elsewhere` is worthwhile; PyPy traces the whole heap for it."""
+MIN_SHARING_CHECK_OBJECTS: int
+"""Minimum number of objects for which `drop_unshared` is worthwhile; PyPy traces the whole heap for it."""
 
 if not PYPY:
     from _weakref import _remove_dead_weakref  # type: ignore[attr-defined]
     from sys import getrefcount, getsizeof
 
-    remove_dead = _remove_dead_weakref
-    SEEN_AT = 20_000
+    remove_dead_reference = _remove_dead_weakref
+    MIN_SHARING_CHECK_OBJECTS = 20_000
     # Reference count of an object that only a local variable refers to; corrected below.
     _unshared_count = 1
 
-    def seen_elsewhere(objects: List[Any], kind: type) -> List[Any]:
+    def drop_unshared(objects: List[Any], object_type: type) -> List[Any]:
         """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
         referenced = []
         objects.reverse()
         # First to last: an object that is dropped may hold the last reference to a later one.
         while objects:
             candidate = objects.pop()
-            if getrefcount(candidate) > _unshared_count or candidate.__class__ is not kind:
+            if getrefcount(candidate) > _unshared_count or candidate.__class__ is not object_type:
                 referenced.append(candidate)
         return referenced
 
-    def confine(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
+    def restrict_builtins(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
         """Restrict the built-in functions of code that runs with these globals to those allowed."""
         names["__builtins__"] = allowed
 
-    def releasing(release: Callable[[Any], None]) -> List[Any]:
+    def make_releasing_list(release: Callable[[Any], None]) -> List[Any]:
         """Return a new list. Items that ``del`` removes from its end are freed at once, last to first.
 
         Args:
@@ -59,7 +59,7 @@ if not PYPY:
         return []
 
     # Up to Python 3.13, the argument of the call counts as a further reference.
-    if seen_elsewhere([object()], object):
+    if drop_unshared([object()], object):
         _unshared_count = 2
 
     def text_size(text: str) -> int:
@@ -72,19 +72,19 @@ else:
 
     from __pypy__ import delitem_if_value_is  # type: ignore[import-not-found,unused-ignore]
 
-    SEEN_AT = 500_000
+    MIN_SHARING_CHECK_OBJECTS = 500_000
 
     def _remove_dead(dictionary: Dict[Any, Any], key: Any) -> None:
         reference = dictionary.get(key)
         if reference is not None and reference() is None:
             delitem_if_value_is(dictionary, key, reference)
 
-    remove_dead = _remove_dead
+    remove_dead_reference = _remove_dead
 
-    def seen_elsewhere(objects: List[Any], kind: type) -> List[Any]:
+    def drop_unshared(objects: List[Any], object_type: type) -> List[Any]:
         """Empty a list of objects; return those that are referenced elsewhere, and all of other classes."""
         # Only weak references remain: what survives a full collection is referenced elsewhere.
-        entries = [ref(item) if item.__class__ is kind else item for item in objects]
+        entries = [ref(item) if item.__class__ is object_type else item for item in objects]
         objects.clear()
         gc.collect()
         survivors = [entry() if entry.__class__ is ref else entry for entry in entries]
@@ -104,13 +104,13 @@ else:
             while removed:
                 self.release(removed.pop())
 
-    def releasing(release: Callable[[Any], None]) -> List[Any]:
+    def make_releasing_list(release: Callable[[Any], None]) -> List[Any]:
         """Return a new list. Items that ``del`` removes from its end are released at once, last to first."""
         result = _Releasing()
         result.release = release
         return result
 
-    def confine(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
+    def restrict_builtins(code: CodeType, names: Dict[str, Any], allowed: Dict[str, Any]) -> None:
         """Reject code that refers to built-in functions that are not allowed.
 
         PyPy ignores ``__builtins__`` in the globals, so the code itself is inspected.
@@ -125,7 +125,7 @@ else:
                     raise NameError(f"name {name!r} is not defined")
         for inner in code.co_consts:
             if inner.__class__ is CodeType:
-                confine(inner, names, allowed)
+                restrict_builtins(inner, names, allowed)
 
     def text_size(text: str) -> int:
         """Return an upper bound for the size of a string in bytes."""
@@ -145,24 +145,24 @@ class YoungCollector:
     PyPy collects incrementally by itself, so this class does nothing there.
 
     Args:
-        explained: returns the number of live records that the owner knows; called during a collection.
+        count_live_records: returns the number of live records that the owner knows; called during a collection.
     """
 
-    YOUNG = 2000
+    YOUNG_THRESHOLD = 2000
     """Number of new objects that triggers a collection of the youngest generation."""
-    MIDDLE = 2
+    MIDDLE_THRESHOLD = 2
     """Number of such collections that triggers one of the second generation, of some 8,000 objects."""
-    RARELY = 1_000_000
+    OLD_THRESHOLD = 1_000_000
     """Number of those that would trigger a collection of the oldest generation, most of which is frozen."""
-    SPARE_BLOCKS = 4_000_000
+    MAX_GARBAGE_BLOCKS = 4_000_000
     """Memory blocks of about 60 bytes that may be garbage before a full collection while events are processed."""
-    SPARE_BLOCKS_IDLE = 250_000
+    MAX_GARBAGE_BLOCKS_IDLE = 250_000
     """Memory blocks that may be garbage before a full collection at idle times."""
-    BLOCKS_OF_RECORD = 16
+    BLOCKS_PER_RECORD = 16
     """Memory blocks that a live record explains: a partial match with its event has ten."""
 
-    def __init__(self, explained: Callable[[], int]):
-        self._explained = explained
+    def __init__(self, count_live_records: Callable[[], int]):
+        self._count_live_records = count_live_records
         self._default_thresholds = gc.get_threshold()
         self._full_due = False
         self._blocks = 0
@@ -200,7 +200,7 @@ class YoungCollector:
         Returns:
             True if a collection was run.
         """
-        due = self._active and self._has_grown(1.25, self.SPARE_BLOCKS_IDLE)
+        due = self._active and self._has_grown(1.25, self.MAX_GARBAGE_BLOCKS_IDLE)
         if due:
             gc.unfreeze()
             gc.collect()
@@ -211,22 +211,22 @@ class YoungCollector:
         gc.freeze()
         self._full_due = False
         self._blocks = sys.getallocatedblocks()
-        self._records = self._explained()
+        self._records = self._count_live_records()
         if self._active:
-            gc.set_threshold(self.YOUNG, self.MIDDLE, self.RARELY)
+            gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, self.OLD_THRESHOLD)
 
     def _has_grown(self, factor: float, blocks: int) -> bool:
         """Return whether the heap has grown beyond a limit, apart from the growth that live records explain."""
         now = sys.getallocatedblocks()
         # Blocks that were freed since then must not hide new garbage: measure growth from the smaller heap.
         if now < self._blocks:
-            self._blocks, self._records = now, self._explained()
+            self._blocks, self._records = now, self._count_live_records()
         # Proportional to the heap, so that the total cost of full collections stays linear in what is allocated.
         limit = factor * self._blocks + blocks
         if now <= limit:
             return False
-        more = max(0, self._explained() - self._records)
-        return now - self.BLOCKS_OF_RECORD * more > limit
+        more = max(0, self._count_live_records() - self._records)
+        return now - self.BLOCKS_PER_RECORD * more > limit
 
     def _on_collection(self, phase: str, info: Dict[str, int]) -> None:
         """React to the end of a collection: freeze the survivors, or prepare a full collection.
@@ -241,10 +241,10 @@ class YoungCollector:
         if self._full_due:
             if info["generation"] == 2:
                 self._freeze_survivors()
-        elif self._has_grown(3, self.SPARE_BLOCKS):
+        elif self._has_grown(3, self.MAX_GARBAGE_BLOCKS):
             self._full_due = True
             gc.unfreeze()
-            gc.set_threshold(self.YOUNG, self.MIDDLE, 0)
+            gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, 0)
         else:
             gc.freeze()
 

@@ -8,7 +8,7 @@ import json
 import re
 from typing import Iterable, List, NamedTuple, Optional
 
-SHOWN = 200
+MAX_SHOWN_CHARACTERS = 200
 """Maximum number of characters of an external text that are stored and displayed."""
 
 
@@ -16,7 +16,7 @@ MAX_MESSAGE_CHARACTERS = 4000
 """Maximum length of an error message."""
 
 
-def beginning(text: str, most: int = SHOWN) -> str:
+def beginning(text: str, most: int = MAX_SHOWN_CHARACTERS) -> str:
     """Return a text, shortened to its first ``most`` characters."""
     return text if len(text) <= most else f"{text[:most]}..."
 
@@ -104,12 +104,12 @@ class Place(NamedTuple):
 
 def place_on(source: str, line: int, text: str, start: int, offset: int) -> Place:
     """Return the place of the character at ``offset`` of a text, in the line that begins at ``start``."""
-    end = text.find("\n", offset, offset + SHOWN)
+    end = text.find("\n", offset, offset + MAX_SHOWN_CHARACTERS)
     if end < 0:
-        end = min(len(text), offset + SHOWN)
+        end = min(len(text), offset + MAX_SHOWN_CHARACTERS)
     # Only a part of at most SHOWN characters around the offset is copied: a line may be as long as the file.
-    before = max(0, min(offset - SHOWN // 2, end - SHOWN) - start)
-    shown = text[start + before : min(end, start + before + SHOWN)]
+    before = max(0, min(offset - MAX_SHOWN_CHARACTERS // 2, end - MAX_SHOWN_CHARACTERS) - start)
+    shown = text[start + before : min(end, start + before + MAX_SHOWN_CHARACTERS)]
     return Place(source, line, offset - start + 1, shown, before)
 
 
@@ -126,12 +126,16 @@ def place_at(source: str, text: str, offset: int) -> Place:
 
 def shortened(text: str) -> str:
     """Return an external text for an error message: quoted, in ASCII, and shortened."""
-    return ascii(text) if len(text) <= SHOWN else f"{ascii(text[:SHOWN])}... ({len(text)} characters)"
+    return (
+        ascii(text)
+        if len(text) <= MAX_SHOWN_CHARACTERS
+        else f"{ascii(text[:MAX_SHOWN_CHARACTERS])}... ({len(text)} characters)"
+    )
 
 
-def counted(number: int, one: str, many: str = "") -> str:
-    """Return a count with its noun: ``1 slot``, ``2 slots``; ``many`` is an irregular plural."""
-    return f"{number} {one if number == 1 else many or f'{one}s'}"
+def counted(number: int, singular: str, plural: str = "") -> str:
+    """Return a count with its noun: ``1 slot``, ``2 slots``; ``plural`` is an irregular plural."""
+    return f"{number} {singular if number == 1 else plural or f'{singular}s'}"
 
 
 def undecodable(error: UnicodeDecodeError) -> str:
@@ -227,30 +231,34 @@ class Errors(List[RetalisError]):
     """Errors of a file: a list of the first `MAX_ERRORS` errors, and the number of further ones.
 
     Attributes:
-        more: number of errors that were not stored.
+        omitted_count: number of errors that were not stored.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.more = 0
+        self.omitted_count = 0
 
     def append(self, error: RetalisError) -> None:
         """Add an error, or count it if the list is full."""
         if len(self) < MAX_ERRORS:
             super().append(error)
         else:
-            self.more += 1
+            self.omitted_count += 1
 
     def extend(self, errors: Iterable[RetalisError]) -> None:
         """Add errors, including the number of those that were not stored in ``errors``."""
         for error in errors:
             self.append(error)
         # Errors that the other list counted but did not store.
-        self.more += getattr(errors, "more", 0)
+        self.omitted_count += getattr(errors, "omitted_count", 0)
 
-    def with_rest(self) -> List[RetalisError]:
+    def with_omitted_count(self) -> List[RetalisError]:
         """Return the errors, followed by one that states the number of further errors if there are any."""
-        return [*self, RetalisError(f"there are {self.more} more")] if self.more else list(self)
+        return (
+            [*self, RetalisError(f"there are {self.omitted_count} more")]
+            if self.omitted_count
+            else list(self)
+        )
 
 
 class ProgramErrors(RetalisError):
@@ -269,7 +277,7 @@ class ProgramErrors(RetalisError):
         collected = errors if isinstance(errors, Errors) else Errors()
         if collected is not errors:
             collected.extend(errors)
-        self.errors: List[RetalisError] = collected.with_rest()
+        self.errors: List[RetalisError] = collected.with_omitted_count()
         super().__init__("")
         self.message = "\n".join(str(error) for error in self.errors)
 

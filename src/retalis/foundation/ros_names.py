@@ -25,7 +25,7 @@ _LETTERS = 'ASCII letters, digits and "_", a letter first'
 
 def plain_fault(text: str) -> Optional[str]:
     """Return why a text is not the name of a package, slot or constant, or None if it is."""
-    return _fault(_PLAIN, text, f"a name of {_LETTERS}")
+    return _describe_fault(_PLAIN, text, f"a name of {_LETTERS}")
 
 
 def plain_type(name: str) -> str:
@@ -36,19 +36,21 @@ def plain_type(name: str) -> str:
 
 def type_fault(text: str) -> Optional[str]:
     """Return why a text is not the name of a message type, or None if it is."""
-    return _fault(_TYPE, text, f'a message type "package/Type", each of {_LETTERS}')
+    return _describe_fault(_TYPE, text, f'a message type "package/Type", each of {_LETTERS}')
 
 
 def topic_fault(text: str) -> Optional[str]:
     """Return why a text is not the name of a topic, which may be relative or private, or None if it is."""
-    fault = _fault(_TOPIC, text, 'a topic name of ASCII letters, digits, "_" and "/", no digit first')
+    fault = _describe_fault(
+        _TOPIC, text, 'a topic name of ASCII letters, digits, "_" and "/", no digit first'
+    )
     # ROS collapses repeated slashes, so one topic would have two names here.
     if fault is None and "//" in text:
         return f'expected a topic name, found {shortened(text)}, which has "//" in it'
     return fault
 
 
-def _fault(form: "re.Pattern[str]", text: str, expected: str) -> Optional[str]:
+def _describe_fault(form: "re.Pattern[str]", text: str, expected: str) -> Optional[str]:
     problem = f"expected {expected}, found {shortened(text)}"
     if len(text) > MAX_NAME_CHARACTERS:
         return f"{problem}: longer than {MAX_NAME_CHARACTERS} characters"

@@ -439,7 +439,7 @@ class FrameSource(DecoderSource):
             # A list, because the generated code replaces the cached values in place.
             if has_watch or uncomputed:
                 entry = [*values, *uncomputed, *([_UNKNOWN_STAMP] if has_watch else ())]
-                return cache.keep(key, entry, CACHE_BYTES_PER_CHARACTER * len(key) + cached_bytes)
+                return cache.store(key, entry, CACHE_BYTES_PER_CHARACTER * len(key) + cached_bytes)
             return cache_text(cache, key, tuple(values) if string_count > 1 else values[0])
 
         self.names.update(known=cache.get, learn=learn)

@@ -59,7 +59,7 @@ class _PackedTexts(Cache[Atom, bytes]):
             raise _UnusualForm
         packed: bytes = pack("<I", len(encoded_bytes)) + encoded_bytes
         return (
-            self.keep(term, packed, text_size(term.name) + len(packed)) if term.__class__ is Atom else packed
+            self.store(term, packed, text_size(term.name) + len(packed)) if term.__class__ is Atom else packed
         )
 
 

@@ -155,7 +155,7 @@ cached_texts: Cache[bytes, Term] = text_cache()
 
 def cache_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value:
     """Store a value under the bytes of strings; return the value."""
-    return cache.keep(key, value, CACHE_BYTES_PER_CHARACTER * len(key))
+    return cache.store(key, value, CACHE_BYTES_PER_CHARACTER * len(key))
 
 
 def read_text(data: bytes, start: int, stop: int) -> Term:

@@ -14,7 +14,16 @@ from struct import calcsize, unpack_from
 from struct import error as StructError
 from typing import Callable, Container, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from ..foundation.errors import SHOWN, MessageError, Place, beginning, counted, place_at, place_in, shortened
+from ..foundation.errors import (
+    MAX_SHOWN_CHARACTERS,
+    MessageError,
+    Place,
+    beginning,
+    counted,
+    place_at,
+    place_in,
+    shortened,
+)
 from ..foundation.ros_names import plain_fault, plain_type, type_fault
 
 PRIMITIVES: Dict[str, str] = {
@@ -448,7 +457,7 @@ def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
     known = sections.setdefault(name, text)
     # Whitespace is ignored: copies of a definition differ in line ends and trailing spaces.
     if known.split() != text.split():
-        raise MessageError(f"{name[:SHOWN]} is defined twice with different contents")
+        raise MessageError(f"{name[:MAX_SHOWN_CHARACTERS]} is defined twice with different contents")
     if len(sections) > MAX_SECTIONS:
         raise MessageError(f"a definition cannot contain more than {MAX_SECTIONS} types")
 
@@ -523,7 +532,9 @@ class _DefinitionReader:
                 f"a type cannot have more than {MAX_SLOTS} constants", offset + match.start("name")
             )
         if type_name not in PRIMITIVES and type_name != "string":
-            raise self._error(f"a constant cannot be of type {type_name[:SHOWN]}", offset + match.start())
+            raise self._error(
+                f"a constant cannot be of type {type_name[:MAX_SHOWN_CHARACTERS]}", offset + match.start()
+            )
         try:
             value = constant_value(type_name, text)
         except ValueError:
@@ -567,7 +578,7 @@ class _DefinitionReader:
         if fault is not None:
             raise self._error(fault, offset + match.start("name"))
         if name in names:
-            raise self._error(f"{name[:SHOWN]} is defined twice", offset + match.start("name"))
+            raise self._error(f"{name[:MAX_SHOWN_CHARACTERS]} is defined twice", offset + match.start("name"))
 
     def _error(self, message: str, offset: int) -> MessageError:
         return MessageError(message, place_at(self.source, self.text, offset))

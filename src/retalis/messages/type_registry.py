@@ -321,7 +321,7 @@ class Definitions:
         definition = self._by_text.get((name, text))
         if definition is None:
             definition = _Resolver(self, split_sections(name, text)).resolve(name)
-            self._by_text.keep(
+            self._by_text.store(
                 (name, text), definition, 2 * len(text) + _BYTES_PER_SLOT * definition.measure.slots
             )
         if md5sum not in ("", "*", definition.md5sum):
@@ -424,7 +424,7 @@ class Definitions:
         key = (definition.name, definition.md5sum, definition.event)
         decoder = self._decoders.get(key)
         if decoder is None:
-            decoder = self._decoders.keep(
+            decoder = self._decoders.store(
                 key,
                 Decoder(definition, self._max_empty_elements),
                 _BYTES_PER_SLOT * (definition.measure.slots + 2),
@@ -443,7 +443,7 @@ class Definitions:
         key = (definition.name, definition.md5sum)
         encoder = self._encoders.get(key)
         if encoder is None:
-            encoder = self._encoders.keep(
+            encoder = self._encoders.store(
                 key, Encoder(definition), _BYTES_PER_SLOT * (definition.measure.slots + 2)
             )
         return encoder

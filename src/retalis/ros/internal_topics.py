@@ -71,7 +71,7 @@ class UntypedTopicWarnings:
     def check(self, topic: str) -> None:
         """Check a topic to which outputs are sent or will be sent."""
         if topic not in self._checked and not topic.startswith(WATCH):
-            self._checked.keep(topic, True, len(topic))
+            self._checked.store(topic, True, len(topic))
             if not self._has_type(topic):
                 name = beginning(topic)
                 self._reports.warning(
@@ -84,7 +84,7 @@ class UntypedTopicWarnings:
     def mark_reported(self, topics: Iterable[str]) -> None:
         """Record topics whose warning has been given elsewhere."""
         for topic in topics:
-            self._checked.keep(topic, True, len(topic))
+            self._checked.store(topic, True, len(topic))
 
     def _has_type(self, topic: str) -> bool:
         try:

@@ -429,7 +429,7 @@ class InputTopic:
                 f"topic {self._name}: {reason}: a message of {publisher} is dropped"
             )
         size = sum(map(len, header.values()))
-        return self._cached_handlers.keep(id(header), (header, handler), 2 * size)
+        return self._cached_handlers.store(id(header), (header, handler), 2 * size)
 
     def _message_handler(self, header: Dict[str, str], decoder: Decoder) -> MessageHandler:
         """Return the handler of a connection's messages, latched or not."""

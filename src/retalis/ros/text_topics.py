@@ -159,7 +159,7 @@ class OutputTexts:
 
     def send(self, topic: str, write: Callable[[], str]) -> None:
         """Send or buffer an output to a topic; ``write`` returns the text, and is called only if it is needed."""
-        name = self._names.get(topic) or self._names.keep(topic, _full_name(topic), 2 * len(topic))
+        name = self._names.get(topic) or self._names.store(topic, _full_name(topic), 2 * len(topic))
         is_published = name in self._published
         # Topics such as those of `retalis watch` exist only as text: without a subscriber nothing is written.
         if not is_published and not self.connections():

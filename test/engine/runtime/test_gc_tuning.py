@@ -104,7 +104,7 @@ def late_garbage():
 def test_cycles_that_become_garbage_late_are_collected_when_idle(monkeypatch):
     assert not collect_when_idle()
     finalizers = late_garbage()
-    monkeypatch.setattr(YoungCollector, "SPARE_BLOCKS_IDLE", -(10**9))
+    monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS_IDLE", -(10**9))
     assert collect_when_idle()
     assert not any(one.alive for one in finalizers)
     assert gc.get_freeze_count() > 10_000
@@ -113,7 +113,7 @@ def test_cycles_that_become_garbage_late_are_collected_when_idle(monkeypatch):
 @pytest.mark.usefixtures("_limited")
 def test_cycles_that_become_garbage_late_are_collected_at_work_when_the_heap_has_grown(monkeypatch):
     finalizers = late_garbage()
-    monkeypatch.setattr(YoungCollector, "SPARE_BLOCKS", -(10**9))
+    monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS", -(10**9))
     alive = []
     while any(one.alive for one in finalizers):
         alive += [[number] for number in range(10_000)]
@@ -130,7 +130,7 @@ def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
     engine.load(rules="fever(X) <- hot(X) seq cold(X).")
     limit_gc_pauses()
     # The limit is a quarter of the heap and these blocks; other tests may have left a large heap.
-    monkeypatch.setattr(YoungCollector, "SPARE_BLOCKS_IDLE", 20_000 - sys.getallocatedblocks() // 4)
+    monkeypatch.setattr(YoungCollector, "MAX_GARBAGE_BLOCKS_IDLE", 20_000 - sys.getallocatedblocks() // 4)
     for number in range(100_000):
         engine.event(f"hot({number})", number)
     assert not collect_when_idle()

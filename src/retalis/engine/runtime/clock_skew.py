@@ -382,13 +382,13 @@ class ClockSkewMonitor:
 
     def _store_frame(self, times: TopicTimes, key: bytes, frame: FrameClock) -> None:
         """Store a frame. If the frames of all topics exceed the limit together, all are removed."""
-        bytes_before = times.held
-        times.keep(key, frame, 2 * len(key) + 500)
-        self._held_bytes += times.held - bytes_before
+        bytes_before = times.total_bytes
+        times.store(key, frame, 2 * len(key) + 500)
+        self._held_bytes += times.total_bytes - bytes_before
         if self._held_bytes > MAX_FRAME_BYTES:
             self._clear()
-            times.keep(key, frame, 2 * len(key) + 500)
-            self._held_bytes = times.held
+            times.store(key, frame, 2 * len(key) + 500)
+            self._held_bytes = times.total_bytes
 
     def _warn(self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str) -> None:
         if frame.is_reported:

@@ -9,11 +9,11 @@ from ...foundation.cpython_and_pypy import YoungCollector
 if TYPE_CHECKING:
     from ..engine_status import StatusReader
 
-_holders: "WeakSet[StatusReader]" = WeakSet()
+_status_readers: "WeakSet[StatusReader]" = WeakSet()
 
 
 def _count_records() -> int:
-    return sum(holder.count_records() for holder in list(_holders))
+    return sum(reader.count_records() for reader in list(_status_readers))
 
 
 _collector = YoungCollector(_count_records)
@@ -21,7 +21,7 @@ _collector = YoungCollector(_count_records)
 
 def count_records_of(engine: "StatusReader") -> None:
     """Treat the records of an engine as live heap, as long as the engine exists."""
-    _holders.add(engine)
+    _status_readers.add(engine)
 
 
 def limit_gc_pauses() -> None:

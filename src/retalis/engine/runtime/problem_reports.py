@@ -4,7 +4,13 @@ import logging
 import traceback
 from typing import Dict, Set
 
-from ...foundation.errors import MAX_MESSAGE_CHARACTERS, SHOWN, RetalisError, beginning, printable
+from ...foundation.errors import (
+    MAX_MESSAGE_CHARACTERS,
+    MAX_SHOWN_CHARACTERS,
+    RetalisError,
+    beginning,
+    printable,
+)
 
 log = logging.getLogger("retalis")
 
@@ -103,7 +109,9 @@ class Reports:
                     evicted.count - evicted.logged_count for evicted in list(self._problems.values())
                 )
                 self._problems.clear()
-            problem = self._problems[key] = _RecurringProblem(level, text[:SHOWN].split("\n", 1)[0])
+            problem = self._problems[key] = _RecurringProblem(
+                level, text[:MAX_SHOWN_CHARACTERS].split("\n", 1)[0]
+            )
         problem.count = times = problem.count + 1
         is_new = len(problem.texts) < texts and hash(text) not in problem.texts
         if is_new:

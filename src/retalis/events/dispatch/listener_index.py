@@ -151,7 +151,7 @@ class ListenerIndex:
         """Build and return the plan for the events of a functor, and pass it to the filters."""
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
-        plan = self._plans.keep(functor, make_plan(listeners), len(functor.name))
+        plan = self._plans.store(functor, make_plan(listeners), len(functor.name))
         for filters in self._filters_of(functor):
             for event_filter in list(filters.values()):
                 event_filter.plan = plan

@@ -348,7 +348,7 @@ class EventFileLoader:
                 )
                 errors.append(RuleError(message, call.place))
         rules = self._compile_rules([*checker.rules, *checker.inner], errors)
-        for warning in checker.warnings.with_rest():
+        for warning in checker.warnings.with_omitted_count():
             self._rules.on_warning(warning)
         return CheckedProgram(steps, rules, checker.calls)
 

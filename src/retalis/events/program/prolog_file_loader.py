@@ -94,7 +94,7 @@ class _Omissions:
         self._is_accepted = False
 
     def __len__(self) -> int:
-        return len(self._errors) + self._errors.more
+        return len(self._errors) + self._errors.omitted_count
 
     def append(self, error: RetalisError) -> None:
         """Record an omitted term."""
@@ -120,8 +120,8 @@ class _Omissions:
         too_many = self._max_count is not None and len(self) > self._max_count
         if too_many or self._errors and not self._is_accepted:
             raise ProgramErrors(self._errors)
-        if self._errors.more:
-            self._warn(self._errors.with_rest()[-1])
+        if self._errors.omitted_count:
+            self._warn(self._errors.with_omitted_count()[-1])
 
 
 class _PrologFile:

@@ -9,7 +9,7 @@ from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, T
 from xml.parsers import expat
 
 from ...foundation.errors import (
-    SHOWN,
+    MAX_SHOWN_CHARACTERS,
     Errors,
     Place,
     ProgramErrors,
@@ -228,7 +228,9 @@ class _TopicReader:
         except expat.ExpatError as error:
             message = f"this is not XML: {expat.errors.messages[error.code]}"
             if self.open:
-                message += f"; <{self.open[-1][0][:SHOWN]}> of line {self.open[-1][1]} is not closed"
+                message += (
+                    f"; <{self.open[-1][0][:MAX_SHOWN_CHARACTERS]}> of line {self.open[-1][1]} is not closed"
+                )
             self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
@@ -251,7 +253,7 @@ class _TopicReader:
         place = self.here()
         if len(self.open) >= MAX_XML_DEPTH:
             raise SyntaxFault(f"elements are nested more than {MAX_XML_DEPTH} deep", place)
-        tag = tag if tag in self.found else tag[:SHOWN]
+        tag = tag if tag in self.found else tag[:MAX_SHOWN_CHARACTERS]
         self.open.append((tag, place.line))
         if not self.inside:
             self.inside = True

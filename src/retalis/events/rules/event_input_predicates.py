@@ -164,7 +164,7 @@ class InputReader:
             instant = timestamps.from_term((timestamps.DATIME7, *map(int, match.groups()), 0))
         except UsageError:
             return None
-        return self._seconds.keep(text, instant, len(text))
+        return self._seconds.store(text, instant, len(text))
 
 
 def event_of(goal: Term) -> Optional[InputEvent]:

@@ -23,7 +23,7 @@ run, without a nested loop.
 from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Protocol, Tuple
 
 from ...foundation.cancellation import watched_by
-from ...foundation.cpython_and_pypy import SEEN_AT, releasing, seen_elsewhere
+from ...foundation.cpython_and_pypy import MIN_SHARING_CHECK_OBJECTS, drop_unshared, make_releasing_list
 from ...foundation.errors import RetalisError, TermTooLarge
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
@@ -148,11 +148,11 @@ def compact(trail: Trail, low: int) -> None:
     A deterministic loop leaves only such entries: variables that are reachable from the trail alone. Nobody can
     observe whether they are unbound, so the trail need not restore them.
     """
-    # The entries are moved, not copied: `seen_elsewhere` counts references, and the trail must not be one of them.
+    # The entries are moved, not copied: `drop_unshared` counts references, and the trail must not be one of them.
     # Entries below the newest choice point are kept, as backtracking restores the trail to their positions.
     entries = trail[low:]
     del trail[low:]
-    trail += seen_elsewhere(entries, Var)
+    trail += drop_unshared(entries, Var)
 
 
 _FIRST_STEPS = (None,) * 16
@@ -183,12 +183,12 @@ class Machine:
 
     def __init__(self) -> None:
         self.trail: Trail = []
-        self.choices: List[Frame] = releasing(drop)
+        self.choices: List[Frame] = make_releasing_list(drop)
         self.idle = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self.budget = Budget()
-        self._compact_at = SEEN_AT
+        self._compact_at = MIN_SHARING_CHECK_OBJECTS
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed, True)
         self._exit_code = _AttemptExit(self)
@@ -367,7 +367,7 @@ class Machine:
             elif entry[0] is self._attempt_code:
                 self.budget.goal = entry[1]
             # Removed after its notification: an interrupt before it must not lose the entry. `del` and not `pop`,
-            # because the list finalises entries on `del`; see `releasing`.
+            # because the list finalises entries on `del`; see `make_releasing_list`.
             del choices[-1:]
 
     def _watched(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
@@ -424,7 +424,7 @@ class Machine:
     def _compact(self) -> None:
         compact(self.trail, self.choices[-1][-1] if self.choices else 0)
         # The next threshold doubles, so that compaction takes amortised constant time for each entry.
-        self._compact_at = max(SEEN_AT, 2 * len(self.trail))
+        self._compact_at = max(MIN_SHARING_CHECK_OBJECTS, 2 * len(self.trail))
 
     # Exceptions
 

@@ -23,7 +23,7 @@ from ..terms.types import CONS, NIL, Atom, Functor, String, Term, Var, atom, der
 from .libswipl import ATOM_TEXT, INTEGER_TEXT, STRING_TEXT, SwiLibrary
 
 
-class Handles(Cache[Any, int]):
+class HandlesByTerm(Cache[Any, int]):
     """Cache of SWI-Prolog's handles by atoms or functors of this package; it releases the handles that it drops."""
 
     __slots__ = ("release",)
@@ -42,7 +42,7 @@ class Handles(Cache[Any, int]):
         super().clear()
 
 
-class HeldHandles(Cache[int, Any]):
+class TermsByHandle(Cache[int, Any]):
     """Cache of atoms or functors of this package by SWI-Prolog's handles; it releases the handles that it drops."""
 
     __slots__ = ("release",)
@@ -59,7 +59,7 @@ class HeldHandles(Cache[int, Any]):
         super().clear()
 
 
-def keep_functor(handle: int) -> None:
+def release_nothing(handle: int) -> None:
     """Do nothing to release a functor handle: SWI-Prolog never frees functors."""
 
 
@@ -188,10 +188,10 @@ class SwiTerms:
 
     def __init__(self, swi: SwiLibrary):
         self._swi = swi
-        self._handles = Handles(swi.unregister_atom)
-        self._functors = Handles(keep_functor)
-        self._atoms = HeldHandles(swi.unregister_atom)
-        self._names = HeldHandles(keep_functor)
+        self._handles = HandlesByTerm(swi.unregister_atom)
+        self._functors = HandlesByTerm(release_nothing)
+        self._atoms = TermsByHandle(swi.unregister_atom)
+        self._names = TermsByHandle(release_nothing)
         self._puts: Dict[type, Callable[[int, Any], int]] = {
             int: self._put_integer,
             float: swi.unify_float,
@@ -320,10 +320,10 @@ class SwiTerms:
         swi = self._swi
         return swi.unify_text(ref, swi.kinds["string"] | swi.utf8, len(text), text)  # type: ignore[no-any-return]
 
-    def _cache_handle(self, cache: Handles, key: Any, handle: int, size: int) -> None:
+    def _cache_handle(self, cache: HandlesByTerm, key: Any, handle: int, size: int) -> None:
         # Registered first: every entry of the cache must have a valid handle.
         self._swi.register_atom(handle)
-        cache.keep(key, handle, size)
+        cache.store(key, handle, size)
         # The cache may refuse an entry that is too large; then nothing references the handle.
         if key not in cache:
             self._swi.unregister_atom(handle)
@@ -332,7 +332,7 @@ class SwiTerms:
         handle = self._functors.get(key)
         if handle is None:
             handle = self._swi.new_functor(self.handle(atom(key.name)), key.arity)
-            self._functors.keep(key, handle, len(key.name))
+            self._functors.store(key, handle, len(key.name))
         return handle
 
     def handle(self, value: Atom) -> int:
@@ -470,7 +470,7 @@ class SwiTerms:
         key = self._names.get(handle)
         if key is None:
             key = self._read_functor(ref)
-            self._names.keep(handle, key, len(key.name))
+            self._names.store(handle, key, len(key.name))
         return ArgumentParts(swi, ref, argument, key)
 
     def _read_constants(self, item: int, values: List[Term]) -> bool:
@@ -511,7 +511,7 @@ class SwiTerms:
             return cached_atom
         term = atom(self._text(ref, ATOM_TEXT))
         self._swi.register_atom(handle)
-        self._atoms.keep(handle, term, len(term.name))
+        self._atoms.store(handle, term, len(term.name))
         if handle not in self._atoms:
             self._swi.unregister_atom(handle)
         return term

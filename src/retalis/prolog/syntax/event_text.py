@@ -194,7 +194,7 @@ class TemplateCompiler:
             return None
 
         def learn(span: str) -> Tuple[Atom, ...]:
-            return spans.keep(span, tuple(map(atom, span_texts(span))), _SPAN_COPIES * text_size(span))
+            return spans.store(span, tuple(map(atom, span_texts(span))), _SPAN_COPIES * text_size(span))
 
         names: Dict[str, Any] = {
             **self._given.values,
@@ -448,15 +448,15 @@ class EventReader:
     def _record_skeleton(self, head: str, skeleton: str, builder: Builder) -> None:
         """Record the skeleton of a text; if the last text had the same one, read the next ones as a whole."""
         if self._last.get(head) != skeleton:
-            self._last.keep(head, skeleton, len(head) + len(skeleton))
+            self._last.store(head, skeleton, len(head) + len(skeleton))
             return
         try:
             read_whole = self._wholes[skeleton]
         except KeyError:
             function = builder.whole(_join_marks(skeleton), self._spans)
-            read_whole = self._wholes.keep(skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton))
+            read_whole = self._wholes.store(skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton))
         if self._whole.get(head) is not read_whole:
-            self._whole.keep(head, read_whole, len(head))
+            self._whole.store(head, read_whole, len(head))
 
     def _read_fully(self, text: str) -> Term:
         return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term
@@ -465,7 +465,7 @@ class EventReader:
         """Return a new builder for a skeleton; None if there cannot be one."""
         if len(skeleton) > _MAX_BUILDER_CHARACTERS:
             return None
-        return self._builders.keep(
+        return self._builders.store(
             skeleton, _builder(skeleton, self._operators), _TEMPLATE_COST * len(skeleton)
         )
 

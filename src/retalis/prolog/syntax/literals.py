@@ -13,7 +13,7 @@ import unicodedata
 from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
 from typing import Callable, Dict, Match
 
-from ...foundation.bounded_caches import Texts
+from ...foundation.bounded_caches import TextCache
 from ...foundation.cancellation import check_limits
 from ...foundation.cpython_and_pypy import LONG_DECIMALS
 
@@ -64,7 +64,7 @@ def _atom_text(name: str) -> str:
     return quote(name, "'") if needs_quotes(name) else name
 
 
-atom_text: Callable[[str], str] = Texts(_atom_text, 8192, 4 << 20, 2048).__getitem__
+atom_text: Callable[[str], str] = TextCache(_atom_text, 8192, 4 << 20, 2048).__getitem__
 """Return an atom as ``writeq/1`` writes it; cached."""
 
 

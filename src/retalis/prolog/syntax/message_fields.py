@@ -200,7 +200,7 @@ def complete(term: Term, expanded: Sequence[Expanded], slots: Slots, made: bool)
                 var.ref = zero
         form = NamedForm(message.term[0], message.named, is_made, message.whole)
         if form not in slots.forms:
-            slots.forms.keep(form, True, 8 * len(message.named))
+            slots.forms.store(form, True, 8 * len(message.named))
 
 
 _MAX_EXACT_INTEGER = 1 << 53

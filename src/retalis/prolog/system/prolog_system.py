@@ -29,7 +29,7 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import SHOWN, Place, printable
+from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place, printable
 from ..builtins import all_builtins  # noqa: F401  (registers the built-in predicates)
 from ..builtins.builtin_registry import control
 from ..builtins.clause_translation import SINGLE_SIDED, is_behind, translate_rule, translate_single_sided
@@ -754,7 +754,7 @@ class PrologSystem(PredicateTable):
 
     def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:
         """Return the text of a term, shortened for reports."""
-        return self.show(term, names=names, made=made, longest=SHOWN)
+        return self.show(term, names=names, made=made, longest=MAX_SHOWN_CHARACTERS)
 
     # Internals
 

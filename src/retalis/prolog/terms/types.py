@@ -30,7 +30,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Tuple, Union
 from weakref import ref
 
-from ...foundation.cpython_and_pypy import remove_dead
+from ...foundation.cpython_and_pypy import remove_dead_reference
 
 
 class Bound(Protocol):
@@ -287,11 +287,11 @@ def _new_functor(key: Tuple[str, int]) -> Functor:
         existing: Optional[Functor] = entry()
         if existing is not None:
             return existing
-        remove_dead(_functors, key)
+        remove_dead_reference(_functors, key)
 
 
 def _forget_functor(reference: "_FunctorRef") -> None:
-    remove_dead(_functors, reference.key)
+    remove_dead_reference(_functors, reference.key)
 
 
 def atom(name: str) -> Atom:
@@ -315,8 +315,8 @@ def _new_atom(name: str) -> Atom:
     new.name = name
     reference = _AtomRef(new, _forget)
     reference.name = name
-    # No lock: `setdefault` and `remove_dead` are atomic, and the loop ends as soon as the table holds a live
-    # reference. The atom of a reference may die between the look-up and the call, therefore the retry.
+    # No lock: `setdefault` and `remove_dead_reference` are atomic, and the loop ends as soon as the table holds a
+    # live reference. The atom of a reference may die between the look-up and the call, therefore the retry.
     while True:
         entry = _atoms.setdefault(name, reference)
         if entry is reference:
@@ -324,11 +324,11 @@ def _new_atom(name: str) -> Atom:
         existing: Optional[Atom] = entry()
         if existing is not None:
             return existing
-        remove_dead(_atoms, name)
+        remove_dead_reference(_atoms, name)
 
 
 def _forget(reference: _AtomRef) -> None:
-    remove_dead(_atoms, reference.name)
+    remove_dead_reference(_atoms, reference.name)
 
 
 def serial(var: Var) -> int:
