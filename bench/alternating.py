@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Is a case slower than it was? This checkout and another one, case by case, in turn.
+"""Comparison of two checkouts: the cases of ``bench/engine.py`` in alternating order.
 
     bench/alternating.py BEFORE [--case NAME ...] [--runs N] [--most PERCENT] [--python PATH]
 
-BEFORE is a revision of this repository, or the folder of another checkout. Each runs the cases of its own
-``bench/engine.py``, one after the other: before, now, before, now. Of the runs of each the best counts, in CPU time:
-what else the machine does can only add to it. A case that seems slower is run up to four times as often.
+BEFORE is a revision of this repository, or the folder of another checkout. Each checkout runs
+the cases of its own ``bench/engine.py`` in alternating order. The best CPU time of each counts, because other load on
+the machine can only increase it. A case that seems slower is run up to four times as often.
 
-A line for each case: microseconds an event before and now, and the change. It ends with 1 where a case has become
-slower by more than ``--most`` percent (3).
+Prints a line for each case: microseconds per event before and now, and the change. The exit status is 1 if a case has
+become slower by more than ``--most`` percent (3).
 """
 
 import argparse
@@ -31,7 +31,7 @@ TRIES = 4
 
 
 class Change(NamedTuple):
-    """What a case took before and takes now, in microseconds an event."""
+    """Microseconds per event of a case in both checkouts."""
 
     name: str
     before: float
@@ -39,17 +39,17 @@ class Change(NamedTuple):
 
     @property
     def percent(self) -> float:
-        """How much more it takes now."""
+        """Increase in percent."""
         return 100 * (self.now / self.before - 1)
 
     def line(self) -> str:
-        """Return a row of the table."""
+        """Return a table row as text."""
         return f"{self.name:<26} before {self.before:8.3f}  now {self.now:8.3f} us  {self.percent:+6.1f} %"
 
 
 @contextmanager
 def checkout(before: str, root: Path) -> Iterator[Path]:
-    """Give the folder of a checkout: that itself, or one for as long as it is needed of what a revision has."""
+    """Provide the folder of a checkout, which is temporary if a revision was given."""
     if Path(before).is_dir():
         yield Path(before).resolve()
         return
@@ -62,7 +62,7 @@ def checkout(before: str, root: Path) -> Iterator[Path]:
 
 
 def known_to(folder: Path, names: Sequence[str]) -> List[str]:
-    """Return which of the cases a checkout has."""
+    """Return the cases that a checkout has."""
     script = folder / "bench" / "engine.py"
     if not script.is_file():
         raise SystemExit(f"there is no {script}")
@@ -71,14 +71,14 @@ def known_to(folder: Path, names: Sequence[str]) -> List[str]:
 
 
 def compare(python: str, folders: Sequence[Path], name: str, runs: int, most: float) -> Change:
-    """Run a case in two checkouts in turn; the best run of each counts.
+    """Run a case in two checkouts alternately; the best run of each counts.
 
     Args:
         python: the interpreter.
-        folders: where it was, where it is now.
-        name: of the case.
-        runs: of each; where the case seems slower, that many are added, `TRIES` times in all.
-        most: percent from which on it seems slower.
+        folders: the former checkout and the present one.
+        name: name of the case.
+        runs: number of runs of each; repeated up to `TRIES` times if the case seems slower.
+        most: percentage above which a case counts as slower.
     """
     found: List[List[float]] = [[], []]
     for _ in range(TRIES):
@@ -92,7 +92,7 @@ def compare(python: str, folders: Sequence[Path], name: str, runs: int, most: fl
 
 
 def main(arguments: Optional[Sequence[str]] = None, root: Path = ROOT) -> int:
-    """Run what the command line asks for, in the checkout at ``root``."""
+    """Run the comparison that the command line selects, in the checkout at ``root``."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Prolog files of others: which of those that SWI-Prolog loads answer here as they do there.
+"""Conformity test with Prolog files of other projects: answers of this package and of SWI-Prolog to the same goals.
 
     bench/answers.py FOLDER [--swi-results FILE.json] [--most N] [--goals N] [--seconds S] [--only WORD]
                             [--details FILE.json]
@@ -43,7 +43,7 @@ from retalis.prolog.terms.term_traversal import copy, variables  # noqa: E402
 
 MOST_SOLUTIONS = 5
 PRINTED = 20_000
-"""Characters of what a goal prints that are compared."""
+"""Limit for the compared characters of a goal's output."""
 
 LIBRARIES = "libraries that are not here"
 _BEGIN, _RESULT, _END = "\n@@begin ", "\n@@result ", "\n@@end\n"
@@ -124,14 +124,14 @@ _SWI = r"""
 
 
 class Answer(NamedTuple):
-    """What a goal prints and what it finds."""
+    """Output and solutions of a goal."""
 
     printed: str
     result: str
 
     @property
     def plain(self) -> Tuple[str, str]:
-        """Itself without what is free to differ: names of variables, modules of what is missing, newlines at ends."""
+        """The answer without differences that do not matter: variable names, modules of missing predicates."""
         result = _SYNTAX_ERROR.sub("syntax_error(_)", _FREE_NAME.sub("_", self.result))
         result = _MODULE.sub(r"\1", result)
         if result == "error(permission_error(halt,process,true))":
@@ -141,7 +141,7 @@ class Answer(NamedTuple):
 
 
 Answers = Dict[str, Answer]
-"""By goal, in order; ``load`` for what loading prints."""
+"""Answers by goal, in order; ``load`` stands for the output of loading."""
 
 _FREE_NAME = re.compile(r"_G?[0-9]+")
 _MODULE = re.compile(r"(?<=existence_error\(procedure,):\([^,]*,(.*)\)(?=\)\)$)")
@@ -153,13 +153,13 @@ _COMMENT = re.compile(r"/\*.*?\*/|%[^\n]*", re.DOTALL)
 
 
 def queries(text: str, most: int) -> List[str]:
-    """Return the queries that the comments of a program show, each once."""
+    """Return the queries in the comments of a program, without duplicates."""
     found = (query for comment in _COMMENT.findall(text) for query in _QUERY.findall(comment))
     return list(dict.fromkeys(found))[:most]
 
 
 def parts(output: str) -> Iterator[Tuple[str, Answer]]:
-    """Yield goals and answers of what a Prolog has said."""
+    """Yield the goals and answers in the output of a Prolog."""
     for part in output.split(_BEGIN)[1:]:
         goal, _, rest = part.partition("\n")
         printed, marked, result = rest.partition(_END)[0].rpartition(_RESULT)
@@ -170,7 +170,7 @@ def parts(output: str) -> Iterator[Tuple[str, Answer]]:
 
 
 def ask_swi(path: Path, goals: int, seconds: float, program: str) -> Answers:
-    """Return what SWI-Prolog answers about a file, but for goals that it answers in two ways or not in time."""
+    """Return SWI-Prolog's answers for a file, without inconsistent and timed-out goals."""
     text = path.read_text(encoding="utf-8", errors="replace")
     with tempfile.TemporaryDirectory() as folder:
         asking, examples = Path(folder) / "asking.pl", Path(folder) / "examples.pl"
@@ -208,7 +208,7 @@ def ask_swi(path: Path, goals: int, seconds: float, program: str) -> Answers:
 
 
 def ask_here(path: Path, goals: List[str], seconds: float) -> Answers:
-    """Return what is answered here."""
+    """Return the answers of this package."""
     with tempfile.TemporaryDirectory() as folder:
         asked = Path(folder) / "goals.json"
         asked.write_text(json.dumps(goals), encoding="utf-8")
@@ -228,7 +228,7 @@ def ask_here(path: Path, goals: List[str], seconds: float) -> Answers:
 
 
 def tell(path: Path, goals: List[str], seconds: float) -> None:
-    """Load a file in this process and print what it answers, each goal in a process of its own."""
+    """Load a file in this process and print its answers; each goal runs in its own process."""
     engine = Engine(settings=Settings(limits=Limits(seconds=seconds), folders=None))
     logic = engine.logic
     logic.output = lambda text: print(text, end="")
@@ -299,7 +299,7 @@ def shown(term: Term) -> str:
 
 
 def difference(wanted: Answer, found: Answer) -> str:
-    """Return in short in which way an answer differs from the one that is wanted."""
+    """Return a short description of the difference between two answers."""
     if found.result in ("limit", "unread", "halted") or found.result.startswith("raised"):
         return found.result[:60]
     if found.result.startswith("error("):
@@ -314,7 +314,7 @@ def difference(wanted: Answer, found: Answer) -> str:
 
 
 class Table:
-    """Counts files and goals, first all, then those of files whose libraries are here."""
+    """Counts of files and goals: all, and those of files whose libraries are available."""
 
     def __init__(self) -> None:
         self.rows: Dict[str, List[int]] = defaultdict(lambda: [0] * 8)
@@ -322,7 +322,7 @@ class Table:
         self.details: Dict[str, Any] = {}
 
     def add(self, name: str, wanted: Answers, found: Answers) -> None:
-        """Count a file's goals. One that prints nothing when it is loaded, and has no goal, says nothing."""
+        """Count the goals of a file. A file without goals or output is not counted."""
         if not any(answer.printed.strip() or goal != "load" for goal, answer in wanted.items()):
             return
         none = Answer("", "not answered")
@@ -344,7 +344,7 @@ class Table:
             self.kinds[what].append((name, goal))
 
     def show(self) -> None:
-        """Print the table, and what differs in how many files."""
+        """Print the table, and the number of files for each difference."""
         print(
             f"{'repository':45} {'files':>6} {'alike':>6} {'goals':>6} {'alike':>6}   {'with all libraries':>27}"
         )
@@ -358,7 +358,7 @@ class Table:
 
 
 def compare(options: argparse.Namespace) -> Table:
-    """Ask both about all files; SWI-Prolog only where its answers are not known from a file of results."""
+    """Compare all files; SWI-Prolog runs only if the file of results does not contain its answers."""
     kept, table = options.swi_results, Table()
     known: Dict[str, Answers] = {}
     if kept is not None and kept.exists():

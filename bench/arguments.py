@@ -1,4 +1,4 @@
-"""Types of arguments that the benchmarks check before they begin, for ``argparse``."""
+"""Argument types for ``argparse``, shared by the benchmarks."""
 
 import argparse
 import shutil
@@ -24,14 +24,14 @@ def above_zero(text: str) -> float:
 
 
 def interpreter(text: str) -> str:
-    """Return a program that can be started."""
+    """Return the path of an executable program."""
     if shutil.which(text) is None:
         raise argparse.ArgumentTypeError(f"there is no program {text}")
     return text
 
 
 def existing(text: str) -> Path:
-    """Return the path of a file or folder that is there."""
+    """Return the path of an existing file or folder."""
     path = Path(text)
     if not path.exists():
         raise argparse.ArgumentTypeError(f"there is no {text}")
@@ -39,7 +39,7 @@ def existing(text: str) -> Path:
 
 
 def target(text: str) -> Path:
-    """Return the path of a file that can be written: its folder is there."""
+    """Return the path of a file in an existing folder."""
     path = Path(text)
     if not path.parent.is_dir():
         raise argparse.ArgumentTypeError(f"there is no folder {path.parent}")

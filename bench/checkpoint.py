@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""What it takes to keep an engine's state, and what is lost where the process is killed.
+"""Cost of snapshots and checkpoints, and loss of events when the process is killed.
 
     bench/checkpoint.py [--kills N] [--records N ...] [--waiting N ...] [--seconds N]
 
-Prints the time and size of a snapshot and of a restart by the records in memory, the time by matches that wait, and
-what keeping the state costs while the NAO's program takes 1,900 messages a second into full memories. Then a process
-that keeps its state in a file under full load is killed N times at random moments. What it had lost is the time from
-what it goes on with to the kill; each time what it goes on with has to be of one moment.
+Prints the time and size of a snapshot and of a restart for numbers of records, the time for numbers of partial
+matches, and the cost of checkpoints while the NAO's program processes 1,900 messages per second with full memories.
+Then a process that writes checkpoints under full load is killed N times at random moments. The loss is the time
+between the restored checkpoint and the kill; the restored state has to be consistent each time.
 """
 
 import argparse
@@ -40,7 +40,7 @@ VICTIM = ROOT / "test" / "engine" / "checkpoint_victim.py"
 
 
 def figures(engine: Engine, what: str) -> None:
-    """Print the times of a snapshot and of a restart."""
+    """Print the duration of a snapshot and of a restart."""
     taken, restored = [], []
     for _ in range(3):
         begin = time.perf_counter()
@@ -73,7 +73,7 @@ def memory_of(records: int) -> Engine:
 
 
 def waiting(number: int) -> Engine:
-    """Return an engine in which matches wait."""
+    """Return an engine with partial matches."""
     engine = Engine(StreamClock())
     engine.load(rules="p(X, Y) <- a(X) seq b(X, Y).")
     for at in range(number):
@@ -82,7 +82,7 @@ def waiting(number: int) -> Engine:
 
 
 def keep_while_running(seconds: float) -> None:
-    """Print what it costs to keep the NAO's program's state twice a second, and how long the engine is held up."""
+    """Print the cost of two checkpoints per second of the NAO's program, and how long they block the engine."""
     program = ROOT / "application_source"
     engine = Engine(StreamClock())
     engine.load_program(program)
@@ -111,7 +111,7 @@ def keep_while_running(seconds: float) -> None:
 
 
 def message(parent: str, child: str, number: int) -> str:
-    """Return a message with one transform, as text."""
+    """Return the text of a message with one transform."""
     stamp = f"[{1000 + number // 1000},{number % 1000 * 1_000_000}]"
     place, turn = "geometry_msgs__0__Vector3(0.1,0.2,0.3)", "geometry_msgs__0__Quaternion(0.0,0.0,0.0,1.0)"
     head = f"std_msgs__0__Header(0,{stamp},'\"{parent}\"')"
@@ -120,7 +120,7 @@ def message(parent: str, child: str, number: int) -> str:
 
 
 def kill_and_go_on(kills: int) -> None:
-    """Kill a process again and again; print what it had lost."""
+    """Kill a process repeatedly; print the loss of each time."""
     chance = random.Random()
     lost: List[float] = []
     killed = 0.0
@@ -166,7 +166,7 @@ def kill_and_go_on(kills: int) -> None:
 
 
 def main() -> None:
-    """Measure."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""All cases of ``bench/engine.py`` in turn: with terms, with messages, by other interpreters, by the reference."""
+"""Comparison table of all cases of ``bench/engine.py``: terms, messages, other interpreters, the reference engine."""
 
 import argparse
 import json
@@ -20,10 +20,10 @@ def compare(
     """Run all cases alternately and print a table of medians.
 
     Args:
-        shared: the cases that the reference has too.
-        more: the others.
-        from_bytes: those that can be fed with messages' bytes.
-        options: what the command line asks for.
+        shared: cases that the reference has, too.
+        more: the other cases.
+        from_bytes: cases that accept serialized messages.
+        options: options of the command line.
     """
     rows = {}
     for name in [*shared, *more]:
@@ -45,7 +45,7 @@ def compare(
 
 
 def _commands(name: str, options: argparse.Namespace, shared: bool, from_bytes: bool) -> Dict[str, List[str]]:
-    """Return the commands that run a case, by the columns of the table."""
+    """Return the commands of a case, by table column."""
     ours = [sys.executable, str(HERE / "engine.py"), name]
     commands = {"terms": ours}
     if options.against and shared:
@@ -64,7 +64,7 @@ def _version(python: str) -> str:
 
 
 def measure(command: List[str]) -> float:
-    """Run one case in a process of its own; return microseconds an event."""
+    """Run one case in its own process; return microseconds per event."""
     result = subprocess.run(command, capture_output=True, text=True, cwd=HERE)
     found = re.search(r"us_per_event ([\d.]+)", result.stdout)
     if found is None:
@@ -73,7 +73,7 @@ def measure(command: List[str]) -> float:
 
 
 def line(name: str, row: Dict[str, Any]) -> str:
-    """Return a line of the table."""
+    """Return a table row as text."""
     figures = "  ".join(f"{column} {value:8.2f}" for column, value in row.items())
     ratio = f"  1/{row['reference'] / row['terms']:.1f} of the reference" if "reference" in row else ""
     return f"{name:<26} {figures} us{ratio}"

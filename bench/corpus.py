@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Prolog files of others: which of those that SWI-Prolog loads are loaded here, and why the others are not.
+"""Conformity test with Prolog files of other projects: loading in this package and in SWI-Prolog.
 
     bench/corpus.py FOLDER [--swi-results FILE.json] [--most N] [--seconds S] [--only WORD] [--details FILE.json]
 
@@ -37,11 +37,11 @@ from retalis import Engine, Limits, Omission, RetalisError, Settings  # noqa: E4
 
 ENDINGS = (".pl", ".pro", ".prolog")
 LARGEST = 300_000
-"""Bytes of a file that is taken; longer ones are data."""
+"""Limit for the bytes of a file; longer files are data."""
 
 MEMORY = 2 << 30
 CLOSED = ("unshare", "-r", "-n", "-m", "sh", "-c", 'mount -o remount,bind,ro / && exec "$@"', "sh")
-"""Starts a command without a network, which cannot write files."""
+"""Prefix of a command that runs without network and without write access."""
 
 _PREDICATES = """
 current_prolog_flag(argv, Arguments), last(Arguments, Name), absolute_file_name(Name, File),
@@ -54,12 +54,12 @@ format("@@ end~n"), halt
 
 
 class Loaded(NamedTuple):
-    """What became of a file.
+    """Result of loading a file.
 
     Attributes:
-        errors: what was wrong, where the file was refused; in SWI-Prolog, any error.
-        omitted: what was left out of it.
-        clauses: how many clauses of each predicate it has; None where that is not known.
+        errors: reasons why the file was rejected; for SWI-Prolog, all errors.
+        omitted: clauses and directives that were ignored.
+        clauses: number of clauses of each predicate; None if unknown.
     """
 
     errors: List[str]
@@ -82,7 +82,7 @@ def chosen(folder: Path, most: int, only: str) -> List[Path]:
 
 
 def limited(seconds: float) -> None:
-    """Have a process that is being started be limited, and the first of a group of its own."""
+    """Limit the resources of a new process, and make it the leader of its own group."""
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 3))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -90,7 +90,7 @@ def limited(seconds: float) -> None:
 
 
 def closed(command: List[str], path: Path, seconds: float) -> "subprocess.CompletedProcess[str]":
-    """Run a command in the folder of a file; `subprocess.TimeoutExpired` where it does not end."""
+    """Run a command in the folder of a file; raise `subprocess.TimeoutExpired` if it does not end."""
     process = subprocess.Popen(
         [*CLOSED, *command],
         stdin=subprocess.DEVNULL,
@@ -112,7 +112,7 @@ def closed(command: List[str], path: Path, seconds: float) -> "subprocess.Comple
 
 
 def swi(path: Path, seconds: float, program: str) -> Loaded:
-    """Return what becomes of a file in SWI-Prolog."""
+    """Load a file in SWI-Prolog."""
     command = [program, "-q", "-f", "none", "--no-tty", "-g", _PREDICATES, "--", str(path)]
     try:
         done = closed(command, path, seconds)
@@ -128,7 +128,7 @@ def swi(path: Path, seconds: float, program: str) -> Loaded:
 
 
 def here(path: Path, seconds: float) -> Loaded:
-    """Return what becomes of a file here."""
+    """Load a file with this package."""
     command = [sys.executable, str(Path(__file__).resolve()), "--load", str(path), "--seconds", str(seconds)]
     try:
         done = closed(command, path, seconds)
@@ -165,20 +165,20 @@ _NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|\d+")
 
 
 def kind(message: str) -> str:
-    """Return the beginning of a message without places, numbers and names, to count those that are alike."""
+    """Return a message without places, numbers and names, so that similar messages can be counted."""
     first = next((line for line in message.splitlines() if line.strip()), message)
     return _NAMES.sub("_", _PLACE.sub("", first))[:100]
 
 
 def differing(wanted: Loaded, found: Loaded) -> List[str]:
-    """Return the predicates of which there are other numbers of clauses."""
+    """Return the predicates with different numbers of clauses."""
     if wanted.clauses is None or found.clauses is None:
         return []
     return [key for key, number in wanted.clauses.items() if found.clauses.get(key, 0) != number]
 
 
 class Comparison:
-    """Counts what becomes of the files of repositories."""
+    """Counts of loaded files, by repository."""
 
     def __init__(self) -> None:
         self.rows: Dict[str, List[int]] = defaultdict(lambda: [0, 0, 0, 0])
@@ -198,7 +198,7 @@ class Comparison:
             self.kinds[kind(wrong[0]) if wrong else "other clauses"].append(name)
 
     def show(self) -> None:
-        """Print the table and what is wrong most often."""
+        """Print the table and the most frequent errors."""
         print(f"{'repository':50} {'SWI':>5} {'loads':>6} {'whole':>6} {'same':>6}")
         for name, row in sorted(self.rows.items()):
             print(f"{name:50} {row[0]:5} {row[1]:6} {row[2]:6} {row[3]:6}")
@@ -210,7 +210,7 @@ class Comparison:
 
 
 def results_of_swi(options: argparse.Namespace, files: List[Path]) -> Dict[str, Loaded]:
-    """Return what SWI-Prolog does with the files, from a file of results where they are known."""
+    """Return SWI-Prolog's results, from a file of results if they are known."""
     known: Dict[str, Loaded] = {}
     kept: Optional[Path] = options.swi_results
     if kept is not None and kept.exists():
@@ -224,7 +224,7 @@ def results_of_swi(options: argparse.Namespace, files: List[Path]) -> Dict[str, 
 
 
 def is_closed() -> bool:
-    """Tell whether the system starts processes that can do no harm."""
+    """Return whether the system supports isolated processes."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             tried = subprocess.run([*CLOSED, "touch", f"{folder}/a"], capture_output=True, timeout=20)

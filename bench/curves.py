@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""How the cost of an event grows with what the program holds: memories, records, queries, rules, subscriptions.
+"""Cost of an event as a function of the number of memories, records, queries, rules and subscriptions.
 
     bench/curves.py [--curve NAME ...] [--most N] [--runs N] [--json FILE] [--plot FILE]
 
-A line for each curve: its name, microseconds at each size, and the exponent of the power law that fits best over
-the upper half of the sizes (0: the cost does not grow; 1: it grows in proportion). Partial matches are in
-``bench/events.py``.
+Prints a line for each curve: name, microseconds at each size, and the exponent of the power law that fits the upper
+half of the sizes best (0: constant cost; 1: linear cost). ``bench/events.py`` measures partial matches.
 """
 
 import argparse
@@ -34,10 +33,10 @@ class Curve(NamedTuple):
     """A curve.
 
     Attributes:
-        title: what is measured.
-        sizes: where.
-        measure: from a size and a number of runs to microseconds.
-        grows: whether each event concerns all that there are, so that the cost has to grow.
+        title: title of the curve.
+        sizes: sizes to measure.
+        measure: returns microseconds for a size and a number of runs.
+        grows: whether each event concerns all items, so that the cost must grow.
     """
 
     title: str
@@ -47,7 +46,7 @@ class Curve(NamedTuple):
 
 
 def best(engine: Engine, streams: Sequence[Stream]) -> float:
-    """Return the microseconds of an event: the least of several streams."""
+    """Return the microseconds per event of the fastest stream."""
     limit_gc_pauses()
     times = []
     for stream in streams:
@@ -59,7 +58,7 @@ def best(engine: Engine, streams: Sequence[Stream]) -> float:
 
 
 def memories(pattern: str, record: str, runs: int, size: int, kept: int = 2500) -> float:
-    """The NAO's flow with memories of one kind; ``#`` in the pattern is a memory's number."""
+    """Measure the NAO's stream with memories of one pattern, in which ``#`` is the memory's number."""
     engine = work.nao_engine()
     engine.load(
         goals="\n".join(
@@ -72,7 +71,7 @@ def memories(pattern: str, record: str, runs: int, size: int, kept: int = 2500) 
 
 
 def recording(size: int, runs: int) -> float:
-    """Recording into a full memory."""
+    """Measure recording into a full memory."""
     engine = Engine()
     engine.load(goals=f"memorize(seen(X), [], seen(X), q, {size})")
     seen = functor("seen", 1)
@@ -88,7 +87,7 @@ def recording(size: int, runs: int) -> float:
 
 
 def looking(size: int, runs: int) -> float:
-    """Looking up in a memory of a size, called from a clause."""
+    """Measure look-ups in a memory, called from a clause."""
     engine = Engine()
     engine.load(
         goals=f"memorize(seen(X), [], seen(X), q, {size})",
@@ -111,7 +110,7 @@ def looking(size: int, runs: int) -> float:
 
 
 def waiting(size: int, runs: int, joining: bool) -> float:
-    """An event of a memory for which queries wait; with ``joining`` a query that comes to wait with them."""
+    """Measure an event of a memory for which queries wait; with ``joining``, adding a further query."""
     engine = Engine()
     engine.load(
         goals="memorize(seen(X), [], seen(X), q, 100)",
@@ -130,10 +129,10 @@ def waiting(size: int, runs: int, joining: bool) -> float:
 
 
 def rules(size: int, runs: int, in_turn: bool) -> float:
-    """Rules of which one concerns an event: always the same, or all ``in_turn``.
+    """Measure events that concern one of many rules: always the same, or all ``in_turn``.
 
-    In turn each event meets code and data of another rule, which the processor has to fetch anew where there are
-    many, and runs it as seldom as there are rules; the interpreter takes some runs to get used to it.
+    In turn, each event executes code and data of another rule, which are not in the processor's caches if there are
+    many, and which the interpreter has not specialized yet.
     """
     engine = Engine()
     engine.load(rules="\n".join(f"found({at}, X) <- e({at}, X) where X > 1." for at in range(size)))
@@ -143,7 +142,7 @@ def rules(size: int, runs: int, in_turn: bool) -> float:
 
 
 def subscriptions(size: int, runs: int) -> float:
-    """Subscriptions of which one concerns an event."""
+    """Measure events that concern one of many subscriptions."""
     engine = Engine()
     engine.load(goals="\n".join(f"subscribe(e({at}, _), [], _, t, s{at})" for at in range(size)))
     engine.on_output(lambda term, topic, name: None)
@@ -196,13 +195,13 @@ CURVES: Dict[str, Curve] = {
 
 
 def line(name: str, row: Dict[str, Any]) -> str:
-    """Return a row of the table."""
+    """Return a table row as text."""
     figures = "  ".join(f"{size}: {us:.2f}" for size, us in row["points"])
     return f"{name:<24} exponent {row['exponent']:5.2f}  {figures}"
 
 
 def measure(options: argparse.Namespace) -> Dict[str, Any]:
-    """Return the figures of the curves that are asked for."""
+    """Return the figures of the selected curves."""
     rows = {}
     for name in options.curve or CURVES:
         curve = CURVES[name]
@@ -220,7 +219,7 @@ def measure(options: argparse.Namespace) -> Dict[str, Any]:
 
 
 def main(given: Optional[List[str]] = None) -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

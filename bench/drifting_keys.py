@@ -1,4 +1,4 @@
-"""Memory and time of rules with drifting keys: each key comes in two events that follow each other, and never again.
+"""Memory and time of rules with drifting keys: each key occurs in two successive events only.
 
 Each rule runs in a process of its own. Events are 10 ms apart, so a time to live of 10 s holds 1,000 events. With
 ``--capped`` the rules have no time to live, and the flag ``max_keys`` bounds them. The resident memory after each
@@ -33,7 +33,7 @@ PARTS = 5
 
 
 def run(kind: str, events: int, capped: bool) -> List[str]:
-    """Run the events through a rule; return the cells of its row."""
+    """Feed the events to a rule; return its table row."""
     engine = Engine()
     label = "r" if capped else "r([property(ttl, 10)])"
     engine.load(rules=f"{label} : found(K, X) <- {RULES[kind]}.")
@@ -60,7 +60,7 @@ def run(kind: str, events: int, capped: bool) -> List[str]:
 
 
 def main() -> None:
-    """Run each rule in a process of its own, and print a table."""
+    """Run each rule in its own process, and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--events", type=int, default=2_000_000, help="events for each rule")
     parser.add_argument("--capped", action="store_true", help="bound the keys by number, not by time")

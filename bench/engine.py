@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""The original's experiments on this engine: one case, or all of them beside the reference engine.
+"""Experiments of the original on this engine: one case, or all cases beside the reference engine.
 
     bench/engine.py CASE [--messages]     one line: case NAME events N cpu SECONDS us_per_event U outputs N
     bench/engine.py --all [--against FOLDER] [--python PATH ...] [--runs N] [--json FILE] [--plot FILE]
 
-``--messages`` feeds the bytes of ROS messages and counts decoding in. ``--against`` runs the same cases of the
+``--messages`` feeds serialized ROS messages and includes decoding. ``--against`` runs the same cases of the
 reference (``bench.pl`` in FOLDER; the environment variable ``RETALIS_REF`` names its checkout), alternating with
 ours, and prints medians and ratios.
 """
@@ -25,7 +25,7 @@ from retalis import Engine, StreamClock, functor, limit_gc_pauses  # noqa: E402
 
 
 class Result(NamedTuple):
-    """What a case took."""
+    """Figures of a case."""
 
     name: str
     events: int
@@ -33,7 +33,7 @@ class Result(NamedTuple):
     outputs: int
 
     def line(self) -> str:
-        """Return the one line of a case."""
+        """Return the output line of a case."""
         each = self.seconds * 1e6 / self.events
         return (
             f"case {self.name} events {self.events} cpu {self.seconds:.3f} "
@@ -42,7 +42,7 @@ class Result(NamedTuple):
 
 
 class Outputs:
-    """Counts what subscribers get."""
+    """Counter of outputs."""
 
     def __init__(self, engine: Engine):
         self.number = 0
@@ -82,7 +82,7 @@ def nao_definitions() -> Any:
 
 
 def nao(name: str, messages: bool, extra: str = "", seconds: int = 10) -> Result:
-    """S1 and its variants: the NAO's stream and program, with further goals called before."""
+    """Run S1 and its variants: the NAO's stream and program, after further goals."""
     engine = work.nao_engine()
     if extra:
         engine.load(goals=extra)
@@ -92,7 +92,7 @@ def nao(name: str, messages: bool, extra: str = "", seconds: int = 10) -> Result
 
 
 def nao_renamed(name: str, messages: bool) -> Result:
-    """S1 with other message types, functors and orders of slots; terms only."""
+    """Run S1 with other message types, functors and slot orders; terms only."""
     engine = work.nao_engine(other_names=True)
     items = work.nao_stream(10, other_names=True)
     cpu, outputs = feed(engine, items, False)
@@ -105,7 +105,7 @@ def with_memories(number: int, pattern: str, record: str, size: int) -> Callable
 
 
 def stop_when_full(name: str, messages: bool) -> Result:
-    """S4: memories that take no more when they are full."""
+    """Run S4: memories that stop recording when they are full."""
     goals = "\n".join(
         f"memorize(tf(X,Y,V,Q), [memory_counter(extra{i}, N), N < 2500], tf(X,Y,V,Q), extra{i}, 2500)"
         for i in range(20)
@@ -114,7 +114,7 @@ def stop_when_full(name: str, messages: bool) -> Result:
 
 
 def mixed(name: str, messages: bool) -> Result:
-    """S7: 10 memories that take everything and 320 that take one pair."""
+    """Run S7: 10 memories of everything, and 320 of one pair."""
     pair = work.extra_memories(320, PAIR, "tf(V,Q)", 2500).replace("extra", "pair")
     return nao(name, messages, work.extra_memories(10, "tf(X,Y,V,Q)", "tf(X,Y,V,Q)", 2500) + "\n" + pair)
 
@@ -136,7 +136,7 @@ def filled(size: int) -> Engine:
 
 
 def look_ups(predicate: str, size: int) -> Callable[[str, bool], Result]:
-    """S8: 70,000 look-ups, called from a clause."""
+    """Run S8: 70,000 look-ups, called from a clause."""
 
     def case(name: str, messages: bool) -> Result:
         engine = filled(size)
@@ -165,7 +165,7 @@ def look_ups(predicate: str, size: int) -> Callable[[str, bool], Result]:
 
 
 def look_ups_beside(rate: int, memories: int) -> Callable[[str, bool], Result]:
-    """S8: look-ups at a rate of ``rate`` a second in the NAO's flow, with other memories beside."""
+    """Run S8: ``rate`` look-ups per second in the NAO's stream, with further memories."""
 
     def case(name: str, messages: bool) -> Result:
         each = rate // 7
@@ -185,7 +185,7 @@ def look_ups_beside(rate: int, memories: int) -> Callable[[str, bool], Result]:
 
 
 def synchronized(delay: Optional[int]) -> Callable[[str, bool], Result]:
-    """S9: 1,000 queries a second: not synchronized (None), due at once (0), or ``delay`` seconds later."""
+    """Run S9: 1,000 queries per second: not synchronized (None), due immediately (0), or after ``delay`` seconds."""
 
     def case(name: str, messages: bool) -> Result:
         engine = Engine(StreamClock(BASE * 10**9))
@@ -225,7 +225,7 @@ def head_stamp(term: Any) -> Optional[Tuple[int, int]]:
 
 
 def join(number: int) -> Callable[[str, bool], Result]:
-    """``a`` seq ``b`` on a shared variable: N of ``a``, then N of ``b``."""
+    """Run ``a seq b`` with a shared variable: N events ``a``, then N events ``b``."""
 
     def case(name: str, messages: bool) -> Result:
         engine = Engine()
@@ -261,7 +261,7 @@ CASES: Dict[str, Callable[[str, bool], Result]] = {
     "join_seq_1000": join(1000),
     "join_seq_10000": join(10_000),
 }
-"""The cases that the reference has too."""
+"""Cases that the reference has, too."""
 
 MORE: Dict[str, Callable[[str, bool], Result]] = {
     "nao_renamed": nao_renamed,
@@ -279,11 +279,11 @@ MORE: Dict[str, Callable[[str, bool], Result]] = {
 FROM_BYTES = [
     name for name in [*CASES, *MORE] if name.startswith(("nao", "memories")) and name != "nao_renamed"
 ]
-"""The cases that can be fed with messages' bytes."""
+"""Cases that accept serialized messages."""
 
 
 def main() -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

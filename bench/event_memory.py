@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a process holds while half matches come that nothing completes, with and without bounds.
+"""Memory of a process with partial matches that are never completed, with and without bounds.
 
 bench/event_memory.py CASE N     JSON: a list of [events so far, bytes, partial matches]
 """
@@ -18,7 +18,7 @@ from retalis import Engine, StreamClock, functor  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
 
 SECONDS = 10_000
-"""The length of the windows; one half match comes each second."""
+"""Length of the windows in seconds; one partial match is added per second."""
 
 _PATTERN = "out <- p(X, K) seq q(X, L).\n"
 _GENERAL = (
@@ -45,7 +45,7 @@ CASES.update(
 
 
 def feed(name: str, number: int) -> List[List[int]]:
-    """Feed half matches; return samples of events, bytes and partial matches."""
+    """Feed first halves of matches; return samples of events, bytes and partial matches."""
     goals, rules = CASES[name]
     clock = StreamClock(10**9 * SECOND)
     engine = Engine(clock)
@@ -63,7 +63,7 @@ def feed(name: str, number: int) -> List[List[int]]:
 
 
 def resident() -> int:
-    """Return how many bytes of memory the process holds."""
+    """Return the resident bytes of the process."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:  # no Linux: the most it has held so far
@@ -72,7 +72,7 @@ def resident() -> int:
 
 
 def measure_all(number: int) -> Dict[str, Any]:
-    """Run each case in a process of its own."""
+    """Run each case in its own process."""
     found = {}
     for name in CASES:
         command = [sys.executable, __file__, name, str(number)]

@@ -1,4 +1,4 @@
-"""Draws what ``bench/events.py`` measured: growth of each operator, and memory."""
+"""Plots of the figures of ``bench/events.py``: growth of each operator, and memory."""
 
 import math
 from typing import Any, Dict, Iterable, List, Sequence, Tuple
@@ -107,13 +107,13 @@ def _draw_operator(axis: Any, name: str, rows: Sequence[Dict[str, Any]]) -> None
 
 
 def _powers(found: Iterable[float]) -> str:
-    """Return fitted exponents, the least and the largest, as a formula."""
+    """Return the range of fitted exponents as a formula."""
     texts = [f"N^{{{max(0.0, round(value, 2)):.2f}}}" for value in sorted(found) if not math.isnan(value)]
     return " to ".join(f"${text}$" for text in dict.fromkeys(texts[:1] + texts[-1:]))
 
 
 def draw_memory(memory: Dict[str, Any], file: str) -> None:
-    """Draw what processes hold over the number of half matches."""
+    """Draw the memory of processes over the number of partial matches."""
     figure, axis = pyplot.subplots(figsize=(6.5, 3.6))
     for (name, samples), (colour, line) in zip(memory.items(), BOUNDS):
         more = [(sample[1] - samples[0][1]) / 1e6 for sample in samples]

@@ -1,8 +1,8 @@
-"""What an event costs in windows, shapes, absences, timers and states of any size: rows for ``bench/events.py``.
+"""Cost of an event in windows, row patterns, absences, timers and states: rows for ``bench/events.py``.
 
-A row is a program of which N things are held: items of a window, keys, what waits, timers, open states. It is fed
-until they are, and then for some time on, in which as many come as go; one step a second. The cost is that of a step
-divided by its events, by way of the engine's queue and its clock, with what rings in between.
+A row is a program with N items: items of a window, keys, partial matches, timers, open states. Steps of one second
+are fed until there are N items, and then further steps, in which as many items are added as expire. The cost is that
+of a step divided by its events, including the engine's queue, its clock and due timers.
 """
 
 import logging
@@ -16,16 +16,16 @@ from retalis.events.rules import timer_service
 from retalis.prolog.terms.timestamps import SECOND
 
 MOST_STEPS = 100_000
-"""How many steps a figure is of, where a row does not go in periods."""
+"""Number of measured steps of a row without periods."""
 
 BEGIN = 10**9
-"""The second of the first step."""
+"""Time of the first step in seconds."""
 
 P, Q, R, ONE = functor("p", 2), functor("q", 2), functor("r", 2), functor("e0", 1)
 Steps = List[Tuple[int, List[Term]]]
-"""Instants, each with its events."""
+"""Instants with their events."""
 Step = Callable[[int, int], List[Term]]
-"""From the number of a step and the size to its events."""
+"""Returns the events of a step, by its number and the size."""
 
 
 def _always(at: int, size: int) -> List[Term]:
@@ -73,20 +73,20 @@ def _one_kind(at: int, size: int) -> List[Term]:
 
 
 class StreamRow(NamedTuple):
-    """A row.
+    """A row of the table.
 
     Attributes:
-        about: what it is of, for the table; N is how many are held.
-        rules: the program; ``#`` stands for N, ``#2`` for its double and ``#10`` for a tenth of it.
-        step: the events of a step.
-        goals: called before.
-        filled: how many times N steps it takes until N are held.
-        periods: whether the cost is of N steps: something is done once in N.
-        fires: whether events come of it.
-        most: the largest N that means something.
-        capped: whether N is the most that may be held, so that the oldest go.
-        declares: whether N events are declared: e0, e1, ...
-        as_program: whether events come as those of a program in Python, which are looked at first.
+        about: description for the table; N is the number of items.
+        rules: the program; ``#`` stands for N, ``#2`` for 2 N and ``#10`` for N / 10.
+        step: returns the events of a step.
+        goals: goals that are called before.
+        filled: number of steps until there are N items, divided by N.
+        periods: whether N steps are measured, because some work is done once in N steps.
+        fires: whether the rules fire.
+        most: largest meaningful N.
+        capped: whether N is a limit, so that the oldest items are evicted.
+        declares: whether N events are declared (e0, e1, ...).
+        as_program: whether events are passed as by a Python program, which are validated first.
     """
 
     about: str
@@ -293,11 +293,11 @@ STREAMS: Dict[str, StreamRow] = {
 
 
 class StreamBench:
-    """An engine with the program of a row, in which N things are held.
+    """An engine with the program of a row and N items.
 
     Args:
         row: the row.
-        size: N.
+        size: number of items.
     """
 
     def __init__(self, row: StreamRow, size: int):
@@ -322,7 +322,7 @@ class StreamBench:
         return after
 
     def feed(self, number: int) -> Tuple[float, int]:
-        """Feed steps; return their CPU seconds and how many events they had."""
+        """Feed steps; return their CPU seconds and their number of events."""
         engine, step, size = self.engine, self.row.step, self.size
         enter = engine.event if self.row.as_program else None
         spent, events = 0.0, 0
@@ -358,7 +358,7 @@ class StreamBench:
 
 
 def _one(bench: StreamBench) -> Tuple[float, int, int]:
-    """Return the CPU seconds, events and results of some steps, when N things are held."""
+    """Return the CPU seconds, events and results of some steps with N items."""
     row, size = bench.row, bench.size
     bench.feed(row.filled * size)
     limit_gc_pauses()
@@ -373,7 +373,7 @@ def _one(bench: StreamBench) -> Tuple[float, int, int]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Have nothing logged: that the oldest go is what some rows are about."""
+    """Disable logging: some rows evict items on purpose."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -383,7 +383,7 @@ def quiet() -> Iterator[None]:
 
 
 def measure(name: str, least: int, most: int, seconds: float) -> Iterator[Dict[str, Any]]:
-    """Yield what a row takes, for N of ``least``, ten times that, and so on."""
+    """Yield the figures of a row for N = ``least``, ten times that, and so on."""
     row = STREAMS[name]
     size = least
     while size <= min(most, row.most):

@@ -1,4 +1,4 @@
-"""Tables of the figures that events.py measures."""
+"""Tables of the figures of ``bench/events.py``."""
 
 import json
 import math
@@ -12,7 +12,7 @@ Rows = Sequence[Dict[str, Any]]
 
 
 def joined(files: Sequence[Path]) -> Dict[str, Any]:
-    """Return the figures of several files as those of one."""
+    """Return the combined figures of several files."""
     figures: Dict[str, Any] = {"rows": [], "memory": {}}
     for file in files:
         try:
@@ -26,7 +26,7 @@ def joined(files: Sequence[Path]) -> Dict[str, Any]:
 
 
 def plain(rows: Rows) -> Iterator[str]:
-    """Yield the lines of a table: microseconds of each completing event, or of each result where it has many."""
+    """Yield the lines of a table: microseconds per completing event, or per result if an event has many."""
     sizes = sorted({row["waiting"] for row in rows})
     yield f"{'setting':<8} {'operator':<19} {'policy':<15} " + " ".join(f"{size:>9}" for size in sizes)
     for (setting, name, policy), found in _cells(rows).items():
@@ -65,23 +65,23 @@ def _streams(rows: Rows) -> Iterator[str]:
 
 
 def _power(found: Dict[int, Dict[str, Any]]) -> str:
-    """Return the exponent by which a cost grows from a hundred on; nothing where that is not known."""
+    """Return the exponent of a cost's growth from N = 100 on as text; empty if unknown."""
     power = exponent([(size, per_result(row)) for size, row in found.items() if size >= 100])
     return "" if math.isnan(power) else f"{power:.2f}"
 
 
 def keys(row: Dict[str, Any]) -> Tuple[str, str, str]:
-    """Return what a row is a figure of."""
+    """Return the key of a row."""
     return row["setting"], row["operator"], row["policy"]
 
 
 def per_result(row: Dict[str, Any]) -> float:
-    """Return the microseconds of an event, divided by its results where it has many."""
+    """Return the microseconds per event, divided by its results if it has many."""
     return float(row["us"]) / max(1, int(row["results"]))
 
 
 def _cells(rows: Rows) -> Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]]:
-    """Return the rows by what they are figures of, and by how many wait."""
+    """Return the rows by key and by number of partial matches."""
     found: Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]] = {}
     for row in rows:
         found.setdefault(keys(row), {})[row["waiting"]] = row
@@ -89,7 +89,7 @@ def _cells(rows: Rows) -> Dict[Tuple[str, str, str], Dict[int, Dict[str, Any]]]:
 
 
 def _place(rows: Rows, cell: Tuple[str, str, str]) -> Tuple[int, int]:
-    """Return where a cell stands: operators as they were measured first, policies from the newest to all."""
+    """Return the sort key of a cell: operators in order of measurement, policies from the newest to all."""
     names: List[str] = list(dict.fromkeys(row["operator"] for row in rows))
     policies = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
     return names.index(cell[1]), policies.index(cell[2])

@@ -1,24 +1,24 @@
 #!/usr/bin/env python3
-"""What a completing event costs when many partial matches wait: each operator under each policy.
+"""Cost of an event that completes one of many partial matches, for each operator and consumption policy.
 
     bench/events.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--least N] [--most N]
                     [--seconds S] [--half N] [--json FILE] [--plot PREFIX] [--from FILE ...] [--markdown]
 
-The settings say what tells the waiting partners apart:
+The settings determine how the partial matches differ:
 
-    values   a shared variable: the completing event fits one of the N that wait
-    alike    nothing: it fits all of them, and the policy says which it takes
-    times    their intervals only: it fits one of them, somewhere in the middle
-    shuffled the same, but they have not arrived in the order of their times
+    values   a shared variable: the completing event fits one of N partial matches
+    alike    no difference: it fits all of them, and the policy chooses
+    times    their intervals only: it fits one of them, in the middle
+    shuffled as ``times``, but they did not arrive in the order of their times
 
-Setting ``streams`` has rows of its own: windows, shapes, absences for some time, timers, states and how rules
-run, each with N that are held (event_streams.py).
+Setting ``streams`` has its own rows: windows, row patterns, absences, timers, states and execution of rules, each
+with N items (``bench/event_streams.py``).
 
-Operator ``rules`` has N rules of which an event fits one that has fired before or, as ``rules_first``, one that has
-not; with ``expiry`` one of N matches that wait expires at each event. A cell grows from --least to ten times that
-and so on, until --most, or until the next size would take longer than --seconds. The figures are CPU time of
-taking terms in, without reading text. Last, --half N half matches go into rules with and without bounds, and
-what the process holds is measured; 0 leaves that out.
+Operator ``rules`` has N rules; an event fits one that has fired before or, for ``rules_first``, one that has not. For
+``expiry``, one of N partial matches expires at each event. The size of a cell grows from --least by factors of ten to
+--most, or until the next size would take longer than --seconds. The figures are the CPU time of processing terms,
+without parsing. Finally, --half N first halves of matches are fed to rules with and without bounds, and the memory of
+the process is measured; 0 omits that.
 """
 
 import argparse
@@ -53,16 +53,16 @@ class Case(NamedTuple):
     """An operator.
 
     Attributes:
-        rule: its rule, with X for what may tell partners apart and K for what does not.
-        waiting: the interval of those that wait, in seconds.
-        completing: the interval of the completing event.
-        by_times: from a number to the interval of one that waits, and to that of the event that fits only it.
-        functors: of what waits and of what completes.
-        alike: whether any number can wait that all fit.
-        later: whether each completing event has to come after the one before.
-        stays: whether a partner is not used up.
-        takes_all: whether all that fit are taken under every policy.
-        fresh: whether the completing event is one for which nothing waits.
+        rule: its rule; the partners may differ in X, and not in K.
+        waiting: interval of the partial matches in seconds.
+        completing: interval of the completing event.
+        by_times: returns, for a number, the interval of a partial match and that of the event that fits only it.
+        functors: functors of the waiting and of the completing events.
+        alike: whether several waiting events can fit the same event.
+        later: whether each completing event has to be later than the one before.
+        stays: whether a partner is not consumed.
+        takes_all: whether all fitting partners are taken under every policy.
+        fresh: whether nothing waits for the completing event.
     """
 
     rule: str
@@ -106,12 +106,12 @@ MORE = ("rules", "rules_first", "expiry")
 
 
 class Bench:
-    """An engine with one rule, in which matches wait.
+    """An engine with one rule and its partial matches.
 
     Args:
         name: the operator.
         policy: the consumption policy.
-        setting: what tells those that wait apart.
+        setting: difference between the partial matches.
     """
 
     def __init__(self, name: str, policy: str, setting: str):
@@ -130,7 +130,7 @@ class Bench:
         self._completed = 0
 
     def grow(self, size: int) -> None:
-        """Have ``size`` matches wait."""
+        """Add partial matches up to ``size``."""
         numbers = list(range(self._size, size))
         if self.setting == "shuffled":
             self._random.shuffle(numbers)
@@ -139,9 +139,9 @@ class Bench:
         self._size = size
 
     def batch(self, length: int) -> Tuple[float, int]:
-        """Let some events complete; return the seconds of each, and how many results each had.
+        """Process completing events; return the seconds and the number of results of each.
 
-        Partners that were used up wait again afterwards.
+        Consumed partners are added again afterwards.
         """
         length = 1 if self.all_at_once else length
         # Not among the first to have come or the last: that would be too easy to find.
@@ -181,11 +181,11 @@ class Bench:
 
 
 class ManyRules:
-    """An engine with N rules, of which an event fits one; the interface of `Bench`.
+    """An engine with N rules; an event fits one of them. It has the interface of `Bench`.
 
     Args:
         policy: the consumption policy.
-        first: whether each event is the first that its rule gets; else rules are used that have fired before.
+        first: whether each event is the first of its rule; otherwise the rules have fired before.
     """
 
     def __init__(self, policy: str, first: bool):
@@ -207,7 +207,7 @@ class ManyRules:
             self._pairs(self._numbers)
 
     def batch(self, length: int) -> Tuple[float, int]:
-        """Let events come in pairs that make a rule fire; return the seconds of each event, and its results."""
+        """Process pairs of events that make a rule fire; return the seconds and the results of each event."""
         numbers = self._numbers[:length]
         if self._first:
             self._numbers = self._numbers[length:] or self._numbers
@@ -225,13 +225,13 @@ class ManyRules:
 
 
 class Expiring:
-    """An engine in which one of N partial matches expires at each event; the interface of `Bench`."""
+    """An engine in which one of N partial matches expires at each event. It has the interface of `Bench`."""
 
     def __init__(self, policy: str):
         self._policy = policy
 
     def grow(self, size: int) -> None:
-        """Have ``size`` matches wait in an engine of their own."""
+        """Create an engine with ``size`` partial matches."""
         self.clock = StreamClock(10**9 * SECOND)
         self.engine = engine_with(self._policy, self.clock)
         self.engine.load(rules=f"out <- (p(X, K) seq q(X, L)) within {size}.\n")
@@ -239,7 +239,7 @@ class Expiring:
         self._dispatch(size)
 
     def batch(self, length: int) -> Tuple[float, int]:
-        """Let further events wait, at each of which an older one expires."""
+        """Add events, each of which makes an older partial match expire."""
         before = self.engine.rules.waiting
         seconds = self._dispatch(length)
         assert self.engine.rules.waiting <= before + 1
@@ -260,7 +260,7 @@ class Expiring:
 
 
 class Counter:
-    """Counts how often a rule fires."""
+    """Counter of a rule's firings."""
 
     def __init__(self, engine: Engine):
         self.number = 0
@@ -273,7 +273,7 @@ class Counter:
 
 
 def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
-    """Return an engine with a consumption policy; by default its clock stands still, and nothing expires."""
+    """Return an engine with a consumption policy; by default its clock stands still, so that nothing expires."""
     engine = Engine(clock or StreamClock())
     engine.load(goals=f"set_etalis_flag(event_consumption_policy, {policy})")
     engine.rules.cap = 10**8
@@ -281,7 +281,7 @@ def engine_with(policy: str, clock: Optional[StreamClock] = None) -> Engine:
 
 
 def dispatch(engine: Engine, events: Sequence[Event]) -> float:
-    """Have events taken in; return the CPU seconds of each."""
+    """Process events; return the CPU seconds of each."""
     take = engine.event_input.take
 
     def all_of_them() -> float:
@@ -294,7 +294,7 @@ def dispatch(engine: Engine, events: Sequence[Event]) -> float:
 
 
 def bench_for(name: str, policy: str, setting: str) -> Any:
-    """Return what measures a cell."""
+    """Return the engine that measures a cell."""
     if name in ("rules", "rules_first"):
         return ManyRules(policy, name == "rules_first")
     return Expiring(policy) if name == "expiry" else Bench(name, policy, setting)
@@ -303,7 +303,7 @@ def bench_for(name: str, policy: str, setting: str) -> Any:
 def measure(
     name: str, policy: str, setting: str, most: int, seconds: float, least: int = 10
 ) -> Iterator[Dict[str, Any]]:
-    """Yield what a cell of the table takes, for 10, 100, ... that wait."""
+    """Yield the figures of a table cell for 10, 100, ... partial matches."""
     gc.collect()  # what is left of the cell before
     if setting == "streams":
         yield from event_streams.measure(name, least, most, seconds)
@@ -335,7 +335,7 @@ def measure(
 
 
 def cells(options: argparse.Namespace) -> Iterator[Tuple[str, str, str]]:
-    """Yield operator, policy and setting of what is asked for."""
+    """Yield the selected operators, policies and settings."""
     for setting in options.setting or SETTINGS:
         for name in options.operator or [*CASES, *MORE, *event_streams.STREAMS]:
             if setting == "streams" or name in event_streams.STREAMS:
@@ -355,7 +355,7 @@ def cells(options: argparse.Namespace) -> Iterator[Tuple[str, str, str]]:
 
 
 def run(options: argparse.Namespace) -> Dict[str, Any]:
-    """Measure what is asked for."""
+    """Measure the selected cells."""
     rows: List[Dict[str, Any]] = []
     for name, policy, setting in cells(options):
         found = list(measure(name, policy, setting, options.most, options.seconds, options.least))
@@ -367,7 +367,7 @@ def run(options: argparse.Namespace) -> Dict[str, Any]:
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

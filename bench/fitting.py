@@ -1,4 +1,4 @@
-"""Power laws through measured points."""
+"""Fit of power laws."""
 
 import math
 from typing import Sequence, Tuple

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Latency of the nodes: the time from publishing a message to receiving what one rule makes of it.
+"""Latency of the nodes: time from publishing a message to receiving the output of one rule.
 
     bench/latency.py [--rates 100 1000] [--seconds N] [--runs N] [--nodes relay direct embedded two] [--json FILE]
 
-Needs ROS and the built package on the path (``source devel/setup.bash``). Starts a master of its own on a free port.
+Needs ROS and the built package on the path (``source devel/setup.bash``). Starts its own master on a free port.
 This process publishes ``geometry_msgs/PoseStamped`` messages and subscribes to the result, so the configurations
 differ only in what runs between the two topics:
 

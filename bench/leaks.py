@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Memory that is left behind by what comes and goes again: one line for each case.
+"""Memory leaks: growth of the process over many rounds of adding and removing things, one line for each case.
 
     bench/leaks.py [CASE ...] [--rounds N]
 
-Each case is done a tenth as often first, for what caches keep; then the growth of the process and of the objects that
-Python knows is measured over N rounds: ``case NAME rounds N mb_before MB mb_after MB bytes_per_round B``.
+A tenth of the rounds run first, to fill the caches. Then the growth of the process and of the number of Python
+objects is measured over N rounds: ``case NAME rounds N mb_before MB mb_after MB bytes_per_round B``.
 """
 
 import argparse
@@ -29,7 +29,7 @@ CASES: Dict[str, Callable[[], Round]] = {}
 
 
 def case(make: Callable[[], Round]) -> Callable[[], Round]:
-    """Note a case: what sets it up and returns one round of it, which takes the round's number."""
+    """Register a case: a function that sets it up and returns a function of the round's number."""
     CASES[make.__name__] = make
     return make
 
@@ -41,7 +41,7 @@ def engine(rules: str = "", **settings: Any) -> Engine:
 
 
 def goals(*texts: str, rules: str = "") -> Round:
-    """Return a round that calls goals; in their texts # is the round's number."""
+    """Return a round that calls goals; # in their texts is the round's number."""
     one = engine(rules)
 
     def do(number: int) -> None:
@@ -370,7 +370,7 @@ def message_texts() -> Round:
 
 
 def resident() -> int:
-    """Return the bytes of the process that are in memory."""
+    """Return the resident bytes of the process."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096
 

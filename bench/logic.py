@@ -1,9 +1,9 @@
-"""Times the Prolog beside others: classic programs here, in SWI-Prolog, and in the engines of ProbLog and kanren.
+"""Speed of the Prolog on classic programs, beside SWI-Prolog and the engines of ProbLog and kanren.
 
 Usage: bench/logic.py [--python PYTHON]... [--runs N] [--json FILE] [CASE...]
 
-Every figure is taken in a process of its own, engines in turn, with Python's collector set as a running node sets
-it; the table shows medians of the runs. An engine that is not installed, or cannot run a case, leaves its column
+Each figure is measured in its own process, engines alternately, with the garbage collector set as in a node; the
+table shows medians of the runs. An engine that is not installed, or cannot run a case, leaves its column
 empty. ``--one ENGINE CASE`` prints a single figure.
 """
 
@@ -34,10 +34,10 @@ PROGRAMS = HERE / "logic" / "programs.pl"
 OURS = "retalis"
 COLUMNS = "swipl", "problog", "kanren"
 LONGEST = 600
-"""Seconds after which a run is given up."""
+"""Seconds after which a run is aborted."""
 
 INFERENCES = 496
-"""Of one naive reverse of 30 elements."""
+"""Inferences of one naive reverse of 30 elements."""
 
 # Case -> goal and the repetitions that make about half a second here, and in SWI-Prolog.
 CASES = {
@@ -81,7 +81,7 @@ def load() -> PrologSystem:
 
 
 def ours(case: str) -> float:
-    """Return CPU seconds of one repetition here."""
+    """Return CPU seconds of one repetition in this package."""
     logic = load()
     goal, count, _ = CASES[case]
     limit_gc_pauses()
@@ -113,7 +113,7 @@ def one(engine: str, case: str) -> float:
 
 
 def can_run(engine: str, case: str) -> bool:
-    """Tell whether an engine is there and has the case."""
+    """Return whether an engine is installed and has the case."""
     if engine == "swipl":
         return shutil.which("swipl") is not None
     cases = {"problog": others.PROBLOG_CASES, "kanren": others.KANREN_CASES}[engine]
@@ -121,14 +121,14 @@ def can_run(engine: str, case: str) -> bool:
 
 
 def in_process(python: str, engine: str, case: str) -> float:
-    """Return microseconds of one repetition, taken in a process of its own."""
+    """Return microseconds of one repetition, measured in its own process."""
     command = [python, str(Path(__file__).resolve()), "--one", engine, case]
     result = subprocess.run(command, stdout=subprocess.PIPE, check=True, timeout=LONGEST)
     return float(result.stdout) * 1e6
 
 
 def version(python: str) -> str:
-    """Return the name of a column of ours."""
+    """Return the column name of an interpreter."""
     command = [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
     return f"{OURS} {subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True).stdout.strip()}"
 
@@ -150,7 +150,7 @@ def measure(case: str, pythons: Dict[str, str], runs: int) -> Dict[str, Dict[str
 
 
 def table_row(case: str, found: Dict[str, Dict[str, float]], columns: List[str]) -> str:
-    """Return a row: the columns' microseconds, then how ours compares."""
+    """Return a row: microseconds by column, and the ratio to this package."""
     cells = [figure(found.get(name)) for name in columns]
     mine = found[columns[0]]["median"]
     cells.append(f"{mine / found['swipl']['median']:.1f}" if "swipl" in found else "")
@@ -191,7 +191,7 @@ def compare(options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

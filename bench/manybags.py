@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Many bags: what several workers gain, and that killing them changes no byte of the results.
+"""Playback of many bags: speed-up by workers, and equality of the results if workers are killed.
 
     bench/manybags.py [--bags N] [--seconds N] [--kill-every SECONDS] [--cases CASE ...] [--json FILE]
 
 Plays bags of the simulated NAO over its program: by a command for each, then by one for all of them, and prints a
-line for each case. The clusters need the Python package distributed. In the cases called killed a worker at random
-is killed every so often, by SIGKILL. The exit status is 1 where a bag failed, or a result is not that of one by one.
+line for each case. The clusters need the Python package distributed. In the cases called killed, a
+random worker is killed periodically with SIGKILL. The exit status is 1 if a bag failed, or if a result differs from
+that of playing one by one.
 """
 
 import argparse
@@ -37,17 +38,17 @@ CASES = {
     "cluster-2": ("cluster of 2", 2, True, False),
     "cluster-2-killed": ("cluster of 2, killed", 2, True, True),
 }
-"""What each is called, its workers, whether a cluster has them, and whether they are killed."""
+"""Name, number of workers, whether a cluster is used, and whether workers are killed."""
 
 BAG = [sys.executable, "-m", "retalis", "bag"]
 HOW = ["--program", str(HERE.parent / "application_source"), "--json"]
 
 
 class Kills:
-    """Kills one of some processes at random, every so often.
+    """Periodic killing of random processes.
 
     Attributes:
-        number: how many it has killed.
+        number: number of killed processes.
     """
 
     def __init__(self, workers: Callable[[], List[int]], every: float):
@@ -58,7 +59,7 @@ class Kills:
         self.number = 0
 
     def look(self) -> None:
-        """Kill one, if it is time."""
+        """Kill a process if the period has passed."""
         if time.monotonic() < self._next:
             return
         there = self._workers()
@@ -79,7 +80,7 @@ def workers_of(process: int) -> List[int]:
 
 @contextmanager
 def cluster(workers: int) -> Iterator[Any]:
-    """Give a cluster of processes on this machine."""
+    """Provide a cluster of processes on this machine."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -89,7 +90,7 @@ def cluster(workers: int) -> Iterator[Any]:
 
 
 def watched(command: List[str], kills: Optional[Callable[[int], Kills]]) -> Dict[str, Any]:
-    """Run a command while its workers are killed; return what became of it."""
+    """Run a command while its workers are killed; return its result."""
     began = time.monotonic()
     running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     killing = kills(running.pid) if kills is not None else None
@@ -109,7 +110,7 @@ def watched(command: List[str], kills: Optional[Callable[[int], Kills]]) -> Dict
 
 
 def run(case: str, bags: Path, results: Path, every: float) -> Dict[str, Any]:
-    """Play the bags as a case says; return its figures."""
+    """Play the bags as in a case; return its figures."""
     _, workers, run_on_cluster, killed = CASES[case]
     if not workers:
         return one_by_one(bags, results)
@@ -128,7 +129,7 @@ def run(case: str, bags: Path, results: Path, every: float) -> Dict[str, Any]:
 
 
 def one_by_one(bags: Path, results: Path) -> Dict[str, Any]:
-    """Play each bag by a command of its own."""
+    """Play each bag with its own command."""
     began, status = time.monotonic(), 0
     results.mkdir()
     for bag in sorted(bags.glob("*.bag")):
@@ -138,13 +139,13 @@ def one_by_one(bags: Path, results: Path) -> Dict[str, Any]:
 
 
 def processor() -> float:
-    """Return the seconds of processor time that all processes started from here have taken, when they have ended."""
+    """Return the CPU seconds of all ended child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def same(results: Path, expected: Path) -> int:
-    """Return how many results are those expected; -1 where there is something else besides."""
+    """Return the number of results that are as expected; -1 if there are further files."""
     names = sorted(path.name for path in expected.iterdir())
     if set(os.listdir(results)) - set(names):
         return -1
@@ -153,7 +154,7 @@ def same(results: Path, expected: Path) -> int:
 
 
 def main(given: Optional[List[str]] = None) -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

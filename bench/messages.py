@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Time of decoding and encoding messages, against genpy where ROS is installed.
 
-Prints a line for each case: ``case CASE TYPE us_per_message U genpy U ratio R``. ``decode`` goes to all the fields
-that the NAO rules look at; ``look`` also makes the lazy parts; ``encode`` starts from the decoded term.
+Prints a line for each case: ``case CASE TYPE us_per_message U genpy U ratio R``. ``decode`` reads all fields
+that the NAO's rules use; ``look`` also decodes the lazy parts; ``encode`` starts from the decoded term.
 """
 
 import argparse
@@ -28,7 +28,7 @@ BATCH = 2000
 
 
 def best(function: Callable[[Any], Any], argument: Any, repeats: int) -> float:
-    """Return microseconds a call: the least of several batches."""
+    """Return the microseconds per call of the fastest batch."""
     times = []
     for _ in range(repeats):
         start = perf_counter()
@@ -39,7 +39,7 @@ def best(function: Callable[[Any], Any], argument: Any, repeats: int) -> float:
 
 
 def messages(known: Definitions) -> Iterator[Tuple[str, Definition, bytes]]:
-    """Yield name, type and bytes of the messages to be timed."""
+    """Yield name, type and bytes of the messages to measure."""
     types = nao_messages.definitions()
     robot = Robot(1)
     stamp = 1413748205_981209993
@@ -68,7 +68,7 @@ def messages(known: Definitions) -> Iterator[Tuple[str, Definition, bytes]]:
 
 
 def look(term: Any) -> None:
-    """Make all lazy parts of a term."""
+    """Decode all lazy parts of a term."""
     stack = [term]
     while stack:
         term = deref(stack.pop())
@@ -77,7 +77,7 @@ def look(term: Any) -> None:
 
 
 def genpy_functions(definition: Definition) -> Optional[Tuple[Callable[[bytes], Any], Callable[[Any], Any]]]:
-    """Return genpy's ways to decode and encode a type, None where it has none."""
+    """Return genpy's functions to decode and encode a type; None if it has none."""
     package, kind = definition.name.split("/")
     try:
         generated = getattr(importlib.import_module(package + ".msg"), kind)

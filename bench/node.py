@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
-"""What the nodes cost while the NAO's messages flow on a real master: CPU, delay, losses, memory, start.
+"""Cost of the nodes with the NAO's messages on a real master: CPU, delay, losses, memory, start time.
 
     bench/node.py [--seconds N] [--speed 1 5 10 20] [--way idle roscpp direct kept embedded converter] [--runs N]
                   [--memory MESSAGES] [--starts N] [--json FILE] [--plot FILE]
 
-Needs ROS and the built package on the path (``source devel/setup.bash``). Starts a master of its own on a free
-port. The ways run alternately, and the medians of the runs are shown.
+Needs ROS and the built package on the path (``source devel/setup.bash``). Starts its own master on a free port.
+The configurations run alternately, and the medians of the runs are shown.
 
 ``idle`` is a rospy subscriber of the same topics that does nothing, ``roscpp`` one in C++ (left out where it cannot
-be built). CPU is user and system time of the nodes' processes from ``/proc``, until the last message is worked off,
-as percent of a core. ``idle = 1`` is what node retalis takes, compared with the median of ``idle`` at that speed.
-The delay is the time from sending the message that completes a marker's data to the receipt of its pose. Lost are
-the messages that did not arrive at the engine's node: sent, less what its connections have handed on.
+be built). CPU is user and system time of the nodes' processes from ``/proc``, until the last message is processed, as
+percent of a core. ``idle = 1`` is the CPU time of node retalis, compared with the median of ``idle`` at that speed.
+The delay is the time from sending the message that completes a marker's data to the receipt of its pose. Lost are the
+messages that did not arrive at the engine's node: sent messages minus those that its connections have delivered.
 """
 
 import argparse
@@ -41,16 +41,16 @@ WAYS = {
     "embedded": [*LAUNCH, "direct:=auto", "embedded:=true"],
     "converter": [*LAUNCH, "direct:=false", "embedded:=false"],
 }
-"""How messages get in, and the command: ``embedded`` has the interface inside, ``kept`` keeps its state."""
+"""Configurations with their commands: ``embedded`` contains the interface, ``kept`` writes checkpoints."""
 
 PATIENCE = 20.0
 
 
 class Bench:
-    """One player for all runs.
+    """Runs of the benchmark with one player.
 
     Args:
-        player: what is played.
+        player: the player of the bag.
     """
 
     def __init__(self, player: Player):
@@ -86,7 +86,7 @@ class Bench:
             started.end()
 
     def _ready(self, way: str, listening: List[Any]) -> Dict[str, int]:
-        """Return the nodes' process numbers when all is connected."""
+        """Return the nodes' process ids after all topics have been connected."""
         self.player.advertise()
         wait_until(self.player.connected)
         if way in ("idle", "roscpp"):
@@ -124,7 +124,7 @@ class Bench:
         }
 
     def _settle(self, nodes: Dict[str, int], expected: int) -> None:
-        """Wait until nothing more comes: all poses are there, or nothing has happened for a while."""
+        """Wait until all poses have arrived, or nothing has arrived for some time."""
         deadline = time.monotonic() + PATIENCE
         last: Any = None
         while time.monotonic() < deadline:
@@ -155,7 +155,7 @@ def wait_until(condition: Callable[[], Any]) -> None:
     """Wait for a condition.
 
     Raises:
-        TimeoutError: where it does not come true.
+        TimeoutError: if it does not come true.
     """
     deadline = time.monotonic() + PATIENCE
     while not condition():
@@ -165,7 +165,7 @@ def wait_until(condition: Callable[[], Any]) -> None:
 
 
 def running(prefix: str) -> Iterator[Any]:
-    """Yield name and process number of the nodes whose names begin so."""
+    """Yield name and process id of the nodes with a prefix."""
     import rosnode
 
     for name in rosnode.get_node_names():
@@ -174,7 +174,7 @@ def running(prefix: str) -> Iterator[Any]:
 
 
 def slave(name: str) -> Any:
-    """Return the interface of a node that rosnode uses too."""
+    """Return the XML-RPC interface of a node."""
     import xmlrpc.client
 
     import rosgraph
@@ -183,26 +183,23 @@ def slave(name: str) -> Any:
 
 
 def connected(nodes: Dict[str, int], *topics: str) -> bool:
-    """Tell whether the nodes receive these topics from one another."""
+    """Return whether the nodes receive these topics from each other."""
     return set(topics) <= {topic for name in nodes for topic, links in received(name) if links}
 
 
 def heard(name: str) -> List[str]:
-    """Return the topics of a node that somebody hears: it notes a connection after the other side does."""
+    """Return the topics of a node with subscribers: a node records a connection after the other side."""
     return [topic for topic, _, links in slave(name).getBusStats("/bench")[2][0] if links]
 
 
 def received(name: str) -> List[Any]:
-    """Return topic and connections of all that a node has subscribed."""
+    """Return the topics and connections of a node's subscriptions."""
     answer = slave(name).getBusStats("/bench")
     return answer[2][1] if len(answer) > 2 else []  # roscpp does not tell
 
 
 def arrivals(nodes: Dict[str, int]) -> int:
-    """Return how many messages have come in at the engine's node: from topics, and as text of the other node.
-
-    What comes in as topic at the other node comes to the engine's as text.
-    """
+    """Return the number of messages that have arrived at the engine's node, from topics and as text."""
     name = "/retalis" if "/retalis" in nodes else next(iter(nodes))
     count = 0
     for topic, links in received(name):
@@ -212,7 +209,7 @@ def arrivals(nodes: Dict[str, int]) -> int:
 
 
 def summary(rows: List[Dict[str, Any]], options: argparse.Namespace) -> List[Dict[str, Any]]:
-    """Return a row for each way and speed, of the medians of its runs; what was lost adds up."""
+    """Return a row for each configuration and speed: medians of the runs, and the sum of the losses."""
     found = []
     for speed in options.speed:
         for way in options.way:
@@ -254,7 +251,7 @@ def line(row: Dict[str, Any]) -> str:
 
 
 def memory_curve(messages: int, folder: Path) -> List[List[float]]:
-    """Return the resident memory of the node, in MB, while this many messages flow as fast as they may."""
+    """Return the resident memory of the node in MB while messages are sent at full speed."""
     bench = Bench(Player(folder / "long.bag", messages / 1881))
     curve: List[List[float]] = []
 
@@ -267,7 +264,7 @@ def memory_curve(messages: int, folder: Path) -> List[List[float]]:
 
 
 def starts(number: int) -> Dict[str, float]:
-    """Return the seconds (of time, and of CPU) until rospy is imported, and until the node is ready."""
+    """Return the seconds of wall and CPU time until rospy is imported, and until the node is ready."""
     figures: Dict[str, List[float]] = {}
     for _ in range(number):
         began, before = time.monotonic(), sum(os.times()[2:4])
@@ -283,7 +280,7 @@ def starts(number: int) -> Dict[str, float]:
 
 
 def one_start() -> Any:
-    """Start node retalis; return the seconds until its services are there, and its CPU seconds by then."""
+    """Start node retalis; return the wall and CPU seconds until its services are offered."""
     import rosgraph
     import rospkg
 
@@ -305,7 +302,7 @@ def one_start() -> Any:
 
 
 def measure(options: argparse.Namespace, folder: Path) -> Dict[str, Any]:
-    """Run everything that the command line asks for."""
+    """Run the measurements that the command line selects."""
     program = build_roscpp(folder) if "roscpp" in options.way else None
     if program is None:
         options.way = [way for way in options.way if way != "roscpp"]
@@ -337,7 +334,7 @@ def report(result: Dict[str, Any]) -> None:
 
 
 def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
-    """Return what the command line asks for."""
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -353,7 +350,7 @@ def arguments(given: Optional[List[str]] = None) -> argparse.Namespace:
 
 
 def main() -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     options = arguments()
     with own_master("bench"), tempfile.TemporaryDirectory() as folder:
         result = measure(options, Path(folder))

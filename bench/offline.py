@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""A bag run without ROS: the NAO's program over a bag, by CPU time after the start.
+"""Playback of a bag without ROS: CPU time of the NAO's program after the start.
 
     bench/offline.py [--seconds N] [--runs N] [--python PATH ...] [--json FILE] [--plot FILE]
 
-Prints a line for each interpreter: seconds until the program is loaded, seconds of the run, microseconds a message.
+Prints a line for each interpreter: seconds until the program is loaded, seconds of the playback, microseconds per
+message.
 """
 
 import argparse
@@ -66,7 +67,7 @@ def measure(options: argparse.Namespace) -> Dict[str, Any]:
 
 
 def line(python: str, row: Dict[str, float]) -> str:
-    """Return a row of the table."""
+    """Return a table row as text."""
     return (
         f"python {python}  start {row['start']:.2f} s  run {row['run']:.2f} s  {row['messages']:.0f} messages  "
         f"{1e6 * row['run'] / row['messages']:.2f} us each  outputs {row['outputs']:.0f}"
@@ -74,7 +75,7 @@ def line(python: str, row: Dict[str, float]) -> str:
 
 
 def main(given: Optional[List[str]] = None) -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,7 +1,7 @@
-"""Runs the benchmark programs in the Python engines of others: ProbLog's and kanren's.
+"""Benchmark programs in other Python engines: ProbLog's and kanren's.
 
-Each case does what `bench/logic.py` does under the same name, as far as the engine can. ProbLog's knows no cut
-and keeps a table of every call, so it has programs of its own (``logic/problog.pl``), and no ``tak`` beside the
+Each case does the same as that of ``bench/logic.py`` with the same name, as far as possible. ProbLog has no cut and
+tables every call, so it has its own programs (``logic/problog.pl``), and no ``tak`` beside the
 tabled one; kanren has no arithmetic.
 """
 
@@ -30,7 +30,7 @@ PROBLOG_CASES = [
 KANREN_CASES = ["nrev", "join"]
 EDGES = [(n % 1000, n * 7 % 1009) for n in range(10_000, 0, -1)]
 TURNS = {"count": 1000}
-"""Repetitions that one run of a case makes, where that is not one."""
+"""Repetitions per run of a case, if not one."""
 
 
 def seconds(engine: str, case: str, at_least: float = 1.0) -> float:
@@ -47,7 +47,7 @@ def seconds(engine: str, case: str, at_least: float = 1.0) -> float:
 
 
 def problog(case: str) -> Callable[[], Any]:
-    """Return what runs a case once in ProbLog's engine."""
+    """Return a function that runs a case once in ProbLog's engine."""
     from problog.engine import DefaultEngine
     from problog.logic import Term
     from problog.program import PrologString
@@ -60,7 +60,7 @@ def problog(case: str) -> Callable[[], Any]:
 
 
 def kanren(case: str) -> Callable[[], Any]:
-    """Return what runs a case once in kanren's engine."""
+    """Return a function that runs a case once in kanren's engine."""
     from kanren import Relation, conde, eq, facts, run, var
     from kanren.goals import conso
 

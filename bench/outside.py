@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""Four pieces of work as others do them: the engine, a loop written by hand, bytewax, and ROS's message_filters.
+"""Four workloads in four systems: the engine, a handwritten loop, bytewax, and ROS message_filters.
 
     bench/outside.py [--work NAME ...] [--events N] [--runs N] [--bytewax PYTHON] [--ros PYTHON] [--json FILE]
                      [--markdown]
 
-    keyed    of each key, b less than a minute after a; ten thousand wait
-    absence  the same without a c between
-    sliding  of each of a hundred keys, count and mean of the last ten seconds, at each reading
+    keyed    for each key, b less than a minute after a; ten thousand keys wait
+    absence  the same without a c in between
+    sliding  for each of a hundred keys, count and mean of the last ten seconds, at each reading
     pairs    l and r less than 50 ms apart, each used once
 
-All get the same streams, made before the clock starts, and each run is a process of its own, in turn with those of
-the others. The figures are CPU time, medians of the runs. What a side gives is counted; it has to be as many as the
-loop gives, but for message_filters, which pairs by its own idea of what is nearest. A side whose Python has no such
-package is left out, which is said.
+All systems get the same streams, which are created before the measurement. Each run is its own process; the systems
+alternate. The figures are medians of CPU time. The number of results has to be that of the loop, except for
+message_filters, which has its own definition of the nearest pair. A system that is not installed is omitted with a
+message.
 """
 
 import argparse
@@ -34,16 +34,16 @@ from outside_streams import STREAMS  # noqa: E402
 from retalis import limit_gc_pauses  # noqa: E402
 
 MISSING = 3
-"""The exit status of a run whose side cannot do the work here."""
+"""Exit status of a run whose system is not available."""
 
 OWN_IDEA = ("message_filters",)
-"""Sides that may give another number of results."""
+"""Systems that may have another number of results."""
 
 Figures = Dict[str, Dict[str, Any]]
 
 
 def measure(side: str, work: str, events: int) -> Dict[str, Any]:
-    """Run one side in this process: microseconds an event, and how many results there were."""
+    """Run one system in this process; return microseconds per event and the number of results."""
     count = [0]
 
     def emit(*_: Any) -> None:
@@ -57,7 +57,7 @@ def measure(side: str, work: str, events: int) -> Dict[str, Any]:
 
 
 def compare(work: str, pythons: Dict[str, str], events: int, runs: int) -> Figures:
-    """Run all sides of a workload in turn; return their medians, and why a side is left out."""
+    """Run all systems on a workload alternately; return their medians, and the reasons for omitted ones."""
     found: Dict[str, List[Dict[str, Any]]] = {side: [] for side in pythons}
     missing: Figures = {}
     for _ in range(runs):
@@ -115,14 +115,14 @@ def rows(found: Dict[str, Figures], markdown: bool) -> List[str]:
 
 
 def cell(figures: Dict[str, Any], loop: float) -> str:
-    """Return microseconds and how many times those of the loop they are."""
+    """Return microseconds and their ratio to those of the loop."""
     if "us" not in figures:
         return "–"
     return f"{figures['us']:.2f} ({figures['us'] / loop:.1f})"
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

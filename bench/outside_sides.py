@@ -1,7 +1,7 @@
-"""The sides of ``bench/outside.py``: what does each workload.
+"""Implementations of the workloads of ``bench/outside.py`` in each system.
 
-A side makes events ready and gives the function that runs them; that calls ``emit`` for each result, with its values.
-Whatever a side needs, it imports itself: not all of it is everywhere.
+An implementation prepares events and returns the function that processes them, which calls ``emit`` with the values
+of each result. It imports its packages itself, because not all of them are installed.
 """
 
 from collections import OrderedDict, deque
@@ -22,7 +22,7 @@ RULES = {
 
 
 def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
-    """The engine, with one rule. It gets terms, and its clock stands at the last of them: none is of the future."""
+    """Return the engine's function, with one rule. Its clock stands at the last event: none is in the future."""
     from retalis import Engine, StreamClock, Var, functor
     from retalis.events.dispatch.listeners import ListenerPhase
 
@@ -53,7 +53,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
 
 def loop(work: str, events: List[StreamEvent], emit: Emit) -> Run:
-    """What somebody writes by hand for just that work."""
+    """Return the function of a handwritten loop."""
     take = {"keyed": _sequence, "absence": _sequence, "sliding": _window, "pairs": _pairs}[work](emit)
 
     def all_of_them() -> None:
@@ -64,7 +64,7 @@ def loop(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
 
 def _sequence(emit: Emit) -> Callable[[StreamEvent], None]:
-    """Return what takes a, b and c: a key's b less than a minute after its a, and no c between."""
+    """Return a handler of a, b and c: a key's b less than a minute after its a, without c in between."""
     begun: OrderedDict[int, int] = OrderedDict()  # by time, as each key has one a
 
     def take(event: StreamEvent) -> None:
@@ -80,7 +80,7 @@ def _sequence(emit: Emit) -> Callable[[StreamEvent], None]:
 
 
 def _window(emit: Emit) -> Callable[[StreamEvent], None]:
-    """Return what takes readings: how many of a key there were in ten seconds, and their mean."""
+    """Return a handler of readings: count and mean of a key in the last ten seconds."""
     windows: Dict[int, Tuple[Deque[Tuple[int, float]], List[float]]] = {}
 
     def take(event: StreamEvent) -> None:
@@ -98,7 +98,7 @@ def _window(emit: Emit) -> Callable[[StreamEvent], None]:
 
 
 def _pairs(emit: Emit) -> Callable[[StreamEvent], None]:
-    """Return what takes l and r: the newest of the other kind that is less than 50 ms old, each once."""
+    """Return a handler of l and r: pairs with the newest other one that is less than 50 ms old, each used once."""
     waiting: Dict[str, Deque[Tuple[int, int]]] = {"l": deque(), "r": deque()}
 
     def take(event: StreamEvent) -> None:
@@ -117,7 +117,7 @@ def _pairs(emit: Emit) -> Callable[[StreamEvent], None]:
 
 
 def bytewax(work: str, events: List[StreamEvent], emit: Emit) -> Run:
-    """A dataflow that keeps a state for each key. It has no operator for pairs without keys."""
+    """Return the function of a bytewax dataflow with a state per key. It has no operator for pairs without keys."""
     import bytewax.operators as op
     from bytewax.dataflow import Dataflow
     from bytewax.testing import TestingSource, run_main
@@ -170,7 +170,7 @@ def _nowhere() -> Any:
 
 
 def filters(work: str, events: List[StreamEvent], emit: Emit) -> Run:
-    """ROS's own: the synchronizer of messages with headers, for pairs. It pairs what is nearest in time."""
+    """Return the function of ROS's approximate time synchronizer, for pairs."""
     if work != "pairs":
         raise ImportError(f"message_filters has nothing for {work}")
     import rospy

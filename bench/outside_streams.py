@@ -1,7 +1,7 @@
-"""The streams of ``bench/outside.py``: lists of plain tuples, the same for all sides and in each run.
+"""The streams of ``bench/outside.py``: lists of plain tuples, the same for all systems and in each run.
 
-Times are integer nanoseconds. Each function takes how many events there shall be; they look like those that a robot's
-program gets: orders that are met after a while, readings of many motors, two sensors side by side.
+Times are integer nanoseconds. Each function takes the number of events, which resemble those of a robot's program:
+orders that are fulfilled later, readings of many motors, two sensors at the same time.
 """
 
 import random
@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, List, Tuple
 SECOND = 10**9
 BEGIN = 1_500_000_000 * SECOND
 WAITING = 10_000
-"""How many sequences are open at a time, once the stream has lasted for a while."""
+"""Number of sequences that are open at the same time."""
 
 StreamEvent = Tuple[Any, ...]
 
@@ -19,10 +19,10 @@ StreamEvent = Tuple[Any, ...]
 def sequences(events: int, undone: bool = False) -> List[StreamEvent]:
     """Return ``a``, ``b`` and ``c`` with their keys: ("a", key, time).
 
-    Most ``a`` have their ``b`` after half a minute; some after a minute and a half, too late, and some never.
+    Most ``a`` have their ``b`` after half a minute, some too late after a minute and a half, and some have none.
 
     Args:
-        events: how many.
+        events: number of events.
         undone: whether a quarter of the keys get a ``c`` after a quarter of a minute.
     """
     chance = random.Random(11)
@@ -77,4 +77,4 @@ STREAMS: Dict[str, Callable[[int], List[StreamEvent]]] = {
     "sliding": readings,
     "pairs": sides,
 }
-"""The stream of each workload."""
+"""Stream of each workload."""

@@ -6,8 +6,8 @@
 
 ``--against`` is the folder of the reference's ``bench.pl`` (``RETALIS_REF`` names its checkout), ``--python`` further
 interpreters for the engine and for bags, ``--ros`` the ``setup.bash`` of a workspace in which the package is built:
-without it the nodes are left out. The figures are kept in a folder (``--figures``); with ``--only none`` the page is
-written anew from those that are there.
+without it the nodes are omitted. The figures are stored in a folder (``--figures``); with ``--only none`` the page is
+written again from the stored ones.
 """
 
 import argparse
@@ -45,7 +45,7 @@ def commands(options: argparse.Namespace) -> Dict[str, List[str]]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run what is asked for; each benchmark leaves its figures, and draws them."""
+    """Run the selected benchmarks, which store and draw their figures."""
     options.figures.mkdir(parents=True, exist_ok=True)
     for name, command in commands(options).items():
         if name in options.only:
@@ -71,7 +71,7 @@ def table(head: List[str], rows: List[List[str]]) -> Iterator[str]:
 
 
 def number(value: Optional[float], digits: int = 2) -> str:
-    """Return a figure as text; blank where there is none."""
+    """Return a figure as text; blank if there is none."""
     return "" if value is None else f"{value:.{digits}f}"
 
 
@@ -160,7 +160,7 @@ def node(result: Dict[str, Any]) -> Iterator[str]:
 
 
 def runs(number: int) -> str:
-    """Return what the figures are of."""
+    """Return the description of the runs."""
     return "of one run each" if number == 1 else f"medians of {number} alternating runs"
 
 
@@ -179,7 +179,7 @@ SECTIONS: Dict[str, Callable[[Dict[str, Any]], Iterator[str]]] = {
 
 
 def write_page(figures: Path, page: Path) -> None:
-    """Put the tables between the marks of their sections."""
+    """Write the tables between the markers of their sections."""
     text = page.read_text(encoding="utf-8")
     for name, section in SECTIONS.items():
         file = figures / f"{name}.json"
@@ -192,7 +192,7 @@ def write_page(figures: Path, page: Path) -> None:
 
 
 def main() -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

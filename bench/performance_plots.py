@@ -1,4 +1,4 @@
-"""Draws the figures of the benchmarks that ``docs/explanation/performance.md`` shows."""
+"""Plots of the benchmarks in ``docs/explanation/performance.md``."""
 
 from typing import Any, Dict, List, Tuple
 
@@ -26,7 +26,7 @@ COLUMNS = {
 
 
 def draw_engine(result: Dict[str, Any], path: str) -> None:
-    """Draw the microseconds of an event in each case, a dot for each column of the table."""
+    """Draw the microseconds per event in each case, with a dot for each table column."""
     cases = result["cases"]
     columns = list(dict.fromkeys(column for row in cases.values() for column in row))
     figure, axis = pyplot.subplots(figsize=(8, 0.28 * len(cases) + 1.4))
@@ -50,14 +50,14 @@ def draw_engine(result: Dict[str, Any], path: str) -> None:
 
 
 def _plain(axis: Any) -> None:
-    """Have a logarithmic axis say 0.5, 1, 2, 5, 10."""
+    """Label a logarithmic axis with 0.5, 1, 2, 5, 10."""
     axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter(lambda value, at: f"{value:g}")
     axis.set_minor_locator(ticker.NullLocator())
 
 
 def draw_node(result: Dict[str, Any], path: str) -> None:
-    """Draw CPU and delay of each way at each speed, and memory over messages where it was measured."""
+    """Draw CPU and delay of each configuration at each speed, and memory over messages if it was measured."""
     rows, held = result["rows"], result.get("memory", [])
     ways = list(dict.fromkeys(row["way"] for row in rows))
     panels = 3 if held else 2

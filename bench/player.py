@@ -1,7 +1,7 @@
-"""Plays a bag of the NAO to nodes, at any speed, straight into the connections of rospy's publishers.
+"""Playback of a NAO bag to nodes at any speed, directly into the connections of rospy's publishers.
 
-``Publisher.publish`` alone costs more than the nodes may take at the higher speeds. What is due is written
-to a topic's connections at once, framed as rospy frames it.
+``Publisher.publish`` alone would cost more than the nodes at the higher speeds. Due messages are written to the
+connections directly, framed as rospy frames them.
 """
 
 import struct
@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List
 
 TICK = 0.0005
-"""Seconds that the player sleeps at least, so that it leaves the processor to the nodes."""
+"""Minimum sleep of the player in seconds, so that the nodes get the processor."""
 
 
 class Player:
-    """The messages of a bag, their publishers, and when each was sent.
+    """The messages of a bag, with their publishers.
 
     Args:
-        path: the bag; it is made where it is missing.
-        seconds: how long it is to be then.
+        path: the bag; it is created if it does not exist.
+        seconds: duration of a created bag.
     """
 
     def __init__(self, path: Path, seconds: float):
@@ -38,7 +38,7 @@ class Player:
         self.sent: List[float] = []
 
     def advertise(self) -> None:
-        """Make the publishers of all topics."""
+        """Create the publishers of all topics."""
         from harness import DEFINITIONS, RawPublisher
 
         for topic in self.topics:
@@ -46,19 +46,19 @@ class Player:
             self._publishers[topic.name] = RawPublisher(topic.name, definition)
 
     def connected(self) -> bool:
-        """Tell whether every topic has a subscriber."""
+        """Return whether every topic has a subscriber."""
         return all(one.connected() for one in self._publishers.values())
 
     def close(self) -> None:
-        """Take the publishers away."""
+        """Unregister the publishers."""
         for one in self._publishers.values():
             one.publisher.unregister()
         self._publishers.clear()
 
     def play(self, speed: float, progress: Callable[[int], Any] = lambda done: None) -> float:
-        """Play all messages once; return the seconds that it took.
+        """Play all messages once; return the duration in seconds.
 
-        ``sent`` has the time of each message then. Where subscribers are too slow, this waits for them.
+        Stores the time of each message in ``sent``. It waits for slow subscribers.
         """
         links = {topic: self._sockets(topic) for topic in self._publishers}
         self.sent = sent = [0.0] * len(self._times)
@@ -109,7 +109,7 @@ class Player:
         }
 
     def _stamped(self) -> Any:
-        """Yield topic, frame, child frame and stamp of each message; blanks for those that have none."""
+        """Yield topic, frame, child frame and stamp of each message; empty values if it has none."""
         from retalis import Definitions, deref, list_items
 
         definitions = Definitions()

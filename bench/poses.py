@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""What a chain of transforms costs: a pose asked for, and a transform stored; tf2's buffer beside, where it is.
+"""Cost of a chain of transforms: look-up of a pose and storage of a transform, beside tf2's if it is installed.
 
     bench/poses.py [--samples N]
 
-Five transforms of 2,500 samples each at 50 Hz, and 10,000 questions at random instants, in order of time, for where
-something is in the world that the last frame sees. All ways get the same and take turns, a part of the work each; a
+Five transforms with 2,500 samples each at 50 Hz, and 10,000 look-ups at random instants, in order of time, of the
+pose in the world of something that the last frame sees. All implementations get the same work in alternating parts; a
 figure is the median of the parts, in microseconds of CPU time.
 
     clauses        ``transform_marker/3`` of the NAO's program: look-ups, interpolations, their product
-    pose_chain     the predicate that does all of it
+    pose_chain     the predicate for the whole chain
     tf2            ``lookup_transform_core`` and the product with the last pose, by tf2_py
-    message        a transform stored that comes as a message, split by the NAO's rules
-    event          one that comes as an event ``tf(Parent, Child, V, Q)``
-    set_transform  one that comes as a message to tf2's buffer
+    message        storage of a transform from a message, split by the NAO's rules
+    event          storage of a transform from an event ``tf(Parent, Child, V, Q)``
+    set_transform  storage of a transform from a message in tf2's buffer
 """
 
 import argparse
@@ -55,7 +55,7 @@ class Sample(NamedTuple):
 
 
 def samples(number: int) -> List[Sample]:
-    """Return what the joints do, in order of time."""
+    """Return the samples of all joints, in order of time."""
     found = []
     for joint, (parent, child, _, _) in enumerate(work.CHAIN):
         for k in range(number):
@@ -75,7 +75,7 @@ def samples(number: int) -> List[Sample]:
 
 
 def questions(number: int) -> List[int]:
-    """Return the instants to ask for, at which all joints are known."""
+    """Return the instants of the look-ups, at which all joints are known."""
     rnd = random.Random(1)
     first, last = work.BASE * 10**9 + 24_000_000, work.BASE * 10**9 + 20_000_000 * (number - 2)
     return sorted(rnd.randrange(first, last) for _ in range(QUESTIONS))
@@ -96,7 +96,7 @@ def engine() -> Engine:
 
 
 def event(sample: Sample) -> Any:
-    """Return a transform as the event that the NAO's rules make of it."""
+    """Return the event that the NAO's rules emit for a transform."""
     pose = make_list(sample.position), make_list(sample.rotation)
     return work.make_term("tf", work.quoted(sample.parent), work.quoted(sample.child), *pose)
 
@@ -112,11 +112,11 @@ def message(sample: Sample) -> Any:
 
 
 Way = Tuple[str, Callable[[Any], object], List[Any]]
-"""A name, what does a part of the work, and the parts."""
+"""Name, function for a part of the work, and the parts."""
 
 
 def ours(found: List[Sample], asked: List[int]) -> Iterator[Way]:
-    """Yield what the engine does."""
+    """Yield the engine's implementations."""
     full, by_event, by_message = engine(), engine(), engine()
     for sample in found:
         full.post(event(sample), sample.instant)
@@ -132,7 +132,7 @@ def ours(found: List[Sample], asked: List[int]) -> Iterator[Way]:
 
 
 def theirs(found: List[Sample], asked: List[int]) -> Iterator[Way]:
-    """Yield what tf2 does; nothing where it is not installed."""
+    """Yield tf2's implementations; none if it is not installed."""
     try:
         import tf2_py
         from genpy import Duration, Time
@@ -170,7 +170,7 @@ def theirs(found: List[Sample], asked: List[int]) -> Iterator[Way]:
 
 
 def product(left: Any, right: Any) -> Any:
-    """Return the product of two poses, the rotation of the left one having length 1."""
+    """Return the product of two poses; the left one's rotation has length 1."""
     (x, y, z), (i, j, k, w) = left
     (px, py, pz), (a, b, c, d) = right
     u, v, s = 2 * (j * pz - k * py), 2 * (k * px - i * pz), 2 * (i * py - j * px)
@@ -180,7 +180,7 @@ def product(left: Any, right: Any) -> Any:
 
 
 def main() -> int:
-    """Run what the command line asks for."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""Processes for the benchmarks of the nodes: started together, measured from ``/proc``, ended together."""
+"""Processes for the benchmarks of nodes: start, measurement from ``/proc``, and end."""
 
 import os
 import shutil
@@ -37,7 +37,7 @@ int main(int argc, char** argv) {
 
 
 class Started:
-    """Processes that are ended together."""
+    """Group of processes that are ended together."""
 
     def __init__(self) -> None:
         self.processes: List[subprocess.Popen] = []
@@ -63,7 +63,7 @@ class Started:
 
 
 def free_port() -> int:
-    """Return a port that nobody uses."""
+    """Return an unused port."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
@@ -101,7 +101,7 @@ def own_master(node: str) -> Iterator[None]:
 
 
 def cpu(pid: int) -> float:
-    """Return the CPU seconds that a process has used."""
+    """Return the used CPU seconds of a process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -112,7 +112,7 @@ def resident(pid: int) -> float:
 
 
 def machine() -> Dict[str, str]:
-    """Return what the figures depend on: the CPU, its cores, the version of Python."""
+    """Return the CPU, its number of cores, and the version of Python."""
     names = [
         line.partition(":")[2].strip()
         for line in Path("/proc/cpuinfo").read_text().splitlines()
@@ -123,7 +123,7 @@ def machine() -> Dict[str, str]:
 
 
 def build_roscpp(folder: Path) -> Optional[str]:
-    """Build the roscpp subscriber that does nothing; return its path, None where that cannot be done."""
+    """Build a roscpp subscriber that does nothing; return its path, or None if it cannot be built."""
     if not (shutil.which("g++") and shutil.which("pkg-config")):
         return None
     libraries = ["pkg-config", "--cflags", "--libs", "roscpp", "topic_tools"]

@@ -1,4 +1,4 @@
-"""The NAO's work under other names: other message types, functors and orders of slots, and nothing else."""
+"""The NAO's program and messages with other message types, functors and slot orders."""
 
 from typing import Dict, List, Tuple
 
@@ -24,7 +24,7 @@ NAMES: Dict[Tuple[str, int], Tuple[str, Tuple[int, ...]]] = {
     ("tf", 2): ("offset", (2, 1)),
     ("ar_marker", 5): ("sighting", (5, 3, 2, 1, 4)),
 }
-"""Functor -> the new name, and which old argument stands at each new place."""
+"""New name by functor, and the old position of each new argument."""
 
 
 def renamed(term: Term) -> Term:
@@ -36,7 +36,7 @@ def renamed(term: Term) -> Term:
 
 
 def make_renamed(name: str, *arguments: Term) -> Term:
-    """Return a compound term whose name and order of arguments are the other ones."""
+    """Return a compound term with the other name and argument order."""
     found = NAMES.get((name, len(arguments)))
     if found is None:
         return functor(name, len(arguments))(*arguments)

@@ -1,10 +1,10 @@
-"""Times goals in SWI-Prolog that a program here calls, and reachability over 2,000 edges beside SWI-Prolog alone.
+"""Cost of goals in SWI-Prolog that a program calls, and reachability over 2,000 edges beside SWI-Prolog alone.
 
 Usage: bench/swi.py [--runs N] [--limits] [--beside]
 
-The figures are CPU time of the thread, of the fastest run: what others do on the machine makes runs slower. What an
-empty loop takes is taken off. ``--limits`` gives the engine those that nodes have by default; ``--beside`` times what
-a process beside this one takes for a goal of the same size, from its pipe and back, in wall time.
+The figures are the thread's CPU time of the fastest run, because other load only makes runs slower; that of an empty
+loop is subtracted. ``--limits`` gives the engine the default limits of nodes; ``--beside`` measures the wall time of
+another process for a goal of the same size, through a pipe and back.
 """
 
 import argparse
@@ -72,7 +72,7 @@ def fastest(work: Callable[[], object], runs: int, clock: Callable[[], float] = 
 
 
 def goals(engine: Engine, runs: int) -> None:
-    """Print what a call and a further solution cost."""
+    """Print the cost of a call and of a further solution."""
 
     def took(goal: str) -> float:
         return fastest(lambda: engine.query(goal), runs)
@@ -85,7 +85,7 @@ def goals(engine: Engine, runs: int) -> None:
 
 
 def reachability(engine: Engine, folder: Path, runs: int) -> None:
-    """Print what an event takes that asks what can be reached over the edges, and what SWI-Prolog alone takes."""
+    """Print the cost of an event that computes reachability, and the cost in SWI-Prolog alone."""
     goal = (
         "forall(between(1, 20, _), (statistics(cputime, A), reachable(0, L), statistics(cputime, B), "
         "length(L, N), C is (B - A) * 1000, format('~w ~w~n', [C, N])))"
@@ -104,7 +104,7 @@ def reachability(engine: Engine, folder: Path, runs: int) -> None:
 
 
 def beside(folder: Path, runs: int) -> None:
-    """Print what a goal takes in a process beside this one, without making terms of its bytes here."""
+    """Print the cost of a goal in another process, without parsing its answer."""
     (folder / "beside.pl").write_text(BESIDE + KB.split("\n", 1)[1])
     write = "set_stream(user_output, encoding(octet)), fast_write(user_output, inc(3, _)), flush_output"
     said = subprocess.run(["swipl", "-q", "-g", write, "-t", "halt"], stdout=subprocess.PIPE, check=True)
@@ -125,7 +125,7 @@ def beside(folder: Path, runs: int) -> None:
 
 
 def main() -> None:
-    """Do what the command line says."""
+    """Run the benchmark that the command line selects."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""The work of the original's experiments: the NAO's streams and programs, with names that can be changed."""
+"""Workload of the original's experiments: the NAO's streams and programs, with exchangeable names."""
 
 import math
 from pathlib import Path
@@ -11,7 +11,7 @@ from retalis.prolog.syntax.term_reader import read_term
 
 APPLICATION = Path(__file__).resolve().parent.parent / "application_source"
 BASE = 1_413_748_205
-"""When the streams begin, in seconds since the epoch."""
+"""Start of the streams in seconds since the epoch."""
 
 CHAIN = (
     ("/odom", "/base_link", "odom_base", 10),
@@ -23,7 +23,7 @@ CHAIN = (
 
 
 class Item(NamedTuple):
-    """One event of a stream: the term, and its instant (None: stamped on receipt)."""
+    """One event of a stream: the term and its instant; None if it is stamped on receipt."""
 
     term: Term
     instant: "int | None"
@@ -44,7 +44,7 @@ class Messages:
     """The NAO's messages as terms.
 
     Args:
-        make: makes a compound term of a name and arguments.
+        make: returns a compound term for a name and arguments.
     """
 
     def __init__(self, make: Callable[..., Term] = make_term):
@@ -87,9 +87,9 @@ class Messages:
 
 
 def nao_stream(seconds: int, other_names: bool = False) -> List[Item]:
-    """Return the NAO's messages in the order of time: 1,880 transforms and 7 markers a second.
+    """Return the NAO's messages in order of time: 1,880 transforms and 7 markers per second.
 
-    Those with other names are made with them, not renamed: how terms lie in memory tells in the time they take.
+    Terms with other names are created with them, not renamed: their memory layout affects the measurement.
     """
     pairs = [(parent, child, rate) for parent, child, _, rate in CHAIN]
     pairs += [(f"link{i}", f"link{i}_child", 50) for i in range(1, 36)]
@@ -135,7 +135,7 @@ def nao_engine(other_names: bool = False) -> Engine:
 
 
 def extra_memories(number: int, pattern: str, record: str, size: int) -> str:
-    """Return the goals that make further memories."""
+    """Return the goals that create further memories."""
     return "\n".join(f"memorize({pattern}, [], {record}, extra{i}, {size})" for i in range(number))
 
 
