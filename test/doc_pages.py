@@ -34,7 +34,7 @@ def run_commands(text, folder):
             done = subprocess.run(
                 [*WORDS[first], *arguments],
                 cwd=str(folder),
-                env={"PYTHONPATH": SEARCH_PATH, "PATH": "/usr/bin:/bin"},
+                env={"PYTHONPATH": SEARCH_PATH, "PATH": "/usr/bin:/bin", "PYTHONUNBUFFERED": "1"},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,

@@ -1,0 +1,36 @@
+"""The tutorial about a live robot: its commands print what the page shows."""
+
+import re
+from pathlib import Path
+
+TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
+FILE = re.compile(r"^<!-- (corner/\S+) -->\n```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+COMMAND = re.compile(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
+VARYING = ((re.compile(r"datime\([\d,]*\)"), "datime(...)"), (re.compile(r"/\S*/corner/"), ".../corner/"))
+"""What differs from one reader to the next, and what the page shows instead."""
+
+
+def test_commands_print_what_the_page_shows(devel, tmp_path):
+    (tmp_path / "corner").mkdir()
+    # A later version of a file replaces an earlier one, as for a reader.
+    for name, text in FILE.findall((TUTORIALS / "robot-program.md").read_text(encoding="utf-8")):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    rules = tmp_path / "corner" / "eventRules.txt"
+    rules.write_text(rules.read_text(encoding="utf-8").replace("within 10", "within 60"), encoding="utf-8")
+    devel.start_master()
+    launch = ("roslaunch", "-p", str(devel.port), "retalis", "retalis.launch", "use_sim_time:=false")
+    devel.start(*launch, f"program:={tmp_path / 'corner'}", "explain:=true")
+    devel.expect_printed("corner: 4 event rules, 1 memory, 1 subscription")
+    devel.expect(lambda nodes, services: "/add_input_subscription" in services)
+    devel.start("rostopic", "echo", "/turn")
+    for kind, text in FENCE.findall((TUTORIALS / "live-robot.md").read_text(encoding="utf-8")):
+        if kind == "prolog":
+            with rules.open("a", encoding="utf-8") as file:
+                file.write(text)
+        for command, wanted in COMMAND.findall(text) if kind == "console" else ():
+            printed = devel.run("bash", "-c", f'source "$0"; {command}', str(devel.script))
+            for pattern, shown in VARYING:
+                printed = pattern.sub(shown, printed)
+            assert printed == wanted, command
+    devel.expect_printed("data: 0.0")
