@@ -112,13 +112,13 @@ def test_a_text_is_taken_once_whichever_connection_it_comes_on():
 def test_a_text_that_waits_for_its_run_is_compared_when_it_is_taken():
     taken = []
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
-    epochs.clock_at(9_000_000_000)
+    epochs.update_clock(9_000_000_000)
     inputs = LatchedInputs(lambda: epochs.epoch)
     receive = text_handler_factory(taken.append, epochs, inputs)(None)
     mark = LatchedConnection(*MAP).message(b"a").mark()
     for text in (epoch_mark(0), mark, "event(a)", epoch_mark(1), mark, "event(a)", mark, "event(a)"):
         receive(frame(text))
     assert taken == ["event(a)"]
-    epochs.clock_at(0)
-    epochs.step()
+    epochs.update_clock(0)
+    epochs.update()
     assert taken == ["event(a)", "event(a)"]

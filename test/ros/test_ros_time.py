@@ -60,7 +60,7 @@ def test_time_that_is_not_simulated_has_no_runs(monkeypatch):
     monkeypatch.setattr(ros_time, "is_wallclock", lambda: True)
     simulated = ros_time.SimulatedTime(Reports())
     simulated.begin([], lambda end: None)
-    assert (simulated.epochs, simulated.may_wait()) == (None, False)
+    assert (simulated.epochs, simulated.buffers_early_messages()) == (None, False)
     assert abs(simulated.now() - time.time_ns()) < 10**9
 
 

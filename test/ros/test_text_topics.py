@@ -24,7 +24,7 @@ def taken():
 @pytest.fixture
 def epochs():
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
-    epochs.clock_at(9_000_000_000)
+    epochs.update_clock(9_000_000_000)
     return epochs
 
 
@@ -33,8 +33,8 @@ def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, epochs):
     for text in (epoch_mark(0), "event(a)", epoch_mark(1), "event(b)"):
         receive(message(text))
     assert taken == ["event(a)"]
-    epochs.clock_at(0)
-    epochs.step()
+    epochs.update_clock(0)
+    epochs.update()
     assert taken == ["event(a)", "event(b)"]
 
 
@@ -42,13 +42,13 @@ def test_senders_are_told_apart(taken, epochs):
     taker = text_handler_factory(taken.append, epochs)
     late, silent = taker(None), taker(None)
     late(message(epoch_mark(7)))
-    epochs.clock_at(0)
+    epochs.update_clock(0)
     late(message("event(old)"))
     silent(message("event(new)"))
-    epochs.step()
+    epochs.update()
     assert taken == ["event(old)"]
     late(message(epoch_mark(8)))
-    epochs.step()
+    epochs.update()
     assert taken == ["event(old)", "event(new)"]
 
 

@@ -33,7 +33,7 @@ from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.event_input import TopicRequest, by_name
 from ..engine.runtime.clock import StreamClock
-from ..engine.runtime.clock_skew import ClockSkewMonitor, Refused
+from ..engine.runtime.clock_skew import ClockSkewMonitor, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import (
     AUTO,
@@ -183,7 +183,7 @@ class Playback:
         """
         outputs = self._outputs
         # A further bag may have been recorded with other clocks.
-        self._skew_monitor.forget()
+        self._skew_monitor.reset()
         self._prepare_topics(bag, [topic for topic, _ in self._subscriptions], self._default_topics)
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
             log.warning("%s", warning)
@@ -209,7 +209,7 @@ class Playback:
         self.engine.advance()
         yield from outputs
         outputs.clear()
-        self._skew_monitor.sum_up()
+        self._skew_monitor.log_counts()
         self._reports.sum_up()
 
     def is_latched(self, topic: str) -> bool:
@@ -305,7 +305,7 @@ class Playback:
         """Return a message as a term with its stamp, or None if it is invalid, which is reported."""
         try:
             return decoder.decode(data), decoder.stamp(data)
-        except Refused:  # counted and reported by the clock skew monitor
+        except RefusedMessage:  # counted and reported by the clock skew monitor
             pass
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"

@@ -52,9 +52,12 @@ class InterfaceNode:
         self._reports = reports = Reports()
         self._time = SimulatedTime(reports)
         skew = ClockSkewMonitor(
-            reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait
+            reports,
+            self._time.now,
+            max_distance_seconds=parameters.max_skew,
+            buffers_early_messages=self._time.buffers_early_messages,
         )
-        rospy.on_shutdown(skew.sum_up)
+        rospy.on_shutdown(skew.log_counts)
         rospy.on_shutdown(reports.sum_up)
         self._receipts = Receipts(self._time.now)
         self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.epoch, self._time.epochs)

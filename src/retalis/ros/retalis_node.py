@@ -165,9 +165,12 @@ class RetalisNode:
         clock: Any = self.engine.clock
         clock.engine, clock.resumed = self.engine, checkpoint_file.resumed
         skew = ClockSkewMonitor(
-            self._reports, self._time.now, most=parameters.max_skew, may_wait=self._time.may_wait
+            self._reports,
+            self._time.now,
+            max_distance_seconds=parameters.max_skew,
+            buffers_early_messages=self._time.buffers_early_messages,
         )
-        rospy.on_shutdown(skew.sum_up)
+        rospy.on_shutdown(skew.log_counts)
         rospy.on_shutdown(self._reports.sum_up)
         if parameters.explain:
             record_origins(self.engine)

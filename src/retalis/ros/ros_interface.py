@@ -19,7 +19,7 @@ from typing import Any, Callable, ContextManager, Dict, Iterable, Iterator, List
 import rospy
 
 from ..engine.runtime.clock_epochs import ClockEpochs
-from ..engine.runtime.clock_skew import ClockSkewMonitor, Early, Refused
+from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topic_type
 from ..foundation.bounded_caches import Cache
@@ -375,12 +375,12 @@ class InputTopic:
             for position, data in enumerate(messages):
                 try:
                     result = handler(data)
-                except Refused:
+                except RefusedMessage:
                     # Reported by the clock skew monitor.
                     counts.refused += 1
                 # The message belongs to the next epoch. It and all later ones of its connection wait for the
                 # epoch's begin, so that the order within the connection is preserved.
-                except Early:
+                except EarlyMessage:
                     if self._clock_epochs is not None:
                         self._clock_epochs.buffer_early(publisher, handle_batch, messages[position:])
                         return

@@ -53,16 +53,16 @@ class SimulatedTime:
         """Return the time of the present epoch in nanoseconds."""
         return ros_now() if self.epochs is None else self.epochs.now()
 
-    def may_wait(self) -> bool:
+    def buffers_early_messages(self) -> bool:
         """Return whether messages may be queued for an epoch that has not begun."""
-        return self.epochs is not None and self.epochs.may_wait()
+        return self.epochs is not None and self.epochs.buffers_early_messages()
 
     def begin(self, locks: Sequence[ContextManager[object]], *callbacks: Callable[[int], object]) -> None:
-        """Start to follow ``/clock``; see `ClockEpochs.begin`."""
+        """Start to follow ``/clock``; see `ClockEpochs.register_callbacks`."""
         epochs = self.epochs
         if epochs is None:
             return
-        epochs.begin(locks, *callbacks)
+        epochs.register_callbacks(locks, *callbacks)
 
         def run() -> None:
             timeout: Optional[float] = None
@@ -70,7 +70,7 @@ class SimulatedTime:
                 self._wake_up.wait(timeout)
                 self._wake_up.clear()
                 try:
-                    timeout = epochs.step()
+                    timeout = epochs.update()
                 except Exception as error:
                     # The next step continues the work of this one.
                     self._reports.error(error)
@@ -79,7 +79,7 @@ class SimulatedTime:
         # rospy itself subscribes /clock. Its callback is registered earlier and runs in the same thread, so rospy's
         # time has been updated when this callback runs.
         self._clock = rospy.Subscriber(
-            "/clock", ClockMessage, lambda message: epochs.clock_at(message.clock.to_nsec())
+            "/clock", ClockMessage, lambda message: epochs.update_clock(message.clock.to_nsec())
         )
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from retalis import Definitions, Reports
 from retalis.engine.runtime import clock_epochs
 from retalis.engine.runtime.clock_epochs import ClockEpochs
-from retalis.engine.runtime.clock_skew import ClockSkewMonitor, Early, Refused
+from retalis.engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
 
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
@@ -30,19 +30,24 @@ class Node:
         self.reports = Reports()
         self.epochs = ClockEpochs(self.reports, lambda: 0, lambda: None, lambda: self.wall)
         self.skew = ClockSkewMonitor(
-            self.reports, self.epochs.now, lambda: round(self.wall * SECOND), may_wait=self.epochs.may_wait
+            self.reports,
+            self.epochs.now,
+            lambda: round(self.wall * SECOND),
+            buffers_early_messages=self.epochs.buffers_early_messages,
         )
         self.taken = []
-        self.epochs.begin([threading.Lock()], self.skew.begin_epoch, lambda end: self.taken.append("run"))
+        self.epochs.register_callbacks(
+            [threading.Lock()], self.skew.begin_epoch, lambda end: self.taken.append("run")
+        )
         self.takers = {}
 
     def clock(self, seconds):
-        self.epochs.clock_at(round(seconds * SECOND))
-        self.epochs.step()
+        self.epochs.update_clock(round(seconds * SECOND))
+        self.epochs.update()
 
     def pass_time(self, seconds):
         self.wall += seconds
-        self.epochs.step()
+        self.epochs.update()
 
     def send(self, stamp, publisher="/play", topic="/seen", frame="map"):
         """Receive a message; one without a stamp is noted by its time of receipt, as a text."""
@@ -64,9 +69,9 @@ class Node:
                     self.taken.append(
                         f"at {self.epochs.now() / SECOND:g}" if stamp is None else stamp / SECOND
                     )
-                except Refused:
+                except RefusedMessage:
                     pass
-                except Early:
+                except EarlyMessage:
                     self.epochs.buffer_early(publisher, take, messages[at:])
                     break
 
@@ -273,7 +278,7 @@ def test_a_sender_of_texts_that_is_late(node):
     assert node.since(5) == ["old", "still old"]
     node.epochs.report_epoch("interface", 4)
     node.text("new", "interface")
-    node.epochs.step()
+    node.epochs.update()
     assert node.since(7) == ["run", 1000, "by hand", "new"]
 
 
@@ -284,7 +289,7 @@ def test_a_sender_of_texts_that_is_ahead(node):
     node.text("new", "interface")
     node.text("old, by hand", "somebody")
     node.send(1004.5)
-    node.epochs.step()
+    node.epochs.update()
     assert node.since(5) == ["old, by hand", 1004.5]
     node.clock(1000)
     node.text("newer", "interface")
@@ -326,7 +331,7 @@ def test_a_sender_that_comes_again_counts_anew(node):
     node.clock(1000)
     assert node.since(6) == [1001, 1002]
     node.epochs.report_epoch("second", 6)
-    node.epochs.step()
+    node.epochs.update()
     assert node.since(8) == ["run"]
 
 
@@ -394,9 +399,9 @@ def test_an_error_where_a_run_begins_keeps_neither_others_nor_messages_back():
     def fails(end):
         raise ValueError("not now")
 
-    node.epochs.begin([threading.Lock()], fails, told.append)
+    node.epochs.register_callbacks([threading.Lock()], fails, told.append)
     node.clock(100)
     node.clock(10)
     node.wall += 60
-    node.epochs.step()
+    node.epochs.update()
     assert (len(told), node.reports.errors, node.epochs.is_buffering) == (1, 1, False)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from retalis import Definitions, Reports
 from retalis.engine.runtime import clock_skew
-from retalis.engine.runtime.clock_skew import AGREEING_STAMPS, MAX_FRAMES, ClockSkewMonitor, Refused
+from retalis.engine.runtime.clock_skew import AGREEING_STAMPS, MAX_FRAMES, ClockSkewMonitor, RefusedMessage
 
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
@@ -43,7 +43,7 @@ class Bench:
         try:
             watching.decode(data)
             assert watching.stamp(data) == (nanoseconds or None)
-        except Refused:
+        except RefusedMessage:
             return False
         return True
 
@@ -55,7 +55,7 @@ def bench():
 
 @pytest.fixture
 def strict():
-    return Bench(most=10.0)
+    return Bench(max_distance_seconds=10.0)
 
 
 def said(caplog):
@@ -95,7 +95,7 @@ def test_an_hour_ahead(bench, caplog):
     assert said(caplog) == [
         "topic /seen, frame map: a stamp from /other is 3600 s ahead of the stamps before it",
     ]
-    bench.skew.sum_up()
+    bench.skew.log_counts()
     assert said(caplog)[1:] == ["topic /seen: 3 messages in all had a stamp far from those before"]
 
 
@@ -116,22 +116,22 @@ def test_each_frame_has_its_own_time(strict, caplog):
 
 
 def test_refused(caplog):
-    bench = Bench(most=0.5)
+    bench = Bench(max_distance_seconds=0.5)
     taken = []
     for at in range(20):
         taken.append(bench.send(ROBOT + at / 10 + (0.7 if at == 10 else 0)))
         bench.pass_time(0.1)
     assert taken == [at != 10 for at in range(20)]
     assert "0.7 s ahead" in said(caplog)[0] and said(caplog)[0].endswith("such messages are dropped")
-    assert [(one.distant_count, one.refused) for one in bench.skew] == [(1, 1)]
+    assert [(one.distant_count, one.refused_count) for one in bench.skew] == [(1, 1)]
 
 
 def test_between_the_warning_and_the_limit(caplog):
-    bench = Bench(most=100.0)
+    bench = Bench(max_distance_seconds=100.0)
     bench.send(ROBOT)
     assert bench.send(ROBOT + 50)
     assert not bench.send(ROBOT + 200)
-    assert [(one.distant_count, one.refused) for one in bench.skew] == [(2, 1)]
+    assert [(one.distant_count, one.refused_count) for one in bench.skew] == [(2, 1)]
 
 
 def test_a_clock_that_is_set_is_taken_up(strict, caplog):
@@ -186,7 +186,7 @@ def test_bounded_over_all_topics(strict, monkeypatch):
 
 def test_time_that_went_back_is_a_new_beginning(strict):
     strict.send(ROBOT)
-    strict.skew.forget()
+    strict.skew.reset()
     assert strict.send(ROBOT - 5000)
     assert strict.reports.warnings == 0
 
@@ -229,7 +229,7 @@ def test_stamps_that_go_with_some_time_are_never_far(steps, clock):
 
     Not at ten times exactly: the stamps here are floats, which are right to a quarter of a microsecond.
     """
-    bench = Bench(most=11.0)
+    bench = Bench(max_distance_seconds=11.0)
     stamp = ROBOT
     paces = [pace for _, pace, _ in steps] if clock == "simulated" else [steps[0][1]] * len(steps)
     for (step, _, pause), pace in zip(steps, paces):
@@ -242,7 +242,7 @@ def test_stamps_that_go_with_some_time_are_never_far(steps, clock):
 
 @given(st.lists(st.floats(0.01, 1), min_size=2, max_size=50), st.floats(15, 1e8), st.booleans())
 def test_one_far_stamp_is_always_found(steps, far, ahead):
-    bench = Bench(most=11.0)
+    bench = Bench(max_distance_seconds=11.0)
     stamp = ROBOT
     for step in steps:
         assert bench.send(stamp)

@@ -76,14 +76,14 @@ class _BufferedBatch(NamedTuple):
 class ClockEpochs:
     """The current epoch of a simulated clock, and a buffer of messages that belong to the next one.
 
-    `clock_at` and `report_epoch` only store values and may be called by any thread. `step` runs in its own thread and
-    changes the epoch while it holds the locks of message processing, so each message is processed entirely in one
-    epoch.
+    `update_clock` and `report_epoch` only store values and may be called by any thread. `update` runs in its own
+    thread and changes the epoch while it holds the locks of message processing, so each message is processed entirely
+    in one epoch.
 
     Args:
         reports: takes warnings.
         read_clock: returns the time, in ns, before the first message of the clock.
-        wake: called when `step` has work.
+        wake: called when `update` has work.
         monotonic: monotonic clock, in seconds.
 
     Attributes:
@@ -121,40 +121,40 @@ class ClockEpochs:
         self.is_buffering = False
         self.dropped = 0
 
-    def begin(self, locks: Sequence[ContextManager[object]], *callbacks: EpochCallback) -> None:
+    def register_callbacks(self, locks: Sequence[ContextManager[object]], *callbacks: EpochCallback) -> None:
         """Set the locks of message processing, and the callbacks at the start of an epoch, which run under them."""
         self._locks = locks
         self._callbacks = callbacks
 
     def now(self, epoch: Optional[int] = None) -> int:
         """Return the time of an epoch (the current one by default), in ns; its last time if it is over."""
-        resets, instant, end = self._time
-        if resets != (self.epoch if epoch is None else epoch):
+        reset_count, instant, end = self._time
+        if reset_count != (self.epoch if epoch is None else epoch):
             return end
         return instant or self._read_clock()
 
-    def clock_at(self, instant: int) -> None:
+    def update_clock(self, instant: int) -> None:
         """Store the time of the clock, in ns; detect a reset."""
-        resets, _, end = self._time
+        reset_count, _, end = self._time
         if instant >= self._newest_time - JUMP:
             self._newest_time = max(instant, self._newest_time)
-            self._time = resets, instant, end
+            self._time = reset_count, instant, end
             return
-        if resets == self.epoch:
+        if reset_count == self.epoch:
             end = self._newest_time
         self._newest_time = instant
         with self._lock:
             self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
             self.is_buffering = True
-            self._time = resets + 1, instant, end
+            self._time = reset_count + 1, instant, end
         self._wake()
 
     def report_epoch(self, sender: object, reported: int) -> None:
         """Store that all further texts of a sender belong to an epoch, given by the count of the sender."""
-        resets = self._time[0]
+        reset_count = self._time[0]
         with self._lock:
             # The first report of a sender defines the offset between the two counts.
-            _, offset = self._senders.get(sender, (0, resets - reported))
+            _, offset = self._senders.get(sender, (0, reset_count - reported))
             if sender not in self._senders and len(self._senders) >= MAX_SENDERS:
                 del self._senders[next(iter(self._senders))]
             self._senders[sender] = reported + offset, offset
@@ -162,7 +162,7 @@ class ClockEpochs:
                 self._start_buffering()
         self._wake()
 
-    def may_wait(self) -> bool:
+    def buffers_early_messages(self) -> bool:
         """Tell whether early messages are buffered at present."""
         return self._monotonic() >= self._early_allowed_from
 
@@ -207,7 +207,7 @@ class ClockEpochs:
         if starts_buffering:
             self._wake()
 
-    def step(self) -> Optional[float]:
+    def update(self) -> Optional[float]:
         """Begin the next epoch, or stop buffering, if the condition for it is fulfilled.
 
         Returns:
@@ -218,17 +218,17 @@ class ClockEpochs:
             for lock in self._locks:
                 stack.enter_context(lock)
             now = self._monotonic()
-            resets, _, end = self._time
-            if resets == self.epoch:
+            reset_count, _, end = self._time
+            if reset_count == self.epoch:
                 if self.is_buffering and now >= self._deadline:
                     # The clock did not go back within the time limit, so the buffered messages were not early.
                     if self._buffer:
                         self._early_allowed_from = now + PAUSE_AFTER_TIMEOUT_SECONDS
                     self._release_buffer()
             # The clock went back. Senders that have not reported within the time limit are removed.
-            elif now >= self._deadline or not self._find_late_senders(resets):
-                self._remove_senders(self._find_late_senders(resets))
-                self.epoch = resets
+            elif now >= self._deadline or not self._find_late_senders(reset_count):
+                self._remove_senders(self._find_late_senders(reset_count))
+                self.epoch = reset_count
                 self.epoch_start = self._monotonic()
                 self._early_allowed_from = 0.0
                 self._call_callbacks(end)
@@ -244,10 +244,10 @@ class ClockEpochs:
                 # A callback may raise any exception.
                 self._reports.error(error)
 
-    def _find_late_senders(self, resets: int) -> List[object]:
+    def _find_late_senders(self, reset_count: int) -> List[object]:
         """Return the senders of texts that have not reported an epoch yet."""
         with self._lock:
-            return [sender for sender, (epoch, _) in self._senders.items() if epoch < resets]
+            return [sender for sender, (epoch, _) in self._senders.items() if epoch < reset_count]
 
     def _remove_senders(self, senders: List[object]) -> None:
         with self._lock:

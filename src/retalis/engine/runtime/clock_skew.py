@@ -9,8 +9,8 @@ distance to the nearest prediction is the skew.
 A bag can be paused or played faster than real time, so the highest observed rate (pace) is a factor of the
 prediction. After `AGREEING_STAMPS` distant timestamps that agree with each other, the clock counts as set, and they
 become the reference. At a jump of time back, messages that were still queued belong to the epoch before (refused),
-and messages of the next epoch can precede the clock (`Early`); both are recognized if the frame's timestamps followed
-the node's time before.
+and messages of the next epoch can precede the clock (`EarlyMessage`); both are recognized if the frame's timestamps
+followed the node's time before.
 """
 
 import time
@@ -52,11 +52,11 @@ _UNKNOWN_SECOND = -1
 """Value of `FrameClock.second` if the next message must be checked."""
 
 
-class Refused(Exception):
+class RefusedMessage(Exception):
     """Raised for a message with a timestamp that is too far away or of the previous epoch; already reported."""
 
 
-class Early(Exception):
+class EarlyMessage(Exception):
     """Raised for a message that may belong to an epoch that the clock has not begun; see `ClockEpochs`."""
 
 
@@ -130,26 +130,26 @@ class FrameClock:
             key=abs,
         )
 
-    def move_to(self, stamp: int, now: int, wall: int, exact: bool) -> None:
+    def accept(self, stamp: int, now: int, wall: int, checks_all: bool) -> None:
         """Record a timestamp that fits."""
         # The pace is measured over at least half a second, because single intervals vary with the machine's load.
         elapsed = wall - self.since[1]
         if elapsed >= SECOND // 2:
             self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / elapsed, MAX_UNKNOWN_PACE))
             self.since = stamp, wall
-        self._compare(stamp, now)
+        self._update_clock_offset(stamp, now)
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
         self.accepted_count += 1
         # The decoder skips messages of the same second as the last one, once enough is known about the frame.
         self.second = (
             _UNKNOWN_SECOND
-            if exact or not (self.follows_clock or self.accepted_count > FULLY_CHECKED_MESSAGES)
+            if checks_all or not (self.follows_clock or self.accepted_count > FULLY_CHECKED_MESSAGES)
             else stamp // SECOND
         )
         self.candidate, self.agreeing = None, 0
 
-    def _compare(self, stamp: int, now: int) -> None:
+    def _update_clock_offset(self, stamp: int, now: int) -> None:
         """Update the differences to the node's time, and decide whether timestamps advance like it.
 
         A busy machine delays messages, so that their timestamps seem to lag. A lagging timestamp therefore means
@@ -182,12 +182,12 @@ class FrameClock:
         )
         return is_continuation and stamp - now > self.max_ahead + JUMP and self.follows_clock
 
-    def agree(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
+    def add_distant(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
         """Record a distant timestamp; return whether enough consecutive ones agree."""
         reference = self.candidate
         if reference is not None and abs(reference.distance(stamp, now, wall, progress)) <= max_distance:
             self.agreeing += 1
-            reference.move_to(stamp, now, wall, True)
+            reference.accept(stamp, now, wall, True)
         else:
             self.candidate, self.agreeing = FrameClock(stamp, now, wall, progress), 1
         self.second = _UNKNOWN_SECOND
@@ -201,22 +201,30 @@ class TopicTimes(Cache[bytes, FrameClock]):
         name: name of the topic.
         previous_frames: frames of the previous epoch that have not occurred in the present one.
         distant_count: number of messages with a distant timestamp.
-        refused: number of these that were refused.
-        step: distance of the first frame that was warned of.
+        refused_count: number of these that were refused.
+        first_distance: distance of the first frame that was warned of.
         are_all_reported: whether a warning about other frames at the same distance was logged.
-        clock: step of the last setting of the clock that was reported.
+        reported_step: step of the last setting of the clock that was reported.
     """
 
-    __slots__ = ("name", "previous_frames", "distant_count", "refused", "step", "are_all_reported", "clock")
+    __slots__ = (
+        "name",
+        "previous_frames",
+        "distant_count",
+        "refused_count",
+        "first_distance",
+        "are_all_reported",
+        "reported_step",
+    )
 
     def __init__(self, name: str):
         super().__init__(MAX_FRAMES, 4 << 20, 1 << 12)
         self.name = name
         self.previous_frames: Dict[bytes, FrameClock] = {}
-        self.distant_count = self.refused = 0
-        self.step: Optional[int] = None
+        self.distant_count = self.refused_count = 0
+        self.first_distance: Optional[int] = None
         self.are_all_reported = False
-        self.clock: Optional[int] = None
+        self.reported_step: Optional[int] = None
 
     def clear(self) -> None:
         """Remove all frames, and invalidate references to them."""
@@ -235,8 +243,8 @@ class ClockSkewMonitor:
         reports: receives a warning per topic and frame.
         now: returns the node's time.
         wall: returns monotonic real time.
-        most: distance in seconds from which messages are refused; None for no limit.
-        may_wait: returns whether messages may be delayed as `Early`.
+        max_distance_seconds: distance in seconds from which messages are refused; None for no limit.
+        buffers_early_messages: returns whether messages may be delayed as `EarlyMessage`.
     """
 
     def __init__(
@@ -244,13 +252,13 @@ class ClockSkewMonitor:
         reports: Reports,
         now: Callable[[], int],
         wall: Callable[[], int] = time.monotonic_ns,
-        most: Optional[float] = None,
-        may_wait: Callable[[], bool] = lambda: False,
+        max_distance_seconds: Optional[float] = None,
+        buffers_early_messages: Callable[[], bool] = lambda: False,
     ):
         self._reports = reports
         self._now = now
         self._wall = wall
-        self._max_distance = None if most is None else round(most * SECOND)
+        self._max_distance = None if max_distance_seconds is None else round(max_distance_seconds * SECOND)
         self._max_skew = (
             MAX_UNREPORTED_SKEW_NS
             if self._max_distance is None
@@ -259,9 +267,9 @@ class ClockSkewMonitor:
         self._checks_all = self._max_skew < MAX_UNREPORTED_SKEW_NS
         self._topics: Dict[str, TopicTimes] = {}
         self._progress = 0
-        self._may_wait = may_wait
+        self._buffers_early_messages = buffers_early_messages
         self._previous_end = 0
-        self._held_bytes = 0
+        self._frame_bytes = 0
 
     def __iter__(self) -> Iterator[TopicTimes]:
         return iter(list(self._topics.values()))
@@ -269,7 +277,7 @@ class ClockSkewMonitor:
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
         """Return a decoder that also checks all timestamps of a message, whichever of its two functions is called.
 
-        The check raises `Refused` for a message to be dropped, and `Early` for one to be delayed.
+        The check raises `RefusedMessage` for a message to be dropped, and `EarlyMessage` for one to be delayed.
 
         Args:
             decoder: decoder of the message type.
@@ -280,7 +288,7 @@ class ClockSkewMonitor:
         if times is None:
             if len(self._topics) >= MAX_TOPICS:
                 # Also invalidates the references that existing decoders hold.
-                self.forget()
+                self.reset()
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
         topic_times = times
@@ -288,7 +296,7 @@ class ClockSkewMonitor:
             decoder, topic_times, lambda stamps: self._check_message(topic_times, publisher, stamps)
         )
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Remove all frames, because another stream begins."""
         for times in self:
             times.previous_frames = {}
@@ -308,13 +316,13 @@ class ClockSkewMonitor:
     def _clear(self) -> None:
         for times in self:
             times.clear()
-        self._held_bytes = 0
+        self._frame_bytes = 0
 
-    def sum_up(self) -> None:
+    def log_counts(self) -> None:
         """Log the number of messages with distant timestamps per topic, if more than one."""
         for times in self:
             if times.distant_count > 1:
-                refused = f", {times.refused} of them dropped" if times.refused else ""
+                refused = f", {times.refused_count} of them dropped" if times.refused_count else ""
                 self._reports.warning(
                     f"topic {times.name}: {times.distant_count} messages in all "
                     f"had a stamp far from those before{refused}"
@@ -324,8 +332,8 @@ class ClockSkewMonitor:
         """Check the timestamps of a message.
 
         Raises:
-            Refused: if a timestamp is too far away, or belongs to the previous epoch.
-            Early: if a timestamp may belong to the next epoch.
+            RefusedMessage: if a timestamp is too far away, or belongs to the previous epoch.
+            EarlyMessage: if a timestamp may belong to the next epoch.
         """
         now, wall = self._now(), self._wall()
         farthest = 0
@@ -340,34 +348,34 @@ class ClockSkewMonitor:
             if not -max_skew <= distance <= max_skew:
                 distance = frame.distance(stamp, now, wall, self._progress)
             if not -max_skew <= distance <= max_skew:
-                if not frame.agree(stamp, now, wall, self._progress, self._max_skew):
+                if not frame.add_distant(stamp, now, wall, self._progress, self._max_skew):
                     farthest = max(farthest, abs(distance))
                     self._warn(times, frame, key, distance, publisher)
                     continue
                 self._warn_of_set_clock(times, key, stamp - frame.stamp)
                 # A set clock is a step and not progress, so the common progress must not follow it.
                 frame.stamp, frame.since = stamp, (stamp, wall)
-            frame.move_to(stamp, now, wall, self._checks_all)
+            frame.accept(stamp, now, wall, self._checks_all)
             if frame.progress > self._progress:
                 self._progress = frame.progress
         if farthest:
             times.distant_count += 1
             if self._max_distance is not None and farthest > self._max_distance:
-                times.refused += 1
-                raise Refused
+                times.refused_count += 1
+                raise RefusedMessage
 
     def _check_epoch(self, times: TopicTimes, stamps: List[FrameStamp], now: int) -> None:
         """Check whether a message belongs to another epoch.
 
         Raises:
-            Refused: if it belongs to the previous epoch.
-            Early: if it may belong to the next epoch.
+            RefusedMessage: if it belongs to the previous epoch.
+            EarlyMessage: if it may belong to the next epoch.
         """
         previous_frames = times.previous_frames
         for key, stamp in stamps:
             frame = times.get(key)
-            if frame is not None and frame.is_early(stamp, now) and self._may_wait():
-                raise Early
+            if frame is not None and frame.is_early(stamp, now) and self._buffers_early_messages():
+                raise EarlyMessage
             previous_frame = previous_frames.get(key) if previous_frames else None
             if previous_frame is None:
                 continue
@@ -376,7 +384,7 @@ class ClockSkewMonitor:
                     f"a message on {times.name} is dropped: it is of the time before the clock went back",
                     ("left over", times.name),
                 )
-                raise Refused
+                raise RefusedMessage
             # The frame has occurred in the present epoch.
             del previous_frames[key]
 
@@ -384,21 +392,21 @@ class ClockSkewMonitor:
         """Store a frame. If the frames of all topics exceed the limit together, all are removed."""
         bytes_before = times.total_bytes
         times.store(key, frame, 2 * len(key) + 500)
-        self._held_bytes += times.total_bytes - bytes_before
-        if self._held_bytes > MAX_FRAME_BYTES:
+        self._frame_bytes += times.total_bytes - bytes_before
+        if self._frame_bytes > MAX_FRAME_BYTES:
             self._clear()
             times.store(key, frame, 2 * len(key) + 500)
-            self._held_bytes = times.total_bytes
+            self._frame_bytes = times.total_bytes
 
     def _warn(self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str) -> None:
         if frame.is_reported:
             return
         frame.is_reported = True
         topic = times.name
-        if times.step is None:
-            times.step = distance
+        if times.first_distance is None:
+            times.first_distance = distance
         # If the clock of the publisher was set, all of its frames are equally far; one warning covers them.
-        elif abs(times.step - distance) <= MAX_UNREPORTED_SKEW_NS:
+        elif abs(times.first_distance - distance) <= MAX_UNREPORTED_SKEW_NS:
             self._warn_of_all_frames(times, distance)
             return
         place = f"topic {topic}, frame {_format_frame_name(key)}"
@@ -427,11 +435,11 @@ class ClockSkewMonitor:
     def _warn_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
         if (
             times.are_all_reported
-            and times.clock is not None
-            and abs(times.clock - step) <= MAX_UNREPORTED_SKEW_NS
+            and times.reported_step is not None
+            and abs(times.reported_step - step) <= MAX_UNREPORTED_SKEW_NS
         ):
             return
-        times.clock = step
+        times.reported_step = step
         topic = times.name
         self._reports.warning(
             f"topic {topic}, frame {_format_frame_name(key)}: the last {AGREEING_STAMPS} stamps agree and are "
