@@ -526,7 +526,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "see a run on a timeline",
             "retalis plot",
             "$ retalis plot day.bag --program program -o run.html",
-            "reference/seeing.md",
+            "reference/bags.md",
             "draw picture visualize graph chart",
         ),
         Situation(

@@ -1,4 +1,4 @@
-"""The commands of docs/reference/seeing.md, in a copy of what they need of the clone."""
+"""The commands of docs/reference/bags.md, in a copy of what they need of the clone."""
 
 import os
 import re
@@ -13,7 +13,7 @@ import pytest
 from retalis.cli.command_line import main
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = (ROOT / "docs" / "reference" / "seeing.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "bags.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^    python3 -m retalis (.*)$", PAGE, re.MULTILINE)
 (MAKE_BAG,) = re.findall(r"^    python3 (\S*make_bag.py .*)$", PAGE, re.MULTILINE)
 
