@@ -1,5 +1,7 @@
 """States with wrong values and right checksums are refused, and change nothing."""
 
+import sys
+
 import pytest
 
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
@@ -225,3 +227,138 @@ def test_a_partial_match_of_two_rules_is_refused():
     shared = changed(state, "matches", ["states", 1, 3, 0, 0], states[0][3][0][0])
     with pytest.raises(UsageError, match="a partial match is stored twice"):
         Engine.restore(shared)
+
+
+def state_of(rules, events, goals=""):
+    """Return the sections of an engine with rules that has taken events, one a second."""
+    engine = Engine(StreamClock())
+    engine.load(rules, goals)
+    for now, event in enumerate(events, 1):
+        engine.event(event, now)
+    return unpack(engine.snapshot())
+
+
+def rows(state, kind):
+    """Return the numbers of the objects of a kind."""
+    return [at for at, row in enumerate(dict(from_bytes(state["matches"]))["rows"]) if row[0] == kind]
+
+
+def refused(state, path, value, message):
+    Engine.restore(pack(state))
+    with pytest.raises(UsageError, match=message):
+        Engine.restore(changed(state, "matches", path, value))
+
+
+OTHER_EVENT = functor("other", 1)(2)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [(1, []), (1, [1, 2]), (5, 3), (5, OTHER_EVENT), (5, None)],
+    ids=lambda value: str(value),
+)
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "p(X, Y) <- a(X) seq b(Y).",
+        "p(X) <- a(X) seq absent(b(_), 2).",
+        "p(L) <- a(X) seq (b(_) star_times).",
+        "p(X) <- (a(X) and b(_)).",
+        "p(X) <- (a(X) with debounce(5)).",
+        "p(X) <- (a(X) ntimes 3).",
+    ],
+)
+def test_a_match_that_its_node_could_not_read_is_refused(rule, field, value):
+    state = state_of(rule, ["a(1)"])
+    refused(state, ["rows", rows(state, "match")[0], field], value, "expected|neither an event nor parts")
+
+
+def test_the_repetitions_of_a_match_are_counted():
+    state = state_of(
+        "p(X) <- (a(X, _) ntimes 4).",
+        ["a(1, 1)", "a(1, 2)", "a(1, 3)"],
+        "set_etalis_flag(event_consumption_policy, unrestricted)",
+    )
+    data = dict(from_bytes(state["matches"]))
+    (longest,) = [
+        at for at, row in enumerate(data["rows"]) if row[0] == "match" and row[6] and len(row[6]) > 1
+    ][-1:]
+    refused(state, ["rows", longest, 6], data["rows"][longest][6][:1], "expected")
+
+
+def test_sequences_with_several_repetitions_of_their_own_are_restored():
+    engine = Engine(StreamClock())
+    engine.load("p(X) <- (a(X, _) ntimes 5).")
+    for now, value in (
+        (1, 1),
+        (2, 2),
+        (2, 3),
+        (3, 4),
+        (3, 5),
+        (4, 6),
+        (5, 7),
+        (5, 8),
+        (6, 9),
+        (6, 2),
+        (7, 3),
+    ):
+        engine.event(f"a(1, {value})", now)
+        other = Engine.restore(engine.snapshot())
+        assert other.status().rules == engine.status().rules
+
+
+@pytest.mark.parametrize(
+    ("window", "due"),
+    [("last(3, events)", 64), ("last(5)", -(1 << 62)), ("every(3, events)", 0)],
+)
+def test_a_window_without_deadline_has_none(window, due):
+    state = state_of(f"p(N) <- aggregate(count, a(_), N, {window}).", ["a(1)"])
+    refused(state, ["states", 0, 2, 1, 1, 0, 1], due, "expected nothing")
+
+
+@pytest.mark.parametrize("due", [None, 0, 1, 4 * SECOND + 1, -(1 << 62)])
+def test_the_next_window_ends_after_its_elements(due):
+    state = state_of("p(N) <- aggregate(count, a(_), N, last(4, every(2))).", ["a(1)", "a(2)", "a(3)"])
+    refused(
+        state, ["states", 0, 2, 1, 1, 0, 1], due, "expected the end of the next window|expected an instant"
+    )
+
+
+def test_the_deadline_of_an_anchored_window_follows_from_its_elements():
+    engine = Engine()
+    engine.load("p(N) <- aggregate(count, a(_), N, every(5, first)).")
+    engine.event("a(1)", 1)
+    state = unpack(engine.snapshot())
+    engine = Engine.restore(changed(state, "matches", ["states", 0, 2, 1, 1, 0, 1], None))
+    heard = []
+    engine.on_event(lambda term, start, end: heard.append(term))
+    engine.event("b(1)", 10)
+    assert functor("p", 1)(1) in heard
+
+
+def test_a_suppressed_match_that_its_node_could_not_retry_is_refused():
+    state = state_of(
+        "p(X, Y) <- (a(X) seq c(Y)) cnot b(_).",
+        ["a(1)", "b(2)", "c(3)"],
+        "set_etalis_flag(revision_flag, on)",
+    )
+    (suppressed,) = rows(state, "suppressed")
+    match = dict(from_bytes(state["matches"]))["rows"][suppressed][2][0]
+    refused(state, ["rows", suppressed, 2], match, "a suppressed match does not fit its node")
+    refused(state, ["rows", suppressed, 2], [match, match], "a suppressed match does not fit its node")
+
+
+@pytest.mark.parametrize(
+    "header", ["{}".encode("utf-16"), b"\x00\xf2", b"\xff", '{"a": 1}'.encode("utf-32-be")]
+)
+def test_a_header_that_is_no_text_of_utf8_is_refused(header):
+    imported = set(sys.modules)
+    with pytest.raises(UsageError, match="its header is malformed"):
+        unpack(b"retalis state\n%d\n%s" % (len(header), header))
+    assert set(sys.modules) == imported
+
+
+def test_a_header_with_a_number_of_many_digits_is_refused():
+    header = b'{"format": %s}' % (b"9" * 4000)
+    with pytest.raises(UsageError, match="its header is malformed"):
+        unpack(b"retalis state\n%d\n%s" % (len(header), header))

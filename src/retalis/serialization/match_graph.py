@@ -190,6 +190,10 @@ class GraphReader:
         for item in self._objects:
             self._finish(item)
 
+    def objects(self, *object_classes: type) -> List[Any]:
+        """Return all objects of some classes."""
+        return [item for item in self._objects if item.__class__ in object_classes]
+
     def _empty(self, row: Sequence[Any]) -> Any:
         name = row[0] if row else None
         if name == "nothing" and len(row) == 1:
@@ -375,8 +379,6 @@ class GraphReader:
             raise UsageError("a run has more repetitions than its buffer")
         elif item_class is TrackedMatch and (item.earlier is None) != (item.match is None):
             raise UsageError("a tracked match of repetitions has no beginning")
-        elif item_class is Suppressed and not hasattr(item.node, "retry"):
-            raise UsageError("a node of another type cannot retry a match")
         # Fields that depend on others are computed last, when all attributes are set.
         if item_class in (RunGroup, SharedLog, Run):
             item.begin_again()

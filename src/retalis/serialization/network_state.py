@@ -3,22 +3,21 @@
 Writing is simple: each rule and node returns its state as data, and `GraphWriter` turns objects into rows. Reading
 checks the data against the loaded program before anything is restored. `rule_state` checks that the nodes of a rule
 have the same types as when the state was written, and that each partial match fits the buffer that it is put into
-(class, number of values, order of arrival). `StreamCheck` checks the state of stream operators: windows, rate
-operators, absence timeouts and row patterns.
+(`match_checks`). `StreamCheck` checks the state of stream operators: windows, rate operators, absence timeouts and
+row patterns.
 """
 
 from types import MappingProxyType
-from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeouts import TimeoutAlarm
 from ..events.matches.partial_matches import PartialMatch
-from ..events.matches.shared_run_buffer import Run
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
 from ..events.network.kleene_node import KleeneNode
-from ..events.network.pattern_nodes import NotNode
+from ..events.network.pattern_nodes import NetworkNode
 from ..events.network.repeat_node import RepeatNode
 from ..events.network.stream_node import StreamNode
 from ..events.program.event_file_checker import reread_rule
@@ -32,6 +31,14 @@ from ..events.streams.windows import AnchoredTumblingWindow, HoppingWindow
 from ..foundation.errors import UsageError
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.unification import may_unify
+from .match_checks import (
+    MatchShape,
+    buffer_shapes,
+    check_arrivals,
+    check_lineage,
+    check_stored_once,
+    group_fits,
+)
 from .match_graph import GraphReader, GraphWriter
 from .schema import (
     Decoded,
@@ -68,6 +75,7 @@ class StreamCheck:
         widths: number of values of an element that form the key, and number of values that are measured.
         of_terms: if elements consist of terms (those of a subscription) instead of matches.
         needs: if each element has a match.
+        shapes: shapes of these matches, by channel.
     """
 
     def __init__(
@@ -77,28 +85,31 @@ class StreamCheck:
         widths: Tuple[int, int],
         of_terms: bool = False,
         needs: bool = False,
+        shapes: Sequence[MatchShape] = (),
     ):
         self._refer = graph.ref("item")
         self._stream = stream
         self._widths = widths
         self._of_terms = of_terms
         self._needs = needs
+        self._shapes = shapes
         make_scopes: Callable[[], Sequence[Any]] = getattr(stream, "make", lambda: ())
         scopes = getattr(stream, "scopes", None)
         self._checks = [scope.check for scope in make_scopes() if scope.picky] if scopes is None else []
 
-    def item(self, value: Decoded) -> StreamElement:
-        """Check an element."""
+    def item(self, value: Decoded, channel: int = 0) -> StreamElement:
+        """Check an element of a channel."""
         element: StreamElement = self._refer(value)
         key_width, value_width = self._widths
         if len(element.by) != key_width or len(element.values) != value_width:
             expected = f"an element with {key_width} key values and {value_width} measured values"
             raise wrong((element.by, element.values), expected)
-        of_match = isinstance(element.match, PartialMatch)
         if element.match is None:
             is_valid = not self._needs
+        elif self._of_terms:
+            is_valid = not isinstance(element.match, PartialMatch)
         else:
-            is_valid = not of_match if self._of_terms else of_match
+            is_valid = self._shapes[channel].fits(element.match)
         if not is_valid or element.start > element.end:
             raise wrong(element.match, "an element of the right type")
         if not self._of_terms and any(item_value is None for item_value in element.values):
@@ -132,7 +143,8 @@ class StreamCheck:
             self._check_distinct(state[2], state[0])
             return state
         if isinstance(stream, AbsenceTimeout):
-            state = fixed(count, instant, elements, elements)(value)
+            forbidden_elements = each(lambda element: self.item(element, 1))
+            state = fixed(count, instant, elements, forbidden_elements)(value)
             self._check_distinct([*state[2], *state[3]], state[0])
             return state
         # The remaining operators are windows, which have the same state except for the items appended here.
@@ -140,15 +152,17 @@ class StreamCheck:
             [instant] if isinstance(stream, (AnchoredTumblingWindow, HoppingWindow)) else []
         )
         future_elements: List[ValueCheck] = [elements] if isinstance(stream, HoppingWindow) else []
+        # Only these windows emit when the clock reaches an instant.
+        due = optional(instant) if window_time else nothing
         group = fixed(instant, elements)
-        state = fixed(instant, optional(instant), count, count, each(group), *window_time, *future_elements)(
-            value
-        )
+        state = fixed(instant, due, count, count, each(group), *window_time, *future_elements)(value)
         self._groups(
             [members for _, members in state[4]],
             sum((list(elements_of_window) for elements_of_window in state[6:]), []),
             state[3],
         )
+        if isinstance(stream, HoppingWindow):
+            _check_next_window(stream, state)
         return state
 
     def _groups(
@@ -201,6 +215,20 @@ class StreamCheck:
         return state
 
 
+def _check_next_window(stream: HoppingWindow, state: Decoded) -> None:
+    """Check that the next window ends after its elements, and is not separated from them by many empty windows."""
+    due, ahead = state[1], state[6]
+    members = [element for _, elements in state[4] for element in elements]
+    if due is None:
+        is_valid = not members and not ahead
+    elif members:
+        is_valid = all(element.end < due for element in members)
+    else:
+        is_valid = not ahead or min(element.end for element in ahead) < due
+    if not is_valid or (due is not None and due % stream.every):
+        raise wrong(due, "the end of the next window")
+
+
 def _is_certain(plan: RowPatternNFA, entry: Decoded) -> bool:
     """Return whether a computation state, given as data, is certain to complete."""
     step, count, remaining = entry[:3]
@@ -220,99 +248,32 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
         for node, (type_name, node_state) in zip(nodes, named_states)
     ]
     # Buffers are numbered across all nodes of the rule, and a match names its buffer by that number.
-    buffers = [
-        (node, width)
+    shapes = [
+        shape
         for node, (_, node_state) in zip(nodes, checked_states)
-        for width in _widths(node, node_state)
+        for shape in buffer_shapes(node, node_state)
     ]
-    owners, widths = [node for node, _ in buffers], [width for _, width in buffers]
-    buffer_number = integer(0, len(widths) - 1)
+    buffer_number = integer(0, len(shapes) - 1)
     state: RuleState = record(
         RuleState,
         counts=fixed(count, optional(instant), count, count, count, count, count),
         times=fixed(instant, count, optional(instant)),
         nodes=lambda _: checked_states,
-        arrivals=each(fixed(graph.match, integer(-1, len(widths) - 1), count)),
+        arrivals=each(fixed(graph.match, integer(-1, len(shapes) - 1), count)),
         later=each(fixed(buffer_number, graph.match)),
         later_event=graph.token,
         skipped=optional(fixed(instant, each(instant, tuple))),
     )(value)
-    _check_arrivals(rule, state, owners, widths)
+    check_arrivals(rule, state, shapes)
     return state
-
-
-def _check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -> None:
-    """Check that no partial match is stored twice: a match has links for one buffer only."""
-    stored: Set[int] = set()
-    for rule, state in zip(rules, states):
-        for match in (*(match for match, _, _ in state.arrivals), *(match for _, match in state.later)):
-            if id(match) in stored:
-                raise UsageError(f"{rule.name}: a partial match is stored twice")
-            stored.add(id(match))
-
-
-def _check_arrivals(
-    rule: EventRule, state: RuleState, owners: List[Any], widths: List[Tuple[type, Optional[int]]]
-) -> None:
-    """Check that partial matches fit the buffers that they are put into."""
-    # Sequence numbers reproduce the order in which partial matches arrived.
-    orders = [order for _, _, order in state.arrivals]
-    if len(set(orders)) != len(orders):
-        raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
-    if any(order > state.times[1] for order in orders):
-        raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
-    waiting = [(match, buffer_number) for match, buffer_number, _ in state.arrivals]
-    for match, buffer_number in (*waiting, *((match, buffer_number) for buffer_number, match in state.later)):
-        if buffer_number < 0:
-            if match.buffer is None:
-                raise UsageError(f"{rule.name}: a run does not belong to a group")
-            continue
-        match_class, width = widths[buffer_number]
-        if (
-            match.__class__ is not match_class
-            or (width is not None and min(len(match.filed_by), len(match.values)) < width)
-            or match.start > match.end
-            or (match_class is Run and not _run_fits(owners[buffer_number], match))
-        ):
-            raise wrong(match.values, f"{rule.name}: a match with {width} values at least")
-
-
-def _run_fits(node: KleeneNode, run: Any) -> bool:
-    """Return whether a run has the values that its Kleene or aggregate node requires."""
-    return (
-        (run.fixed is None or len(run.fixed) == len(node.fixed))
-        and len(run.open) == len(node.open_vars)
-        and len(run.taken) == len(run.steps)
-        and run.sound <= len(run.taken)
-        and (run.state is None if node.collector is None else node.collector.is_state(run.state))
-    )
-
-
-def _widths(node: Any, kept: Any) -> List[Tuple[type, Optional[int]]]:
-    """Return for each buffer of a node the class of its matches, and their minimum number of values or None."""
-    buffer_count = node.number_of_buffers(kept) if isinstance(node, RepeatNode) else len(node.buffers())
-    widths: List[Tuple[type, Optional[int]]] = [(PartialMatch, None)] * buffer_count
-    if isinstance(node, JoinNode):
-        operands = [node.left, node.right, *node.negated]
-    elif isinstance(node, KleeneNode):
-        operands = [node.first, node.repeated]
-    elif isinstance(node, NotNode):
-        operands = [node.negated]
-    else:
-        operands = []
-    carried = any(absence.carried for absence in getattr(node, "absences", ()))
-    for position, operand in enumerate(operands[: 2 if carried else None]):
-        match_class = Run if isinstance(node, KleeneNode) and not position else PartialMatch
-        widths[position] = (match_class, len(operand.vars))
-    return widths
 
 
 def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
     """Return a check of the state of a node; see `NetworkNode.snapshot`."""
     if isinstance(node, JoinNode):
-        return fixed(each(graph.token_key), each(graph.match))
+        return fixed(each(graph.token_key), each(_match_check(graph, node.right)))
     if isinstance(node, KleeneNode):
-        return each(graph.match)
+        return each(_match_check(graph, node.repeated))
     if isinstance(node, RepeatNode):
         return _repeat_node_check(graph, node)
     if isinstance(node, StreamNode):
@@ -320,17 +281,28 @@ def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
     return nothing
 
 
+def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
+    """Return a check of a reference to a match of a node."""
+    shape = MatchShape(node)
+
+    def check(value: Decoded) -> Decoded:
+        match = graph.match(value)
+        if not shape.fits(match):
+            raise wrong(match.values, f"a match with {shape.width} values and the event of its pattern")
+        return match
+
+    return check
+
+
 def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
-    number = integer(1, node.times)
+    # Complete sequences are not stored.
+    number = integer(1, node.times - 1)
     train = graph.ref("train")
 
     def own_group(value: Decoded) -> Decoded:
         group = train(value)
-        tokens = [token for token in group.tokens if token is not None and token.buffer is group]
-        if group.node is not node or len(group.tokens) >= node.times:
+        if not group_fits(node, group):
             raise wrong(value, "runs of this node")
-        if not tokens or any(len(token.values) != len(node.child.vars) for token in tokens):
-            raise wrong(value, "runs with the values of this node")
         return group
 
     return fixed(boolean, each(number), each(own_group), each(fixed(key, each(number))))
@@ -340,9 +312,15 @@ def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
     keys, values = node.making.item((1,) * len(child.vars))
     needs_match = node.making.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
-    stream = StreamCheck(graph, node.stream, (len(keys), len(values)), False, needs_match)
+    shapes = [MatchShape(child) for child in node.children]
+    stream = StreamCheck(graph, node.stream, (len(keys), len(values)), False, needs_match, shapes)
+
+    def received(value: Decoded) -> Decoded:
+        channel, element, at = _received(value)
+        return channel, stream.item(element, channel), at
+
     channel = integer(0, len(node.children) - 1)
-    received = fixed(channel, stream.item, instant)
+    _received = fixed(channel, anything, instant)
     output = fixed(each(stream.item), instant, instant, each(term, tuple), nothing)
     emitted = fixed(lambda value: output(value) if items(value) else None, graph.ref("held"))
 
@@ -492,7 +470,8 @@ class _CheckedState:
         if len(items(data["states"])) != len(active):
             raise wrong(len(data["states"]), f"the states of {len(active)} rules")
         self.states = [rule_state(graph, rule, state) for rule, state in zip(named, data["states"])]
-        _check_stored_once(named, self.states)
+        check_stored_once(named, self.states)
+        check_lineage(graph)
         event = graph.ref("event")
         self.tracked = named_check("tracked", fixed(each(event), count, count))(data["tracked"])
         self.alarms = each(self._alarm)(data["alarms"])

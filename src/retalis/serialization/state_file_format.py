@@ -55,6 +55,9 @@ MAGIC = b"retalis state\n"
 _MAX_HEADER_BYTES = 16_000_000
 """Maximum size of the header, which has an entry for each memory."""
 
+_MAX_HEADER_DIGITS = 20
+"""Maximum number of digits of an integer in the header."""
+
 FORMAT = 6
 """Format number of state files, incremented when their structure changes."""
 
@@ -105,7 +108,8 @@ def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
         length = int(data[len(MAGIC) : end])
         if not 0 <= length <= _MAX_HEADER_BYTES:
             raise ValueError
-        header = json.loads(data[end + 1 : end + 1 + length])
+        # Decoded first: the JSON module would guess the encoding of bytes, and import its codec.
+        header = json.loads(str(data[end + 1 : end + 1 + length], "utf-8"), parse_int=_header_integer)
         # Negative lengths would pass the checksum of an empty section, and shift those that follow.
         names = [name for name, length, checksum in header["sections"] if length >= 0 and checksum >= 0]
         memories = [name for name in names if name.startswith("memory ")]
@@ -118,6 +122,13 @@ def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
     except Exception as error:  # any error of malformed JSON, including excessive nesting
         raise UsageError("the state is damaged: its header is malformed") from error
     return header, end + 1 + length
+
+
+def _header_integer(digits: str) -> int:
+    # Conversion takes time quadratic in the number of digits.
+    if len(digits) > _MAX_HEADER_DIGITS:
+        raise ValueError
+    return int(digits)
 
 
 def check_version(format_number: object, layout: object) -> None:

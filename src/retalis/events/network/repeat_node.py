@@ -164,13 +164,16 @@ class RepeatNode(NetworkNode):
         self.trains = {train.key: train for train in trains}
         self._separate = {key: dict.fromkeys(lengths) for key, lengths in apart}
 
-    def number_of_buffers(self, saved: Any) -> int:
-        """Return the number of buffers that the node has after it has restored a state."""
+    def buffer_lengths(self, saved: Any) -> List[int]:
+        """Return for each buffer that the node has after it has restored a state how many repetitions a match has.
+
+        Zero for the buffer of the run groups, whose sequences have any length.
+        """
         together, numbers, _, _ = saved
-        known = {*self._buffers, *numbers}
         if self._is_grouped and together:
-            return 1 + len(known)
-        return 1 + len(known.union(range(1, self.times))) + self.times - 1
+            return [0, *dict.fromkeys([*self._buffers, *numbers])]
+        known = dict.fromkeys([*self._buffers, *range(1, self.times), *numbers])
+        return [0, *known, *[1] * (self.times - 1)]
 
     def values_of(self, token: RunCursor) -> Values:
         """Return the values of a sequence."""

@@ -429,6 +429,7 @@ class AnchoredTumblingWindow(Window):
         (self._reached,) = saved[5:]
         self._open = [(group.since, group.members[0].order, key, group) for key, group in self.states.items()]
         heapq.heapify(self._open)
+        self._set_next()
 
     def snapshot(self) -> KnownState:
         """See `StreamOperator.snapshot`."""
@@ -521,6 +522,7 @@ class HoppingWindow(Window):
         for item in ahead:
             item.file()
         self._ahead = [(item.end, item.order, item) for item in ahead]
+        heapq.heapify(self._ahead)
 
     def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.take`."""

@@ -1,0 +1,241 @@
+"""Checks that restored partial matches fit the nodes of their rules.
+
+Generated functions of the engine read values of a match by position, and the arguments of its event, without any
+test. A match from a file must therefore have the shape that its node gives to its matches: a value for each variable
+of the node, and, for a node that receives events, an event of the functor that the node listens to. `MatchShape`
+describes this for the matches of one node, and `buffer_shapes` for each buffer of a node.
+"""
+
+from typing import Any, Iterable, List, NamedTuple, Sequence, Set, Tuple
+
+from ..events.matches.negation import NegationBuffer
+from ..events.matches.partial_matches import PartialMatch, TrackedMatch
+from ..events.matches.shared_run_buffer import BufferSlice, Run, RunCursor, RunGroup
+from ..events.network.event_rule import EventRule, RuleState
+from ..events.network.join_node import JoinNode
+from ..events.network.kleene_node import KleeneNode
+from ..events.network.pattern_nodes import EarlyTestNode, EventNode, NetworkNode, NotNode
+from ..events.network.repeat_node import RepeatNode
+from ..events.network.stream_node import StreamNode
+from ..events.provenance.event_log import Occurrence, Suppressed
+from ..foundation.errors import UsageError
+from ..prolog.terms.types import Var
+from .match_graph import GraphReader
+from .schema import wrong
+
+
+class MatchShape(NamedTuple):
+    """MatchShape of the matches of a node.
+
+    Attributes:
+        node: the node.
+        match_class: class of the matches.
+        times: for a buffer of a `RepeatNode`, the number of repetitions of a match; else 1.
+    """
+
+    node: Any
+    match_class: type = PartialMatch
+    times: int = 1
+
+    @property
+    def width(self) -> int:
+        """Number of values of a match."""
+        return len(self.node.vars)
+
+    def fits(self, match: Any) -> bool:
+        """Return whether a match has this shape."""
+        match_class: Any = match.__class__
+        if match_class is not self.match_class or match.start > match.end:
+            return False
+        if match_class is Run:
+            return _run_fits(self.node, match)
+        if len(match.values) != len(self.node.vars):
+            return False
+        if self.times > 1:
+            return _has_repetitions(match, self.times)
+        return self.node.__class__ is not EventNode or _is_event_of(self.node, match)
+
+
+class _NoMatches(NamedTuple):
+    """MatchShape for a buffer that takes no matches from a state."""
+
+    width: int = 0
+
+    def fits(self, match: Any) -> bool:
+        """Return False."""
+        return False
+
+
+def _is_event_of(node: EventNode, match: PartialMatch) -> bool:
+    """Return whether a match consists of an event that a node listens to."""
+    pattern: Any = node.term
+    event: Any = match.term
+    if event is None or match.parts is not None:
+        return False
+    if pattern.__class__ is Var:
+        return True
+    if pattern.__class__ is tuple and event.__class__ is tuple:
+        return bool(pattern[0] is event[0])
+    return bool(pattern == event)
+
+
+def _has_repetitions(match: Any, times: int) -> bool:
+    """Return whether a match has parts for ``times`` repetitions; see `repetitions`."""
+    while times > 1:
+        parts: Any = match.parts or ()
+        if parts and parts[0].__class__ is BufferSlice:
+            return len(parts) == 1 and parts[0].length == times
+        if len(parts) != 2 or not all(isinstance(part, PartialMatch) for part in parts):
+            return False
+        match = parts[0]
+        times -= 1
+    return True
+
+
+def _run_fits(node: KleeneNode, run: Any) -> bool:
+    """Return whether a run has the values that its Kleene or aggregate node requires."""
+    first, repeated = MatchShape(node.first), MatchShape(node.repeated)
+    width, step_width = len(node.first.vars), len(node.step_vars)
+    return (
+        first.fits(run.first)
+        and len(run.values) == width
+        and (run.fixed is None or len(run.fixed) == len(node.fixed))
+        and len(run.open) == len(node.open_vars)
+        and len(run.taken) == len(run.steps)
+        and run.sound <= len(run.taken)
+        and (run.state is None if node.collector is None else node.collector.is_state(run.state))
+        and all(map(repeated.fits, run.taken))
+        and all(len(values) == width and len(step) >= step_width for values, step in run.steps)
+    )
+
+
+def group_fits(node: RepeatNode, group: RunGroup) -> bool:
+    """Return whether a group of runs has the matches that a node requires, and at least one."""
+    if group.node is not node or len(group.tokens) >= node.times:
+        return False
+    child = MatchShape(node.child)
+    present = [
+        (number, token)
+        for number, token in enumerate(group.tokens, 1)
+        if token is not None and token.buffer is group
+    ]
+    return (
+        bool(present)
+        and all(_cursor_fits(node, child, number, token) for number, token in present)
+        and all(map(child.fits, group.log.items))
+    )
+
+
+def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, token: RunCursor) -> bool:
+    first = MatchShape(node, times=token.apart) if token.apart > 1 else child
+    return token.apart <= number and len(token.values) == first.width and first.fits(token.first)
+
+
+def _negated_shapes(absence: NegationBuffer, node: NetworkNode) -> List[Any]:
+    """Return the shapes for `NegationBuffer.buffers`."""
+    return [MatchShape(node), *_carried_shapes(absence.carried)]
+
+
+def _carried_shapes(carried: Iterable[Tuple[NegationBuffer, NetworkNode]]) -> List[Any]:
+    return [shape for absence, node in carried for shape in _negated_shapes(absence, node)]
+
+
+def buffer_shapes(node: Any, saved: Any) -> List[Any]:
+    """Return the shape of the matches for each buffer that a node has after it has restored its state ``saved``."""
+    if isinstance(node, JoinNode):
+        negated = list(zip(node.absences, node.negated))
+        return [MatchShape(node.left), MatchShape(node.right), *_carried_shapes([*negated, *node.carried])]
+    if isinstance(node, KleeneNode):
+        return [MatchShape(node, Run), MatchShape(node.repeated), *_carried_shapes(node.carried)]
+    if isinstance(node, RepeatNode):
+        # Group members are not stored in a buffer: they belong to the node's own state.
+        return [
+            _NoMatches() if not times else MatchShape(node.child if times == 1 else node, times=times)
+            for times in node.buffer_lengths(saved)
+        ]
+    if isinstance(node, NotNode):
+        return _negated_shapes(node.absence, node.negated)
+    if isinstance(node, (EarlyTestNode, StreamNode)):
+        return _carried_shapes(node.carried)
+    return [_NoMatches() for _ in node.buffers()]
+
+
+def check_arrivals(rule: EventRule, state: RuleState, shapes: Sequence[Any]) -> None:
+    """Check that partial matches fit the buffers that they are put into.
+
+    Args:
+        rule: the rule.
+        state: its state.
+        shapes: shapes of the matches of its buffers.
+
+    Raises:
+        UsageError: if a match does not fit.
+    """
+    # Sequence numbers reproduce the order in which partial matches arrived.
+    orders = [order for _, _, order in state.arrivals]
+    if len(set(orders)) != len(orders):
+        raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
+    if any(order > state.times[1] for order in orders):
+        raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
+    waiting = [(match, buffer_number) for match, buffer_number, _ in state.arrivals]
+    for match, buffer_number in (*waiting, *((match, buffer_number) for buffer_number, match in state.later)):
+        if buffer_number < 0:
+            if match.buffer is None:
+                raise UsageError(f"{rule.name}: a run does not belong to a group")
+        elif not shapes[buffer_number].fits(match):
+            width = shapes[buffer_number].width
+            raise wrong(
+                match.values, f"{rule.name}: a match with {width} values and the event of its pattern"
+            )
+
+
+def check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -> None:
+    """Check that no partial match is stored twice: a match has links for one buffer only.
+
+    Raises:
+        UsageError: if one is.
+    """
+    stored: Set[int] = set()
+    for rule, state in zip(rules, states):
+        for match in (*(match for match, _, _ in state.arrivals), *(match for _, match in state.later)):
+            if id(match) in stored:
+                raise UsageError(f"{rule.name}: a partial match is stored twice")
+            stored.add(id(match))
+
+
+def check_lineage(graph: GraphReader) -> None:
+    """Check that the matches that are tried again after a retraction fit their nodes.
+
+    Raises:
+        UsageError: if one does not.
+    """
+    for suppressed in graph.objects(Suppressed):
+        if not _can_retry(suppressed.node, suppressed.what):
+            raise UsageError("a suppressed match does not fit its node")
+    checked: Set[Tuple[int, int]] = set()
+    for tracked in graph.objects(Occurrence, TrackedMatch):
+        for holder in tracked.held:
+            if holder.__class__ is not tuple:
+                continue
+            node, owner, _ = holder
+            # A run has an entry for each repetition, and is as long as their number.
+            if (id(node), id(owner)) in checked:
+                continue
+            checked.add((id(node), id(owner)))
+            of_node = isinstance(node, StreamNode) or (
+                _run_fits(node, owner) if isinstance(node, KleeneNode) else owner.node is node
+            )
+            if not of_node:
+                raise UsageError("a match with repetitions does not fit its node")
+
+
+def _can_retry(node: Any, what: Any) -> bool:
+    """Return whether `retry` of a node accepts a suppressed match or pair."""
+    is_pair = what.__class__ is tuple
+    if isinstance(node, JoinNode):
+        return is_pair and MatchShape(node.left).fits(what[0]) and MatchShape(node.right).fits(what[1])
+    if isinstance(node, KleeneNode):
+        return is_pair and MatchShape(node, Run).fits(what[0]) and MatchShape(node.repeated).fits(what[1])
+    if isinstance(node, (NotNode, EarlyTestNode)):
+        return not is_pair and MatchShape(node.child).fits(what)
+    return False
