@@ -6,7 +6,7 @@ import os
 import sys
 
 import pytest
-from manybags import SECOND, make_bag, make_program
+from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
 from retalis.cli.bag_command import add_parser

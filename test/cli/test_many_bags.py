@@ -1,7 +1,7 @@
 """Many bags, each by itself: the same bytes as one by one, in order, and failures told of."""
 
 import pytest
-from manybags import make_bag, make_program
+from bags_and_program import make_bag, make_program
 
 from retalis.cli.command_line import main
 

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("tornado", reason="tornado is not installed")
 
 from browser import Browser, chromium  # noqa: E402
-from pageserver import engine, serving  # noqa: E402
+from dashboard_client import engine, serving  # noqa: E402
 
 from retalis.dashboard.view_model import TopicRow  # noqa: E402
 

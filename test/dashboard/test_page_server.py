@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 
-from pageserver import PATIENCE, Visitor, engine, serving  # noqa: E402
+from dashboard_client import PATIENCE, Visitor, engine, serving  # noqa: E402
 
 from retalis import UsageError  # noqa: E402
 from retalis.dashboard.page_server import Dashboard  # noqa: E402

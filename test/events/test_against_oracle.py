@@ -13,10 +13,10 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from oracle.comparison import answer, difference, engine_events, engine_steps, report, shrink
-from oracle.declarative import defined_for, firings
+from oracle.event_combinations import defined_for, firings
 from oracle.patterns import Check, Cnot, Fnot, Sub, walk
+from oracle.rule_notation import stream, write_rule
 from oracle.strategies import cases, drawn_cases
-from oracle.text import stream, write_rule
 
 from retalis import atom, functor
 from retalis.events.matches import interval_index, match_buffer

@@ -3,7 +3,7 @@
 import pytest
 from oracle.comparison import Case, answer, difference
 from oracle.matches import POLICIES
-from oracle.text import brief, rule, stream
+from oracle.rule_notation import brief, rule, stream
 
 from retalis.prolog.terms.timestamps import SECOND
 

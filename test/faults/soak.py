@@ -42,11 +42,11 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "ros"), str(ROOT / "bench"), str(RO
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from drops import Drops  # noqa: E402
+from dropped_messages import Drops  # noqa: E402
+from nao_stream import Stream, reference  # noqa: E402
 from processes import free_port, resident  # noqa: E402
+from soak_evaluation import Restart, verdict  # noqa: E402
 from soak_plot import draw  # noqa: E402
-from stream import Stream, reference  # noqa: E402
-from verdict import Restart, verdict  # noqa: E402
 
 from retalis import srv  # noqa: E402
 from retalis.ros.master_watch import MasterWatch  # noqa: E402

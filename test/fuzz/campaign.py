@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-from .known import reason
+from .known_findings import reason
 
 HERE = Path(__file__).resolve().parent
 STILL = 10.0

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from .kinds import kind_of
-from .watch import Finding, Watch, raised_at
+from .side_effects import Finding, Watch, raised_at
 
 ADDRESSES = 3 << 30
 """Bytes of address space: an input that wants all memory gets a `MemoryError`, not the machine."""

@@ -24,7 +24,7 @@ from difflib import ndiff
 
 from retalis import RetalisError, functor
 
-from .checks import faults
+from .idle_engine_checks import faults
 from .injection import AtBytecode, Interrupt, by_signal, looking_often, time_runs_out
 from .program import ACTIONS, QUERIES, Subject
 

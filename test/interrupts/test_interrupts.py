@@ -10,7 +10,7 @@ from retalis import Engine, StreamClock, atom, functor
 from retalis.events.knowledge.memory import Memory
 
 from .__main__ import Campaign
-from .checks import faults
+from .idle_engine_checks import faults
 from .injection import AtBytecode, Interrupt
 
 

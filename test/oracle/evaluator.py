@@ -10,6 +10,7 @@ from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, O
 from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
+from .after_match_skipping import Skipping
 from .conditions import Test, all_solutions
 from .goals import first, instance, show
 from .matches import FIRES, INTERVAL, POLICIES, Event, Gap, Match
@@ -32,7 +33,6 @@ from .patterns import (
     take_out_subpatterns,
     walk,
 )
-from .skipping import Skipping
 from .streams import Streams
 
 Fit = Callable[[Match, Match], Optional[Match]]

@@ -19,9 +19,9 @@ from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
 from .conditions import Test
-from .declarative import Combinations, Found, has_outer_absence
-from .declarative import defined_for as defined_without_state
 from .evaluator import NOTHING, Fit, RuleState, Sides
+from .event_combinations import Combinations, Found, has_outer_absence
+from .event_combinations import defined_for as defined_without_state
 from .goals import first, instance, show
 from .matches import Event, Match, Run
 from .patterns import (

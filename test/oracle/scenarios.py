@@ -17,7 +17,7 @@ from retalis.prolog.terms.timestamps import SECOND, from_term
 
 from .goals import show
 from .patterns import Check, Do, Multiply, Rule, Where, walk
-from .text import pattern_of
+from .rule_notation import pattern_of
 
 SOLVED = frozenset("true fail false = \\= == \\== < > =< >= =:= =\\= is member \\+ t1 t2".split())  # noqa: SIM905
 

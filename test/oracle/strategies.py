@@ -46,8 +46,8 @@ from .patterns import (
     walk,
     with_own,
 )
+from .rule_notation import write_rule
 from .streams import RESULTS
-from .text import write_rule
 
 Choice = Callable[[Any], Any]
 Stream = List[Tuple[Term, int, int]]

@@ -15,8 +15,8 @@ from .conditions import may_bind
 from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify
 from .matches import Event, Match
 from .patterns import Aggregate, Awaited, Both, Pattern, Shaped, Star, Windowed, children
-from .repetition import Repetitions
-from .stepping import steps_of, whole_matches
+from .repetition_runs import Repetitions
+from .row_pattern_matches import steps_of, whole_matches
 
 
 @dataclass(eq=False)

@@ -9,7 +9,7 @@ import pytest
 from oracle.evaluator import run
 from oracle.goals import GoalError, number
 from oracle.matches import POLICIES
-from oracle.text import brief, rule, stream
+from oracle.rule_notation import brief, rule, stream
 
 from retalis import Operators
 from retalis.prolog.syntax.term_reader import read_term

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from oracle.patterns import Both, Ntimes, walk
 from oracle.revision import combines, run_with_revision
+from oracle.rule_notation import rule, stream
 from oracle.strategies import cases
-from oracle.text import rule, stream
 
 CASES = [
     ("out(X)", "or(a(X),b(X))", "a(1)@1 rev(a(1))@2 rev(a(1))@3", ["out(1)@1", "rev(out(1))@2", ""]),

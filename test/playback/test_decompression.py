@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from hostilebags import (  # noqa: E402
+from malicious_bags import (  # noqa: E402
     MEGABYTE,
     PACK,
     folder_bag,

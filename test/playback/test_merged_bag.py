@@ -6,7 +6,7 @@ import tempfile
 
 import numpy
 import pytest
-from hostilebags import packed_zeros, zstd
+from malicious_bags import packed_zeros, zstd
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from hostilebags import ros1_bag  # noqa: E402
+from malicious_bags import ros1_bag  # noqa: E402
 
 from retalis import BagError, BagReader, BagWriter, Definitions, RetalisError, Topic, atom  # noqa: E402
 from retalis.messages.type_registry import Installed  # noqa: E402

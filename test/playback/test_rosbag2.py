@@ -11,7 +11,7 @@ import pytest
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 
-from hostilebags import HELLO, ROWS, TABLES, folder_bag, mcap, mcap_message, sqlite_bag  # noqa: E402
+from malicious_bags import HELLO, ROWS, TABLES, folder_bag, mcap, mcap_message, sqlite_bag  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 from retalis import BagError  # noqa: E402

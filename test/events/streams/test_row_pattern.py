@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 from oracle.patterns import Leaf, Rule, Windowed
-from oracle.stepping import steps_of, whole_matches
+from oracle.row_pattern_matches import steps_of, whole_matches
+from oracle.rule_notation import write_rule
 from oracle.strategies import Generator
-from oracle.text import write_rule
 
 from retalis import Engine, Var, functor, make_list
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from retalis import Engine, Limits, RetalisError, Settings
 
 from ..mutate import to_text
-from ..watch import GROWTH, SECONDS, Finding
+from ..side_effects import GROWTH, SECONDS, Finding
 
 try:  # names of types are looked for in it, and no input may import anything
     from rosbags.typesys import Stores, get_typestore

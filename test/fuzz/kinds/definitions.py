@@ -5,7 +5,7 @@ from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Installed
 
 from ..mutate import changed_text, soup, to_bytes, to_text
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import Kind
 
 PIECES = (

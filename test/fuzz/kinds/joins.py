@@ -5,7 +5,7 @@ from time import process_time
 from retalis import Limits, Settings
 
 from ..mutate import changed_text, to_bytes, to_text
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import LOGGED, Kind, silent_engine
 
 MARK = "\n%%\n"

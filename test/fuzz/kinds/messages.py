@@ -9,7 +9,7 @@ from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_bytes, changed_text, to_bytes, to_text
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import CORPUS, Kind
 
 SIZES = {"bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H"}

@@ -17,7 +17,7 @@ from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 
 from ..mutate import soup, to_bytes, to_text
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import LOGGED, Kind, silent_engine
 
 PIECES = (

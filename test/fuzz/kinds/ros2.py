@@ -8,7 +8,7 @@ from retalis.messages.text_decoder import text_writer
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_text, soup, to_bytes, to_text
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import Kind
 
 TYPES = (

@@ -6,7 +6,7 @@ from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_file_format import pack, unpack
 
 from ..mutate import NUMBERS, changed_bytes
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import LOGGED, SETTINGS, Kind, silent_engine
 
 PROGRAMS = (

@@ -5,7 +5,7 @@ import json
 from retalis import Limits, RetalisError, Settings
 
 from ..mutate import to_bytes, to_text
-from ..watch import Finding
+from ..side_effects import Finding
 from .base import LOGGED, Kind, silent_engine
 
 SETTINGS = Settings(limits=Limits(seconds=2.0, inferences=300_000, megabytes=40), folders=())

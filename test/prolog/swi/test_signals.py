@@ -7,7 +7,7 @@ import signal
 import threading
 
 import pytest
-from interrupts.checks import faults
+from interrupts.idle_engine_checks import faults
 from interrupts.injection import AtBytecode, Interrupt
 
 

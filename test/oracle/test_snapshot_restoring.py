@@ -2,7 +2,7 @@
 
 import pytest
 
-from .cutting import cut_case, cut_difference
+from .snapshot_restoring import cut_case, cut_difference
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 from fuzz import campaign as module
 from fuzz.campaign import Campaign
 from fuzz.kinds.bad import ACTS
-from fuzz.known import reason
+from fuzz.known_findings import reason
 from retalis.foundation.cpython_and_pypy import PYPY
 
 pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit events, and PyPy has few of them")

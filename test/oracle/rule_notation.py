@@ -38,7 +38,7 @@ from .patterns import (
     Within,
     walk,
 )
-from .stepping import steps_of
+from .row_pattern_matches import steps_of
 
 _TOKEN = re.compile(r"\s*(-?\d+(?:\.\d+)?|[A-Z_]\w*|[a-z]\w*|'[^']*'|\[\]|[-+*/<>=\\:]+|.)")
 

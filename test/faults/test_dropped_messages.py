@@ -1,7 +1,7 @@
 """What is counted as dropped, from what two nodes tell."""
 
 import pytest
-from faults.drops import Drop, Drops
+from faults.dropped_messages import Drop, Drops
 
 
 def topic(name, dropped=0, refused=0):

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, assume, given, reject, settings
-from oracle.declarative import defined_for, firings
 from oracle.evaluator import Program
+from oracle.event_combinations import defined_for, firings
 from oracle.goals import show
 from oracle.strategies import cases
 

@@ -4,8 +4,8 @@ from collections import Counter
 from types import SimpleNamespace
 
 import pytest
-from faults.drops import Drop, Drops
-from faults.verdict import NODES, Restart, verdict
+from faults.dropped_messages import Drop, Drops
+from faults.soak_evaluation import NODES, Restart, verdict
 
 SPEED = 5
 STEP = 22
