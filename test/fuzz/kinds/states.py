@@ -1,5 +1,7 @@
 """States with changed values, references, and lengths and right checksums, changed bytes, and pieces left out."""
 
+from time import process_time
+
 from retalis import Engine, Functor, RetalisError, String, UsageError, Var, atom, functor
 from retalis.prolog.terms.timestamps import WholeSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
@@ -76,6 +78,9 @@ EVENTS = ("a(1)", "b(2)", "a(-1)", "c(1)", "a(f(Z, Z))", "b(1)", "a(2)")
 AFTER = ("b(7)", "c(2)", "a(1)", "rev(b(7))", "b(2)", "a(f(_))", "a(3)", "rev(a(2))", "c(1)", "a(-2)")
 TIMES = 100
 """Events that a restored engine takes."""
+
+MAX_EVENTS_SECONDS, MAX_DERIVED_EVENTS = 0.5, 2000
+"""CPU time, and number of events that rules have made of them, after which it takes no more."""
 
 QUERIES = (
     "memory_size(M, N)",
@@ -213,7 +218,13 @@ class Inputs(Kind):
             return
         engine.logic.output = engine.logic.error_output = lambda text: None
         self.check_shared()
+        before = process_time()
+        seen = []
+        engine.on_event(lambda *event: seen.append(None))
         for now in range(TIMES):
+            # A rule that makes its own events is a valid program: each event then takes all that its limit allows.
+            if process_time() - before > MAX_EVENTS_SECONDS or len(seen) > MAX_DERIVED_EVENTS:
+                break
             self.attempt(engine.event, AFTER[now % len(AFTER)], 10 + now / 4)
         for query in QUERIES:
             self.attempt(engine.query, query, 5)
