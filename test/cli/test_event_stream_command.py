@@ -97,7 +97,7 @@ def test_goals_may_be_written_as_directives(run):
 def test_nobody_sleeps_back_in_time(run, time):
     status, _, error = run(stream=f"sleep({time}).\n")
     assert status == 1
-    assert "stream.txt:1:1: sleep/1 needs a number of seconds" in error
+    assert "stream.txt:1:1: sleep/1: expected a number of seconds" in error
 
 
 def test_outputs_go_to_their_file(run, tmp_path):

@@ -104,11 +104,11 @@ REFUSED = {
     "bags --format jsonl --output new": "--format needs --jobs or --scheduler",
     "bags --jobs 2 --write-folder x": "--write-folder: bags that are played at the same time",
     "bags --jobs 2 --output new --events": "--events: a bag contains only published messages",
-    "bags --jobs 2 --output new --explain x": "--explain: --format bag has no place for it",
+    "bags --jobs 2 --output new --explain x": "--explain: --format bag cannot contain explanations",
     "bags --jobs 2 --output bags/new": "--output bags/new is below bags: results would be played the next time",
     "bags --jobs 2 --output old": "old/r1/b.bag already exists; --overwrite replaces it",
     "other/r2/a.bag bags/r2 --jobs 2 --output new": "bags/r2/a.bag: the result of both would be new/a.bag",
-    "bags": "bags is no bag of ROS 2: no metadata.yaml; --jobs plays all bags below a folder",
+    "bags": "bags is not a ROS 2 bag: it has no metadata.yaml: use --jobs",
 }
 
 

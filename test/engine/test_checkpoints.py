@@ -227,10 +227,10 @@ def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
             "(SELECT 1, 1, 1, x'00', 1 UNION ALL SELECT memory, first + 1, 1, data, 1 FROM x) SELECT * FROM x",
             "its tables are not those of a checkpoint",
         ),
-        ("PRAGMA application_id = 5", "a database of something else"),
+        ("PRAGMA application_id = 5", "another database"),
         ("UPDATE sections SET data = 'text'", "data of another type"),
         ("DELETE FROM sections WHERE name = 'program'", "no section program"),
-        ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "not what was written"),
+        ("UPDATE sections SET data = x'800495' WHERE name = 'about'", "a checksum is wrong"),
     ],
 )
 def test_a_database_that_is_another_one_is_refused(folder, statements, message):
@@ -274,7 +274,7 @@ def test_what_is_no_checkpoint_is_refused(folder):
     other.execute("CREATE TABLE x (y)")
     other.commit()
     other.close()
-    with pytest.raises(UsageError, match="a database of something else"):
+    with pytest.raises(UsageError, match="another database"):
         resumed(folder)
 
 

@@ -319,8 +319,8 @@ def test_what_services_have_deleted_comes_back_as_the_program_says(program):
 @pytest.mark.parametrize(
     "goal, part",
     [
-        ("memorize(glow, [], _, glows, 3)", "memory glows of the program has been added meanwhile"),
-        ("subscribe(glow, [], _, lights, x)", "subscription x of topic lights of the program has been added"),
+        ("memorize(glow, [], _, glows, 3)", "memory glows of the program exists already"),
+        ("subscribe(glow, [], _, lights, x)", "subscription x of topic lights of the program exists already"),
     ],
 )
 def test_a_name_that_services_have_taken_is_refused(program, goal, part):

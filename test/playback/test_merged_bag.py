@@ -67,7 +67,7 @@ def test_a_bag_is_not_played_twice(tmp_path):
     path = bag(tmp_path / "a.bag", 1)
     with pytest.raises(UsageError, match="is given twice"):
         MergedBag([path, tmp_path / "." / "a.bag"])
-    with pytest.raises(BagError, match="there is no bag"):
+    with pytest.raises(BagError, match="no bag is given"):
         MergedBag([])
 
 

@@ -53,7 +53,7 @@ def test_unchanged_it_is_taken(state):
         ("run", ["clock"], [1], "expected 4 items"),
         ("run", ["clock", 0], 1 << 100, "expected an instant"),
         ("run", ["clock", 0], 1 << 80, "expected an instant that a clock can reach"),
-        ("run", ["sent"], [], "not as many subscriptions"),
+        ("run", ["sent"], [], "expected a count of outputs"),
         ("run", [], [], "expected the fields clock"),
         ("values", [0], [["double_quotes", atom("x")]], "Prolog flag 'double_quotes'"),
         ("values", [3], [["other", 1]], "a kind of state of built-in predicates"),
@@ -113,7 +113,7 @@ def test_what_is_wrong_is_refused_and_said(state, section, path, value, message)
 
 @pytest.mark.parametrize("left_out", ["program", "clauses", "values", "matches", "run", "memory 0"])
 def test_a_section_that_is_missing_is_said(state, left_out):
-    with pytest.raises(UsageError, match="no section|not as many memories"):
+    with pytest.raises(UsageError, match="no section|expected records for each memory"):
         Engine.restore(pack({name: data for name, data in state.items() if name != left_out}))
 
 

@@ -113,6 +113,7 @@ def _find_positional(parser: argparse.ArgumentParser, position: int) -> Optional
     actions = [action for action in parser._actions if not action.option_strings]
     if position < len(actions):
         return actions[position]
+    # The last argument may take any number of values.
     return actions[-1] if actions and actions[-1].nargs in ("*", "+") else None
 
 
@@ -130,6 +131,7 @@ def _list_values(
     list_names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> Iterable[str]:
     if action.choices is not None:
+        # `words` is called by the script only, not by users.
         return [str(choice) for choice in action.choices if choice != "words"]
     # Names in running nodes, if ROS is installed and a master answers.
     if action.dest in NAME_KINDS:

@@ -353,7 +353,7 @@ class Session:
         """Advance the stream's clock: the goal ``sleep(Seconds)``."""
         seconds = deref(arguments[0])
         if not isinstance(seconds, (int, float)) or not 0 <= seconds < float("inf"):
-            raise UsageError("sleep/1 needs a number of seconds, not a negative one")
+            raise UsageError("sleep/1: expected a number of seconds of 0 or more")
         self._clock.move_by(timestamps.from_seconds(seconds))
         self.engine.advance()
         return after

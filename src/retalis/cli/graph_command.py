@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     suffix = _get_output_format(options.output)
     folder = options.folder
     if not (folder / GOALS).is_file():
-        raise UsageError(f"{folder.resolve()} is no program: it has no file {GOALS}")
+        raise UsageError(f"{folder.resolve()} is not a program: it has no file {GOALS}")
     engine = Engine(settings=apply_limits(Settings(), options))
     input_topics = engine.input_topics
     # Goals may subscribe topics during loading. They are recorded for the graph, and nothing is subscribed.

@@ -650,8 +650,9 @@ def vocabulary(situation: Situation) -> List[str]:
 
 
 def find_situations(text: str) -> List[Situation]:
-    """Return the situations that have all words of a text, those with the words in their wish first."""
+    """Return the situations that have all words of a text, those with the words in their need first."""
     words = words_of(text)
+    # `AND` is an operator as well as a stop word, so stop words count if the text has no other words.
     wanted = {stem(word) for word in words if word not in _STOP_WORDS} or {stem(word) for word in words}
     if not wanted:
         return []

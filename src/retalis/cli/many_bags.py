@@ -223,7 +223,7 @@ def plays_separately(options: argparse.Namespace) -> bool:
             raise UsageError(f"{location}: --jobs plays bags of URLs, each by itself")
         if is_folder_of_bags(location):
             raise UsageError(
-                f"{location} is no bag of ROS 2: no metadata.yaml; --jobs plays all bags below a folder"
+                f"{location} is not a ROS 2 bag: it has no metadata.yaml: use --jobs to play all bags below a folder"
             )
     return False
 
@@ -285,7 +285,9 @@ def _check_options(options: argparse.Namespace) -> None:
     """
     result_format = _select_format(options)
     if options.jobs and options.scheduler:
-        raise UsageError("--jobs and --scheduler: give one of them; a cluster has as many workers as it has")
+        raise UsageError(
+            "--jobs and --scheduler: give one of them: a cluster determines the number of its workers"
+        )
     # The results of other machines have to be written to a folder or URL that both sides can read.
     if options.scheduler and not options.output:
         raise UsageError("--scheduler needs --output: a folder that the workers see, or a URL")
@@ -298,7 +300,9 @@ def _check_options(options: argparse.Namespace) -> None:
     if result_format == "bag" and options.events:
         raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
     if result_format in ("bag", "parquet") and options.explain:
-        raise UsageError(f"--explain: --format {result_format} has no place for it, jsonl has")
+        raise UsageError(
+            f"--explain: --format {result_format} cannot contain explanations: use --format jsonl"
+        )
     if options.output and not is_url(options.output):
         target = Path(options.output).resolve()
         for location in options.bags:

@@ -68,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         if not options.bags or options.program is None:
             options.wrong("give bags with --program, or --from")
+        # An error in the program does not prevent the drawing; it determines the exit status.
         timeline = _record_timeline(options, report).build()
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
     if suffix in PAGE_SUFFIXES:

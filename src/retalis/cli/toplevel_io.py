@@ -224,7 +224,7 @@ def _save_history() -> None:
     try:
         readline.write_history_file(str(HISTORY_PATH))
     except OSError as error:
-        print(f"% the history is not kept: {error.strerror}", file=sys.stderr)
+        print(f"% the history cannot be saved: {error.strerror}", file=sys.stderr)
 
 
 def _read_key() -> str:

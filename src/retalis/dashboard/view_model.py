@@ -520,7 +520,7 @@ class LiveUpdates:
             except Exception as error:
                 if repr(error) != self._last_logged_error:
                     self._last_logged_error = repr(error)
-                    log.exception("internal error: the dashboard cannot look at the program")
+                    log.exception("internal error: the dashboard cannot read the status of the program")
             await asyncio.sleep(self._period)
         self._sending_task = None
 

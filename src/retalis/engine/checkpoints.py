@@ -265,7 +265,7 @@ def _check_schema(database: sqlite3.Connection) -> None:
     try:
         expected_database.executescript(_TABLE_DEFINITIONS)
         if _read_schema(expected_database) != _read_schema(database):
-            raise UsageError("it is a database of something else: its tables are not those of a checkpoint")
+            raise UsageError("it is another database: its tables are not those of a checkpoint")
     finally:
         expected_database.close()
 
@@ -281,7 +281,7 @@ def _check_lengths(database: sqlite3.Connection, size: int) -> None:
             raise UsageError(f"it is damaged: the table {table} has data of another type")
     # Written as `not <=` because the total can be NaN for a crafted file.
     if not total <= size:
-        raise UsageError("it is damaged: it says that it contains more than the file has")
+        raise UsageError("it is damaged: its rows state more bytes than the file has")
 
 
 def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
@@ -292,7 +292,7 @@ def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoi
         # The file was created, and its tables are not committed yet.
         return None
     if _query_value(database, "PRAGMA application_id") != APPLICATION:
-        raise UsageError("it is a database of something else")
+        raise UsageError("it is another database: its application id is not that of a checkpoint")
     _check_schema(database)
     _check_lengths(database, size)
     data_by_name = {
@@ -302,7 +302,7 @@ def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoi
     if not data_by_name:
         return None
     if "about" not in data_by_name:
-        raise UsageError("it is damaged: it does not say what it is")
+        raise UsageError("it is damaged: it has no section about")
     header = _read_header(data_by_name.pop("about"))
     missing = SECTIONS.keys() - data_by_name.keys()
     if missing:
@@ -361,7 +361,7 @@ def _read_batches(database: sqlite3.Connection, number: int, oldest: int, end_ba
 
 def _verify_checksum(data: bytes, check: int) -> bytes:
     if not isinstance(data, bytes) or crc32(data) != check:
-        raise UsageError("it is damaged: a part of it is not what was written")
+        raise UsageError("it is damaged: a checksum is wrong")
     return data
 
 
@@ -400,7 +400,7 @@ def rename_refused_file(path: Path) -> Path:
             elif target.exists():
                 target.unlink()
     except OSError as error:
-        raise UsageError(f"cannot put {path} aside: {error.strerror}") from error
+        raise UsageError(f"{path} cannot be renamed: {error.strerror}") from error
     return new_path
 
 

@@ -164,9 +164,9 @@ class EngineSnapshot:
             for definition in program["declared"]:
                 knowledge.states.declare(definition)
         if len(counters["sent"]) != len(knowledge.subscriptions.items()):
-            raise UsageError("there are not as many subscriptions as counts of what they have sent")
+            raise UsageError("the state is damaged: expected a count of outputs for each subscription")
         if len(memories) != len(records):
-            raise UsageError("there are not as many memories as records of them")
+            raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named_rules)

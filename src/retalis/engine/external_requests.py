@@ -260,7 +260,7 @@ def delete_rule(engine: Engine, label: str) -> None:
 def _parse_label(engine: Engine, text: str) -> Term:
     """Parse a label."""
     if not text.strip():
-        raise UsageError("label is empty")
+        raise UsageError("label: expected an atom, found an empty text")
     label_term = deref(read_term(text, engine.operators, "label").term)
     if not isinstance(label_term, Atom):
         raise UsageError(f"label: expected an atom, found {engine.brief(label_term)}")

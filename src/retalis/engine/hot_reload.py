@@ -331,13 +331,17 @@ def load_into_trial(
     for key, instance in trial_deployment.memories.items():
         if key in current_items.memories and key not in old_deployment.memories:
             conflicts.append(
-                RuleError(f"memory {show(instance.id)} of the program has been added meanwhile by others")
+                RuleError(
+                    f"memory {show(instance.id)} of the program exists already: it was added by a service or a goal"
+                )
             )
     for key, subscription in trial_deployment.subscriptions.items():
         if key in current_items.subscriptions and key not in old_deployment.subscriptions:
             name = show(subscription.id)
-            text = f"subscription {name} of topic {key[0]} of the program has been added meanwhile by others"
-            conflicts.append(RuleError(text))
+            title = f"subscription {name} of topic {key[0]}"
+            conflicts.append(
+                RuleError(f"{title} of the program exists already: it was added by a service or a goal")
+            )
     if conflicts:
         raise ProgramErrors(conflicts)
     return trial_deployment

@@ -359,6 +359,7 @@ class WhyNot:
             try:
                 values = self._solve(goal, match)
             except RetalisError as error:
+                # As in the rule, an error rejects this match only; it is shown if no other match is accepted.
                 problems.setdefault(error.message)
                 continue
             if values is not None:
@@ -376,6 +377,7 @@ class WhyNot:
     def _evaluate_within(self, pattern: Within) -> Part:
         part = self.evaluate(pattern.pattern)
         matches = [match for match in part.matches if match.end - match.start <= pattern.span]
+        # The parser has subtracted a nanosecond, because `within` excludes the bound that is written.
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.matches else "not tested"
         return Part(
@@ -391,6 +393,7 @@ class WhyNot:
         text = f"{_ACTION_NAMES[pattern.every]} {self._show(pattern.goal)}"
         if not part.matches:
             return Part(f"{text}: not called", [], [part], None, False)
+        # The goal is not called here, because it may have effects: the action counts as done.
         return Part(text, part.matches, [part])
 
     def _evaluate_windowed(self, pattern: Windowed) -> Part:

@@ -151,7 +151,7 @@ def _reject_duplicates(paths: Sequence[PathLike]) -> None:
             raise UsageError(f"{path} is given twice")
         seen[resolved] = path
     if not seen:
-        raise BagError("there is no bag")
+        raise BagError("no bag is given: expected at least one")
 
 
 _BAG_SUFFIXES = (".bag", *SUFFIXES)

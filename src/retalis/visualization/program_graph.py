@@ -396,6 +396,7 @@ def draw_graph(text: str, path: Path) -> None:
 
 def _format_node(node: GraphNode) -> str:
     style = NODE_STYLES[node.kind]
+    # All texts of a program are quoted: a label could otherwise contain attributes or HTML.
     label = "\n".join([_first_line(node), *_further_lines(node)])
     rounded = ' style="filled,rounded"' if node.kind == "event" else ""
     tooltip = _quote(_UNNAMED_VARIABLE.sub("_", node.text))
@@ -413,6 +414,7 @@ def _further_lines(node: GraphNode) -> List[str]:
         return [node.label.rpartition("__0__")[0]]
     if node.kind != "rule":
         return []
+    # Long words are not broken, because a term is unreadable in the middle of a name.
     lines = wrap(_make_breakable(node.text), MAX_LINE_CHARACTERS, break_long_words=False)
     return lines if len(lines) <= MAX_LINES else [*lines[: MAX_LINES - 1], lines[MAX_LINES - 1] + " ..."]
 

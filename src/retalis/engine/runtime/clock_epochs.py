@@ -163,15 +163,15 @@ class ClockEpochs:
         self._wake()
 
     def buffers_early_messages(self) -> bool:
-        """Tell whether early messages are buffered at present."""
+        """Return whether early messages are buffered at present."""
         return self._monotonic() >= self._early_allowed_from
 
     def must_buffer(self, publisher: str) -> bool:
-        """Tell whether messages of a publisher must be buffered."""
+        """Return whether messages of a publisher must be buffered."""
         return self._time[0] != self.epoch or publisher in self._early_publishers
 
     def must_buffer_texts(self, sender: object) -> bool:
-        """Tell whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
+        """Return whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
         sender_state = self._senders.get(sender)
         if sender_state is None:
             return self._time[0] != self.epoch

@@ -124,10 +124,10 @@ def start_watchdog(
         reports.warning(text, ("refused goals", _format_entry(entry)))
 
     def warn_of_stop(rule: Any, limit: str, steps: int, entry: object) -> None:
-        name = "taking events back" if rule is None else rule.name
+        name = "retraction of events" if rule is None else rule.name
         text = (
             f"{name}: {_format_entry(entry)} has exceeded its limit of {limit} while patterns were matched:"
-            f" {steps} pairs, items or derived events were left out, with all that would have followed from them"
+            f" {steps} pairs, items or derived events were omitted, with all their consequences"
         )
         reports.warning(
             RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _format_entry(entry))
