@@ -91,7 +91,7 @@ def test_the_report_names_the_rule_its_place_the_limit_and_what_was_left_out(cap
     assert report.startswith("rules.txt:")
     assert "rule e" in report
     assert "e0/1 has exceeded its limit of inferences" in report
-    assert "derived events were left out" in report
+    assert "derived events were omitted" in report
 
 
 def test_events_have_what_they_had_without_limits_below_them():
