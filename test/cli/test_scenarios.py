@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from events.running import text_of
+from events.stream_programs import text_of
 from events.test_scenarios import BASE, SCENARIOS, short, wanted_of
 
 from retalis import Operators, SyntaxFault, deref, list_items

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from events.running import Program, fired, text_of
+from events.stream_programs import Program, fired, text_of
 
 from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode

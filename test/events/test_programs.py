@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from events.running import FUTURE, show, text_of
+from events.stream_programs import FUTURE, show, text_of
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, to_term

@@ -1,7 +1,7 @@
 """Revision, justification, alarms."""
 
 import pytest
-from events.running import Program, fired, show
+from events.stream_programs import Program, fired, show
 
 from retalis import StreamClock
 from retalis.events.matches import revived_matches

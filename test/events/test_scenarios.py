@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from events.contradictions import CONTRADICTED, Contradiction
-from events.running import text_of
+from events.stream_programs import text_of
 from parsing import parse_term
 
 from retalis import Engine, Operators, RetalisError, Settings, StreamClock, atom, deref, functor

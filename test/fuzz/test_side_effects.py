@@ -4,7 +4,7 @@ import pytest
 
 from fuzz import campaign as module
 from fuzz.campaign import Campaign
-from fuzz.kinds.bad import ACTS
+from fuzz.kinds.forbidden_acts import ACTS
 from fuzz.known_findings import reason
 from retalis.foundation.cpython_and_pypy import PYPY
 
@@ -13,10 +13,10 @@ pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit event
 
 @pytest.fixture(scope="module")
 def found():
-    """What was found, by the inputs of ``kinds/bad.py``."""
+    """What was found, by the inputs of ``kinds/forbidden_acts.py``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STILL", 1.5)
-        campaign = Campaign("bad")
+        campaign = Campaign("forbidden_acts")
         campaign.run(len(ACTS))
     acts = list(ACTS)
     return {acts[line["number"]]: (line["what"], line["detail"]) for line in campaign.findings.values()}
@@ -63,7 +63,7 @@ def test_what_counts(found, act):
 def test_a_process_that_dies_of_its_input(found):
     what, detail = found["crash"]
     assert what == "died (-6)"
-    assert "bad.py" in detail
+    assert "forbidden_acts.py" in detail
 
 
 @pytest.mark.slow
@@ -76,7 +76,7 @@ def test_a_step_that_no_handler_can_end(found):
 def test_a_file_is_replayed(tmp_path):
     path = tmp_path / "input"
     path.write_text("swallowed")
-    campaign = Campaign("bad")
+    campaign = Campaign("forbidden_acts")
     campaign.file(path)
     ((line),) = campaign.counted
     assert (line["what"], bytes.fromhex(line["input"])) == ("action", b"swallowed")

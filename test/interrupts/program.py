@@ -6,7 +6,7 @@ to be answered the same whatever an interrupt has left undone of the actions bef
 
 from functools import lru_cache
 
-from events.running import text_of
+from events.stream_programs import text_of
 
 from retalis import Engine, Limits, Operators, PrologError, Settings, StreamClock, atom
 from retalis.prolog.syntax.term_reader import read_term

@@ -4,7 +4,7 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from events.streams.feeding import Came, item_of, listing
+from events.streams.stream_feeder import Came, item_of, listing
 
 from retalis.events.streams import stream_operator
 from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle

@@ -18,8 +18,8 @@ from unittest.mock import patch
 
 from events.knowledge.test_event_states import ALARM, Definition
 from events.knowledge.test_event_states import run as watching
-from events.network.test_replaying import RULES, standing
-from events.network.test_replaying import stream as events_to_take_back
+from events.network.test_stream_revision import RULES, standing
+from events.network.test_stream_revision import stream as events_to_take_back
 from events.streams.test_row_pattern import VALUE, expected, fired, rule_of
 
 from retalis import Clock, Engine, list_items, make_list

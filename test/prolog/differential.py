@@ -13,8 +13,8 @@ from typing import List
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from generated import Generator  # noqa: E402
-from reasons import REASONS, reason  # noqa: E402, F401
+from difference_classes import REASONS, reason  # noqa: E402, F401
+from random_goals import Generator  # noqa: E402
 from swipl import ask  # noqa: E402
 
 from retalis import Limits, PrologError, String, SyntaxFault, functor  # noqa: E402

@@ -6,7 +6,7 @@ from xmlrpc.client import ServerProxy
 
 import pytest
 
-PROBE = Path(__file__).with_name("probe.py")
+PROBE = Path(__file__).with_name("message_probe.py")
 WAYS = {
     "text": ("_direct:=false",),
     "direct": ("_direct:=[in, std_msgs/String]",),

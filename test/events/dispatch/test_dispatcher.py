@@ -1,7 +1,7 @@
 """Dispatch: order, constants, depth, errors that stop one firing only."""
 
 import pytest
-from events.running import Program, fired, text_of
+from events.stream_programs import Program, fired, text_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reachability import count_entries, reachable

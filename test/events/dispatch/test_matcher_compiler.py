@@ -1,7 +1,7 @@
 """Terms made from values: equal to copies with the values in place of variables; large ones are not compiled."""
 
 import pytest
-from events.running import text_of
+from events.stream_programs import text_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,7 +5,7 @@ import re
 from unittest.mock import patch
 
 import pytest
-from events.fused.switching import PATHS
+from events.fused.fused_path_plugin import PATHS
 
 from retalis import Engine, Settings, StreamClock, Var, atom, functor
 from retalis.events.dispatch.listeners import ListenerPhase

@@ -1,7 +1,7 @@
 """A fused window gives and knows what the plain way does, whatever comes."""
 
 import pytest
-from events.fused.switching import PATHS
+from events.fused.fused_path_plugin import PATHS
 from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st

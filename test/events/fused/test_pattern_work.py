@@ -1,7 +1,7 @@
 """Fused paths count the same pattern work as the plain way, so that limits end both alike."""
 
 import pytest
-from events.fused.switching import PATHS
+from events.fused.fused_path_plugin import PATHS
 
 from retalis import Engine, Limits, Settings
 

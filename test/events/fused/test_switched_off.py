@@ -10,7 +10,7 @@ import sys
 from importlib.util import find_spec
 
 import pytest
-from events.fused.switching import PATHS
+from events.fused.fused_path_plugin import PATHS
 from source import ROOT
 
 WHOLE = os.environ.get("RETALIS_TEST_FUSED") == "1"
@@ -34,7 +34,7 @@ def test_the_tests_of_rules_pass_without(off):
         "not slow and not fused",
     ]
     run = subprocess.run(
-        [*command, "-p", "events.fused.switching", *FOLDERS, "--without-fused", *off, *SHARED],
+        [*command, "-p", "events.fused.fused_path_plugin", *FOLDERS, "--without-fused", *off, *SHARED],
         cwd=str(ROOT),
         env={**os.environ, "PYTHONPATH": os.pathsep.join(PATH)},
         stdout=subprocess.PIPE,

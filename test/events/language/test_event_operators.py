@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from events import table
+from events import operator_table
 from fuzz.kinds import rules as fuzzed
 from oracle import patterns
 
@@ -73,7 +73,12 @@ def test_tests_know_all():
     names = {one.spellings[0] for one in known}
     assert set(OPERATORS) == set(patterns.TWO_SIDED)
     assert set(AGGREGATES) == set(patterns.KINDS)
-    assert names <= {re.sub(r"\W.*", "", row) for row in table.ROWS} | {"do", "aggregate", "with", "absent"}
+    assert names <= {re.sub(r"\W.*", "", row) for row in operator_table.ROWS} | {
+        "do",
+        "aggregate",
+        "with",
+        "absent",
+    }
     written = " ".join((*fuzzed.SIDES, *fuzzed.GOALS, *fuzzed.STREAMS, "do"))
     assert all(re.search(rf"\b{name}\b", written) for name in names)
     assert {re.sub(r"\W.*", "", kind) for kind in fuzzed.KINDS} == set(AGGREGATES)

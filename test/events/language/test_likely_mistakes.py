@@ -3,8 +3,8 @@
 from itertools import combinations, product
 
 import pytest
-from events.refusals import errors_of, warnings_of
-from events.running import Program
+from events.load_messages import errors_of, warnings_of
+from events.stream_programs import Program
 
 COMPARISONS = ["X > 1", "X =< 1", "X == 1", "X = 1", "X \\== 1", "Y is X + 1", "X @< 1", "X =:= 1"]
 

@@ -1,7 +1,7 @@
 """Each operator: when it fires, with which interval, and when it does not."""
 
 import pytest
-from events.running import Program, fired
+from events.stream_programs import Program, fired
 
 CASES = [
     # pattern, stream, what c fires

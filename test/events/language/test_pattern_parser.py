@@ -1,7 +1,7 @@
 """Aggregates that have nothing to collect."""
 
 import pytest
-from events.refusals import errors_of, warnings_of
+from events.load_messages import errors_of, warnings_of
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Rules over windows of steps, as people write them."""
 
 import pytest
-from events.running import Program, fired
+from events.stream_programs import Program, fired
 
 from retalis import ProgramErrors
 

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from events.running import Program, fired
+from events.stream_programs import Program, fired
 
 from retalis import Engine
 from retalis.events.matches.expiration import SLICE

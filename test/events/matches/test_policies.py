@@ -3,7 +3,7 @@
 from enum import Enum
 
 import pytest
-from events.running import Program, fired, show
+from events.stream_programs import Program, fired, show
 
 from retalis import Engine, UsageError
 from retalis.events.matches.partial_matches import ConsumptionPolicy, check_policy

@@ -1,7 +1,7 @@
 """What a match that has fired skips: ``after_match``."""
 
 import pytest
-from events.running import Program, fired, show
+from events.stream_programs import Program, fired, show
 
 from retalis import Engine
 

@@ -1,5 +1,5 @@
 import pytest
-from events.running import Program
+from events.stream_programs import Program
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """What does not fit the declared events of a file, with its place."""
 
 import pytest
-from events.refusals import errors_of
+from events.load_messages import errors_of
 
 from retalis import Engine
 

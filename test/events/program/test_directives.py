@@ -1,8 +1,8 @@
 """Directives: what goes wrong is shown at the goal where it did."""
 
 import pytest
-from events.refusals import errors_of, warnings_of
-from events.running import Program
+from events.load_messages import errors_of, warnings_of
+from events.stream_programs import Program
 
 
 @pytest.mark.parametrize(

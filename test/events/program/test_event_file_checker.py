@@ -1,7 +1,7 @@
 """Facts that were meant as goals."""
 
 import pytest
-from events.refusals import warnings_of
+from events.load_messages import warnings_of
 
 from retalis import Engine, ProgramErrors
 

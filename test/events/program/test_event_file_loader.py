@@ -3,8 +3,8 @@
 import linecache
 
 import pytest
-from events.refusals import assert_refused, errors_of
-from events.running import Program, fired
+from events.load_messages import assert_refused, errors_of
+from events.stream_programs import Program, fired
 
 from retalis import Engine, ProgramErrors, atom, functor
 from retalis.prolog.database.predicate import Predicate

@@ -1,7 +1,7 @@
 """Prolog files: loaded clause by clause, and what is wrong in them costs itself and nothing else."""
 
 import pytest
-from events.running import Program
+from events.stream_programs import Program
 
 from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings
 from retalis.engine.program_check import check_program

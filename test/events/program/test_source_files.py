@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from events.running import Program, show
+from events.stream_programs import Program, show
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, atom
 from retalis.events.program.source_files import SourceFiles

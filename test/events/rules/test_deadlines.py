@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from events.running import Program, show
+from events.stream_programs import Program, show
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,6 +1,6 @@
 """Absence with a deadline, against the sentence that defines it."""
 
-from events.streams.feeding import Came, Fed, entries, item_of, stream
+from events.streams.stream_feeder import Came, Fed, entries, item_of, stream
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st

@@ -5,7 +5,7 @@ import statistics
 from fractions import Fraction
 
 import pytest
-from events.streams.feeding import Came, entries, item_of, stream
+from events.streams.stream_feeder import Came, entries, item_of, stream
 from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st

@@ -1,6 +1,6 @@
 """Throttles, bursts, what has settled and what has changed, against the sentences that define them."""
 
-from events.streams.feeding import Came, Fed, entries, item_of, stream
+from events.streams.stream_feeder import Came, Fed, entries, item_of, stream
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st

@@ -1,7 +1,7 @@
 """Windows against the sentences that define them, over plain lists of all that came."""
 
 import pytest
-from events.streams.feeding import Came, Fed, entries, item_of, listing, spanning, stream
+from events.streams.stream_feeder import Came, Fed, entries, item_of, listing, spanning, stream
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st

@@ -20,7 +20,7 @@ SIZE = 200_000
 PATTERN = "std_msgs__0__UInt8MultiArray(Layout, {})"
 
 
-class Unread(unittest.TestCase):
+class Projection(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         open_the_way()
@@ -84,5 +84,5 @@ class Unread(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("unread")
-    rostest.rosrun("retalis", "unread", Unread)
+    rospy.init_node("projection")
+    rostest.rosrun("retalis", "projection", Projection)

@@ -1,8 +1,8 @@
 """Heads of rules: what is no event, alarm or query that waits."""
 
 import pytest
-from events.refusals import assert_refused, warnings_of
-from events.running import Program
+from events.load_messages import assert_refused, warnings_of
+from events.stream_programs import Program
 
 from retalis import StreamClock
 

@@ -1,7 +1,7 @@
 """What loading rules says: the errors or warnings of a text, each as line, column and message."""
 
 import pytest
-from events.running import Program
+from events.stream_programs import Program
 
 from retalis import ProgramErrors
 

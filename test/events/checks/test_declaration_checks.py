@@ -1,7 +1,7 @@
 """What was read before a declaration and does not fit it, and values of declared events beside those of messages."""
 
 import pytest
-from events.checks.test_mistakes import said_of, write
+from events.checks.test_reported_mistakes import said_of, write
 
 from retalis.engine.engine import Engine as Whole
 from retalis.engine.external_requests import add_rule

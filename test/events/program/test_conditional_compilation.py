@@ -1,7 +1,7 @@
 """Conditional compilation."""
 
 import pytest
-from events.running import Program
+from events.stream_programs import Program
 
 CASES = [
     (":- if(true). a. :- else. b. :- endif.", "a"),

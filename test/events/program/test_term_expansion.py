@@ -1,7 +1,7 @@
 """Terms and goals that a program has replaced while it is read."""
 
 import pytest
-from events.running import Program
+from events.stream_programs import Program
 
 
 def test_terms_are_replaced():

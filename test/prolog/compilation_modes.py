@@ -1,6 +1,6 @@
 """Answers of the suites' goals with nothing compiled, with all of it, and as always: they have to be the same.
 
-Usage: PYTHONPATH=src:test python -m logic.ways [PYTEST_ARGUMENT...]
+Usage: PYTHONPATH=src:test python -m prolog.compilation_modes [PYTEST_ARGUMENT...]
 
 Runs the tests (by default those of the Prolog and of the rules) once in each way and prints where the answers of a
 goal, their order, an error or what rules fired are not the same. It is a plugin of pytest in the processes that it
@@ -146,7 +146,7 @@ def differences(arguments: List[str]) -> Tuple[int, List[str]]:
     with tempfile.TemporaryDirectory() as folder:
         for way in WAYS:
             path = os.path.join(folder, "found.json")
-            command = [sys.executable, "-m", "logic.ways", "--record", way, path, *arguments]
+            command = [sys.executable, "-m", "prolog.compilation_modes", "--record", way, path, *arguments]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             found[way] = json.loads(Path(path).read_text())
     report = []

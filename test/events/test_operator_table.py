@@ -3,7 +3,7 @@
 from functools import partial
 
 import pytest
-from events import table
+from events import operator_table
 
 from retalis import Engine, Operators, StreamClock, atom, explain
 from retalis.prolog.syntax.term_reader import read_term
@@ -59,9 +59,9 @@ def run():
 
 
 def cells():
-    for name in table.ROWS:
+    for name in operator_table.ROWS:
         for policy in POLICIES:
-            yield pytest.param(table.ROWS[name], policy, id=f"{name}-{policy}")
+            yield pytest.param(operator_table.ROWS[name], policy, id=f"{name}-{policy}")
 
 
 each_cell = pytest.mark.parametrize("row, policy", list(cells()))
@@ -271,13 +271,13 @@ def test_all_at_once(run, row, policy):
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-@pytest.mark.parametrize("operator", table.CONTESTS)
+@pytest.mark.parametrize("operator", operator_table.CONTESTS)
 def test_which_partners_a_policy_takes(run, operator, policy):
-    firsts, seconds, with_first = table.CONTESTS[operator]
+    firsts, seconds, with_first = operator_table.CONTESTS[operator]
     stream = [(f"a({name})", *at) for name, at in zip((1, 2, 1), firsts)]
     stream += [(f"b({name})", *at) for name, at in zip((1, 2, 3), seconds)]
     wanted = []
-    for first, second in table.TAKEN[policy]:
+    for first, second in operator_table.TAKEN[policy]:
         start = firsts[first - 1][0] if with_first else seconds[second - 1][0]
         wanted.append((f"out({(1, 2, 1)[first - 1]},{second})", start, seconds[second - 1][1]))
     assert run(f"out(X,Y) <- a(X) {operator} b(Y).", stream, policy).seen == wanted
@@ -298,7 +298,7 @@ def test_which_runs_a_policy_extends(run, pattern, policy):
     stream = [*starts, (event, 5, 6), (event, 7, 8)]
     wanted = [(f"out({text[2]})", start, end) for text, start, end in starts]
     for end in (6, 8):
-        for number in table.EXTENDED[policy]:
+        for number in operator_table.EXTENDED[policy]:
             text, start, _ = starts[number - 1]
             wanted.append((f"out({text[2]})", start, end))
     assert run(f"out(X) <- a(X) seq ({pattern}).", stream, policy).seen == wanted

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Starts of both nodes beside latched inputs, and kills of the interface: no output is lost, no input comes twice.
 
-rostest retalis starts.test starts:=50 kills:=50
+rostest retalis start_orders.test starts:=50 kills:=50
 """
 
 import signal
@@ -23,7 +23,7 @@ from harness import PATIENCE, Collector, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
-PROGRAM = Path(__file__).resolve().parent / "starts"
+PROGRAM = Path(__file__).resolve().parent / "start_orders"
 NODES = {"retalis": "retalis_node", "retalis_ros_interface": "retalis_ros_converter.py"}
 ENGINE, INTERFACE = NODES
 LATCHED = {
@@ -34,7 +34,7 @@ LATCHED = {
 }
 
 
-class Starts(unittest.TestCase):
+class StartOrders(unittest.TestCase):
     starts = kills = 0
 
     def setUp(self):
@@ -120,6 +120,6 @@ class Starts(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("starts")
-    Starts.starts, Starts.kills = (int(one) for one in sys.argv[1:3])
-    rostest.rosrun("retalis", "starts", Starts)
+    rospy.init_node("start_orders")
+    StartOrders.starts, StartOrders.kills = (int(one) for one in sys.argv[1:3])
+    rostest.rosrun("retalis", "start_orders", StartOrders)

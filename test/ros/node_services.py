@@ -17,7 +17,7 @@ from harness import Collector, service, wait_until  # noqa: E402
 from retalis import srv  # noqa: E402
 
 
-class Live(unittest.TestCase):
+class NodeServices(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.query = staticmethod(service("retalis/query", srv.Query))
@@ -130,5 +130,5 @@ class Live(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("live")
-    rostest.rosrun("retalis", "live", Live)
+    rospy.init_node("node_services")
+    rostest.rosrun("retalis", "node_services", NodeServices)

@@ -1,6 +1,6 @@
 """Terms made at random, written here and by SWI-Prolog.
 
-Usage: python written.py COUNT [SEED]      print what differs
+Usage: python writer_comparison.py COUNT [SEED]      print what differs
 """
 
 import random

@@ -1,7 +1,7 @@
 """Labels that are none, and properties without a value."""
 
 import pytest
-from events.refusals import assert_refused, warnings_of
+from events.load_messages import assert_refused, warnings_of
 
 from retalis.events.language.rule_head_parser import WORD_PROPERTIES
 from retalis.events.matches.partial_matches import AfterMatchSkipStrategy, ConsumptionPolicy

@@ -3,8 +3,8 @@
 from fractions import Fraction
 
 import pytest
-from events.running import fired
-from events.streams.feeding import entries
+from events.stream_programs import fired
+from events.streams.stream_feeder import entries
 
 from retalis import Clock, Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND

@@ -1,8 +1,8 @@
-"""Answers do not depend on what has been compiled; ``ways.py`` compares those of all suites."""
+"""Answers do not depend on what has been compiled; ``compilation_modes.py`` compares those of all suites."""
 
 import pytest
+from prolog.compilation_modes import compare
 from prolog.test_differential import recorded
-from prolog.ways import compare
 
 PROGRAM = """
 :- dynamic(fact/2).

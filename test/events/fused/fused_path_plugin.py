@@ -1,4 +1,4 @@
-"""A plugin of pytest that switches fused paths off: ``-p events.fused.switching --without-fused goals sides``.
+"""pytest plugin that switches fused paths off: ``-p events.fused.fused_path_plugin --without-fused goals sides``.
 
 Everything is then served by the plain way. Tests marked ``fused`` are about the fused paths themselves.
 """

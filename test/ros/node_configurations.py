@@ -13,14 +13,14 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Empty, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
+from configuration_bags import BAGS, KINDS, write_bag  # noqa: E402
 from harness import Collector, RawPublisher, wait_until  # noqa: E402
-from waybags import BAGS, KINDS, write_bag  # noqa: E402
 
 from retalis import BagReader, Playback, atom, functor  # noqa: E402
 from retalis.prolog.syntax.event_text import to_text  # noqa: E402
 from retalis.prolog.terms.timestamps import datime  # noqa: E402
 
-PROGRAM = Path(__file__).resolve().parent / "ways"
+PROGRAM = Path(__file__).resolve().parent / "node_configurations"
 OUTPUT = functor("event", 3)
 PUBLISHED = {"copies": "c", "greens": "g"}
 """Topics that are published, each with the id of its subscription."""
@@ -31,7 +31,7 @@ def second_of(instant):
     return to_text(datime(instant // 10**9 * 10**9))[: -len("0)")]
 
 
-class Ways(unittest.TestCase):
+class NodeConfigurations(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.clock = rospy.Publisher("/clock", Clock, queue_size=100)
@@ -126,5 +126,5 @@ class Ways(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("ways")
-    rostest.rosrun("retalis", "ways", Ways)
+    rospy.init_node("node_configurations")
+    rostest.rosrun("retalis", "node_configurations", NodeConfigurations)

@@ -13,11 +13,11 @@ START = 1_000_000_000 * SECOND
 LINE = "=" * 80
 
 KINDS = {
-    "notes": DEFINITIONS.add("ways_msgs/Note", "int32 run\nstring text"),
-    "numbers": DEFINITIONS.add("ways_msgs/Number", "int32 run\nfloat64 number"),
+    "notes": DEFINITIONS.add("configuration_msgs/Note", "int32 run\nstring text"),
+    "numbers": DEFINITIONS.add("configuration_msgs/Number", "int32 run\nfloat64 number"),
     "marks": DEFINITIONS.add(
-        "ways_msgs/Mark",
-        f"Header header\nint32 run\nPart[] parts\n{LINE}\nMSG: ways_msgs/Part\n"
+        "configuration_msgs/Mark",
+        f"Header header\nint32 run\nPart[] parts\n{LINE}\nMSG: configuration_msgs/Part\n"
         "string name\nfloat32[3] place\nbool ok\ntime when\nduration[] gaps\nuint8[] data\n"
         f"{LINE}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id",
     ),
@@ -103,23 +103,24 @@ def _header(draw, stamp):
 
 
 def _note(draw, run, stamp):
-    return f"ways_msgs__0__Note({run},'\"{_string(draw)}\"')"
+    return f"configuration_msgs__0__Note({run},'\"{_string(draw)}\"')"
 
 
 def _number(draw, run, stamp):
-    return f"ways_msgs__0__Number({run},{draw.choice(['1.5', '0.0', '-2.5e300', 'inf', '3.0'])})"
+    return f"configuration_msgs__0__Number({run},{draw.choice(['1.5', '0.0', '-2.5e300', 'inf', '3.0'])})"
 
 
 def _part(draw):
     floats = ",".join(str(draw.randrange(-8, 8) / 4) for _ in range(3))
     gaps = ",".join(f"[{draw.randrange(9)},{draw.randrange(SECOND)}]" for _ in range(draw.randrange(3)))
     ok = draw.choice(["true", "false"])
-    return f"ways_msgs__0__Part('\"{_string(draw)}\"',[{floats}],{ok},[{draw.randrange(9)},5],[{gaps}],'\"xyz\"')"
+    text = _string(draw)
+    return f"configuration_msgs__0__Part('\"{text}\"',[{floats}],{ok},[{draw.randrange(9)},5],[{gaps}],'\"xyz\"')"
 
 
 def _mark(draw, run, stamp):
     parts = ",".join(_part(draw) for _ in range(draw.randrange(4)))
-    return f"ways_msgs__0__Mark({_header(draw, stamp)},{run},[{parts}])"
+    return f"configuration_msgs__0__Mark({_header(draw, stamp)},{run},[{parts}])"
 
 
 def _pose(draw, run, stamp):

@@ -35,7 +35,7 @@ POSE = (
 )
 
 
-class Texts(unittest.TestCase):
+class EventTexts(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         open_the_way()
@@ -155,5 +155,5 @@ class Texts(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("texts")
-    rostest.rosrun("retalis", "texts", Texts)
+    rospy.init_node("event_texts")
+    rostest.rosrun("retalis", "event_texts", EventTexts)

@@ -5,7 +5,7 @@ from fractions import Fraction
 from itertools import count
 
 import pytest
-from events.streams.feeding import entries
+from events.streams.stream_feeder import entries
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""What each operator means, as data: by hand from the language reference, for `test_table`.
+"""What each operator means, as data: by hand from the language reference, for `test_operator_table`.
 
 Times are seconds. Every pattern binds X; the streams that fire do so with X = 1.
 """
