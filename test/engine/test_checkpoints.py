@@ -278,6 +278,20 @@ def test_what_is_no_checkpoint_is_refused(folder):
         resumed(folder)
 
 
+def test_a_schema_with_a_name_that_is_no_text_is_refused(folder):
+    kept = checkpoints(begun(folder), folder)
+    kept.stop()
+    data = (folder / "state.db").read_bytes()
+    # The name of a table, followed by the table's name and a statement that cannot be parsed.
+    damaged = data.replace(b"tablerecordsrecords", b"table\xff\xfecordsrecords")
+    damaged = damaged.replace(b"CREATE TABLE records", b"CREATX TABLE records")
+    (folder / "state.db").write_bytes(damaged)
+    with pytest.raises(UsageError, match="not a checkpoint, or is damaged"):
+        resumed(folder)
+    with pytest.raises(UsageError, match="cannot write a checkpoint"):
+        CheckpointStorage(folder / "state.db")
+
+
 @pytest.mark.parametrize("times", [15, pytest.param(100, marks=pytest.mark.slow)])
 def test_what_is_damaged_is_refused(folder, times):
     engine = begun(folder)

@@ -73,6 +73,9 @@ _INSTRUCTIONS_PER_STEP, _MIN_STEPS, _BYTES_PER_STEP = 1000, 200, 250
 A crafted file cannot make a query run forever.
 """
 
+_DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+"""Errors of the SQLite module: it decodes messages that quote names of a damaged schema."""
+
 _PICKLE_PREFIX = b"\x80\x04"
 """First bytes of a section in files of format 5 and older, which were pickles."""
 
@@ -146,7 +149,7 @@ class CheckpointStorage:
             # starts with the same file does not mix its records with those of the first one.
             self._owner = SystemRandom().randrange(1 << 31)
             self._database.execute(f"PRAGMA user_version = {self._owner}")
-        except sqlite3.Error as error:
+        except _DATABASE_ERRORS as error:
             raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error
 
     def write(
@@ -188,7 +191,7 @@ class CheckpointStorage:
             )
             self._delete_missing(oldest)
             database.execute("COMMIT")
-        except sqlite3.Error as error:
+        except _DATABASE_ERRORS as error:
             raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
         finally:
             self._roll_back()
@@ -230,11 +233,11 @@ def read_checkpoint(path: Path) -> Optional[Checkpoint]:
         raise UsageError(f"it has {size} bytes: the limit is {MAX_FILE_BYTES}")
     try:
         database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
-    except sqlite3.Error as error:
+    except _DATABASE_ERRORS as error:
         raise UsageError(f"it cannot be opened: {error}") from error
     try:
         return _read_contents(database, size)
-    except sqlite3.Error as error:
+    except _DATABASE_ERRORS as error:
         raise UsageError(f"it is not a checkpoint, or is damaged: {error}") from error
     finally:
         database.close()
