@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Callable, Dict, Iterator, NamedTuple, Optional, Set, Tuple, Type
 
 from ...foundation.errors import (
-    MessageError,
     Omission,
     Place,
     RetalisError,
@@ -19,7 +18,6 @@ from ...foundation.errors import (
     SyntaxFault,
     UsageError,
 )
-from ...prolog.machine.errors import PrologError
 from ..program.topic_configuration import read_text
 from .event_flow_checks import never_made, never_taken, unfitting
 from .memory_checks import stale_tables, unknown_memories, wrong_records
@@ -95,8 +93,6 @@ LOAD_CODES: Tuple[Tuple[Type[RetalisError], str], ...] = (
     (SyntaxFault, "RT1001"),
     (Omission, "RT1002"),
     (RuleError, "RT1003"),
-    (MessageError, "RT1004"),
-    (PrologError, "RT1005"),
     (RetalisError, "RT1000"),
 )
 """Codes of errors and warnings of loading; the first matching class decides."""

@@ -1,0 +1,47 @@
+"""``docs/reference/errors.md``: it has each code of ``retalis check``, and its examples give these codes."""
+
+import re
+
+import pytest
+from doc_pages import FENCE, ROOT, PageRun
+
+from retalis.events.checks.check_registry import CHECKS, LOAD_CODES
+
+pytestmark = pytest.mark.docs
+
+PAGE = ROOT / "docs" / "reference" / "errors.md"
+SECTIONS = re.findall(
+    r"^### (RT\d{4}): [^\n]*\n(.*?)(?=^##|\Z)", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+)
+ROW = re.compile(r"^\| \[`(RT\d{4})`\]\(#[\w-]+\) \| `([\w-]+)` \| ([\w ]+) \| ([^|]+) \|$", re.MULTILINE)
+
+
+def test_each_code_has_a_row_and_a_section():
+    rows = [
+        (code, check, severity) for code, check, severity, _ in ROW.findall(PAGE.read_text(encoding="utf-8"))
+    ]
+    loading = {code for _, code in LOAD_CODES}
+    assert rows == sorted(rows)
+    assert {row for row in rows if row[0] not in loading} == {
+        (check.code, check.name, check.severity) for check in CHECKS
+    }
+    assert {code for code, check, _ in rows if check == "load"} == loading
+    assert [code for code, _ in SECTIONS] == [code for code, _, _ in rows]
+
+
+def test_rows_have_the_titles_of_their_sections():
+    text = PAGE.read_text(encoding="utf-8")
+    assert [f"### {code}: {title}" for code, _, _, title in ROW.findall(text)] == re.findall(
+        r"^### .*$", text, re.MULTILINE
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code, section", SECTIONS, ids=[code for code, _ in SECTIONS])
+def test_the_example_gives_the_code_and_the_output_of_the_page(code, section, tmp_path):
+    run = PageRun(tmp_path)
+    fences = list(FENCE.finditer(section))
+    for fence in fences:
+        assert run.result(fence) == fence["text"]
+    assert set(re.findall(r"\[(RT\d{4})\]$", fences[-1]["text"], re.MULTILINE)) == {code}
+    assert "\n**Remedy**: " in section
