@@ -2,14 +2,17 @@
 """Memory of a process with partial matches that are never completed, with and without bounds.
 
 bench/event_memory.py CASE N     JSON: a list of [events so far, bytes, partial matches]
+bench/event_memory.py --parts N  table: bytes of a partial match by what they are for, among N that wait
 """
 
+import gc
 import json
 import resource
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
-from typing import Any, Dict, Iterator, List
+from typing import Any, Dict, Iterator, List, Tuple
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "src"))
@@ -90,5 +93,77 @@ def lines(figures: Dict[str, Any]) -> Iterator[str]:
         yield f"{name:<24} {events:9} {waiting:9} {(size - samples[0][1]) / 1e6:9.1f}"
 
 
-if __name__ == "__main__":
+PATTERNS = {
+    "no key": "out(X, Y) <- p(X) seq q(Y).",
+    "key": "out(X) <- p(X) seq q(X).",
+    "key, within": f"out(X) <- (p(X) seq q(X)) within {SECONDS * 1000}.",
+    "three steps": "out(X) <- p(X) seq q(X) seq r(X).",
+}
+"""Patterns by name; partial matches of their first steps wait under the policy ``unrestricted``."""
+
+
+def measure_parts(pattern: str, number: int) -> Tuple[float, Dict[str, float]]:
+    """Feed events that complete no match; return the traced bytes per partial match, in total and by purpose."""
+    instant = 10**9 * SECOND
+    engine = Engine(StreamClock(instant))
+    engine.load(goals="set_etalis_flag(event_consumption_policy, unrestricted)", rules=PATTERNS[pattern])
+    steps = [functor(name, 1) for name in ("p", "q")[: PATTERNS[pattern].count(" seq ")]]
+    gc.collect()
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for value in range(1000, 1000 + number):
+        for step in steps:
+            instant += SECOND
+            engine.post((step, value), instant)
+    gc.collect()
+    total = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    rule = engine.rules.rules[0]
+    matches = list(rule.arrivals)
+    sizes: Dict[str, float] = dict.fromkeys(
+        ("match", "parts", "event", "argument", "time", "order", "key"), 0
+    )
+    counted = set()
+
+    def count(purpose: str, item: Any) -> None:
+        # An object with several references counts for the first of them.
+        if item is not None and id(item) not in counted:
+            counted.add(id(item))
+            sizes[purpose] += sys.getsizeof(item)
+
+    while matches:
+        match = matches.pop()
+        count("match" if match.buffer is not None else "parts", match)
+        if match.term is not None:
+            count("event", match.term)
+            count("argument", match.term[1])
+        else:
+            count("parts", match.values)
+            count("parts", match.parts)
+            matches += [part for part in match.parts if id(part) not in counted]
+        count("time", match.start)
+        count("time", match.end)
+        if match.buffer is not None:
+            count("order", match.order)
+            count("key", match.key)
+    tables = [buffer.newest for node, _, _ in rule.nodes for buffer in node.buffers()]
+    sizes["table of keys"] = sum(map(sys.getsizeof, tables))
+    sizes["arrivals"] = sys.getsizeof(rule.arrivals)
+    sizes["expiration"] = sys.getsizeof(rule.expiries.queue)
+    sizes["rest"] = total - sum(sizes.values())
+    return total / rule.waiting, {purpose: size / rule.waiting for purpose, size in sizes.items()}
+
+
+def print_parts(number: int) -> None:
+    """Print a table of the bytes of partial matches."""
+    measured = {pattern: measure_parts(pattern, number) for pattern in PATTERNS}
+    print(" " * 16, *(f"{pattern:>12}" for pattern in PATTERNS))
+    for purpose in measured["key"][1]:
+        print(f"{purpose:<16}", *(f"{parts[purpose]:12.1f}" for _, parts in measured.values()))
+    print(f"{'total':<16}", *(f"{total:12.1f}" for total, _ in measured.values()))
+
+
+if __name__ == "__main__" and sys.argv[1] == "--parts":
+    print_parts(int(sys.argv[2]))
+elif __name__ == "__main__":
     json.dump(feed(sys.argv[1], int(sys.argv[2])), sys.stdout)

@@ -67,7 +67,7 @@ def test_unchanged_it_is_taken(state):
         ("matches", ["states"], [], "the states of 3 rules"),
         ("matches", ["states", 0, 3, 0, 0], Ref(10_000), "expected a reference"),
         ("matches", ["states", 0, 3, 0, 1], 99, "expected an integer from -1"),
-        ("matches", ["states", 0, 3, 0, 2], 99, "has a sequence number that was not assigned"),
+        ("matches", ["states", 0, 3, 0, 2], 10**20, "has a sequence number that was not assigned"),
         (
             "matches",
             ["states", 0, 3],

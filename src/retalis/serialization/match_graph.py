@@ -12,7 +12,14 @@ and the graph of what objects were made of must be acyclic, because the engine t
 
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
-from ..events.matches.partial_matches import NOTHING_HELD, EventMatch, Found, PartialMatch, TrackedMatch
+from ..events.matches.partial_matches import (
+    NOTHING_HELD,
+    EventMatch,
+    Found,
+    OrderedEventMatch,
+    PartialMatch,
+    TrackedMatch,
+)
 from ..events.matches.shared_run_buffer import BufferSlice, Run, RunCursor, RunGroup, SharedLog
 from ..events.network.event_rule import EventRule
 from ..events.network.kleene_node import KleeneNode
@@ -35,6 +42,7 @@ from .schema import (
     integer,
     items,
     key,
+    match_order,
     optional,
     term,
     value_of_match,
@@ -65,7 +73,11 @@ FIELDS: Dict[str, Tuple[Any, Tuple[str, ...]]] = {
 }
 """Kinds of objects: their class, and the attributes that are stored. Other attributes are derived when read."""
 
-_KIND_BY_CLASS = {EventMatch: "match", **{kind: name for name, (kind, _) in FIELDS.items()}}
+_KIND_BY_CLASS = {
+    EventMatch: "match",
+    OrderedEventMatch: "match",
+    **{kind: name for name, (kind, _) in FIELDS.items()},
+}
 
 _SCALARS = frozenset((int, bool, type(None)))
 
@@ -322,7 +334,7 @@ class GraphReader:
             ],
             "train": [
                 *(self.ref("node"), key, each(optional(self.ref("token")))),
-                *(instant, count, self.ref("log"), count, count),
+                *(instant, match_order, self.ref("log"), count, count),
             ],
             "log": [each(source_match)],
             "chain": [each(slice_piece, tuple), count],

@@ -94,6 +94,10 @@ count = integer(0)
 """Check of a count."""
 
 
+match_order = integer(0, 2 * MAX_INSTANT)
+"""Check of the order of a match, which is a timestamp or a number that follows one."""
+
+
 def instant(value: Decoded) -> int:
     """Check an instant in nanoseconds, in any of its forms."""
     if value.__class__ not in _INSTANTS or not -MAX_INSTANT <= value <= MAX_INSTANT:

@@ -4,8 +4,15 @@ import sys
 
 import pytest
 
-from retalis import atom
-from retalis.events.matches.partial_matches import EventMatch, Identity, PartialMatch, arrival, identity
+from retalis import Engine, atom
+from retalis.events.matches.partial_matches import (
+    EventMatch,
+    Identity,
+    OrderedEventMatch,
+    PartialMatch,
+    arrival,
+    identity,
+)
 
 
 @pytest.mark.parametrize(
@@ -52,10 +59,34 @@ def test_a_match_of_events_that_are_not_tracked_has_the_arrival_number_0():
     assert arrival(nested(3, "a")) == 0
 
 
-def test_a_match_of_an_event_is_a_match_that_takes_less_memory():
-    event, full = EventMatch(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
-    event.start = event.end = 5
+@pytest.mark.parametrize("short_class, saved_slots", ((EventMatch, 7), (OrderedEventMatch, 5)))
+def test_a_match_of_an_event_is_a_match_that_takes_less_memory(short_class, saved_slots):
+    event, full = short_class(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
+    event.start = event.end = event.order = 5
     event.term = ("a", 1)
     assert (event.values, event.event, event.parts, event.used) == (full.values, None, None, None)
-    assert identity(event) == identity(full)
-    assert sys.getsizeof(full) - sys.getsizeof(event) == 24
+    assert identity(event) == event.identity == identity(full)
+    assert sys.getsizeof(full) - sys.getsizeof(event) == 8 * saved_slots
+
+
+def test_matches_that_wait_can_be_tracked_from_then_on():
+    engine = Engine()
+    engine.load(
+        goals="set_etalis_flag(event_consumption_policy, chronological)", rules="c(X, Y) <- a(X, Y) seq b(X)."
+    )
+    events = []
+    engine.on_event(lambda term, start, end: events.append(engine.show(term)))
+    rule = engine.rules.rules[0]
+    # The second one has the time of the first, the third one the key of both.
+    for event, instant in (("a(1,1)", 1), ("a(2,1)", 1), ("a(1,2)", 2)):
+        engine.event(event, instant)
+    assert [match.__class__ for match in rule.arrivals] == [EventMatch, OrderedEventMatch, EventMatch]
+    orders = [match.order for match in rule.arrivals]
+    assert orders == [10**9, 10**9 + 1, 2 * 10**9]
+    engine.call("set_etalis_flag(revision_flag, on)")
+    assert {match.__class__ for match in rule.arrivals} == {PartialMatch}
+    assert [match.order for match in rule.arrivals] == orders
+    for event, instant in (("b(1)", 3), ("b(1)", 4), ("b(2)", 5)):
+        engine.event(event, instant)
+    assert [event for event in events if event[0] == "c"] == ["c(1,1)", "c(1,2)", "c(2,1)"]
+    assert not rule.waiting

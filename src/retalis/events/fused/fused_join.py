@@ -18,12 +18,13 @@ from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer
-from ..matches.partial_matches import EventMatch, Found, PartialMatch
+from ..matches.partial_matches import EventMatch, Found, OrderedEventMatch, PartialMatch
 from .fused_single_event import Continuation
 
 SPARE = 1000
 """Number of removed matches in the list of arrivals of a rule above which the list is compacted."""
 
+_SET_ORDER = "rule.order = match.order = e if e > rule.order else rule.order + 1"
 _RETURN_AFTER = "return after"
 _RETURN_COMPLETE = "return complete(None, met, start, end, after)"
 
@@ -142,6 +143,7 @@ def _common_names(rule: Any, buffer: MatchBuffer, plain: EventAction) -> Dict[st
         "plain": plain,
         "new": object.__new__,
         "EventMatch": EventMatch,
+        "OrderedEventMatch": OrderedEventMatch,
         "Match": PartialMatch,
         "PLAIN": PLAIN,
         "SPARE": SPARE,
@@ -237,6 +239,32 @@ class _ActionGenerator:
         # Without a key, waiting matches are compared by identity, so its fields must be set.
         if buffer.name is not None and not keyed:
             field_settings.append("match.identity = match.parts = None")
+        full: List[Statement] = [
+            "match = new(Match)",
+            *field_settings,
+            "match.start = s",
+            "match.end = e",
+            _SET_ORDER,
+        ]
+        creation = full
+        if not field_settings:
+            # The short classes save memory and time. A match that is compared with others of its key stores its
+            # identity; most keys have one waiting match, which is compared with nothing.
+            creation = [
+                Block(
+                    f"if {'' if buffer.name is None else 'alone and '}s is e and e > rule.order:",
+                    ["match = new(EventMatch)", "match.start = rule.order = e"],
+                ),
+                Block(
+                    "else:",
+                    [
+                        "match = new(OrderedEventMatch)"
+                        if buffer.name is None
+                        else "match = new(OrderedEventMatch if alone else Match)",
+                        *full[1:],
+                    ],
+                ),
+            ]
         expiry_settings = []
         if buffer.span is not None:
             expiry_settings = [
@@ -246,15 +274,10 @@ class _ActionGenerator:
             ]
         sweep_test = "number > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
         return [
-            # Most keys have one waiting match, and the short class saves memory and time for it.
             "alone = key not in waiting",
-            "match = new(Match)" if field_settings else "match = new(EventMatch if alone else Match)",
-            *field_settings,
-            "match.start = s",
-            "match.end = e",
+            *creation,
             "match.term = term",
             "match.key = key",
-            "rule.order = match.order = rule.order + 1",
             Block(
                 "if alone:",
                 ["match.buffer = own", "match.older = match.newer = waiting[key] = match"],
@@ -426,7 +449,11 @@ class _OperandGenerator(_ActionGenerator):
             return [_RETURN_COMPLETE]
         operands = ["match", "partner"] if self.side.left else ["partner", "match"]
         operands += ["Found(found(met))"] if self.pair.tested else []
+        creation = [f"match = Match({self.values}, s, e, None, term, None)"]
+        if self.whole:
+            creation = ["match = new(EventMatch if s is e else OrderedEventMatch)"]
+            creation += ["match.start = s", "match.end = e", "match.term = term", "match.buffer = None"]
         return [
-            f"match = Match({self.values}, s, e, None, term, None)",
+            *creation,
             f"return emit(Match(met, start, end, None, None, {tuple_source(operands)}), after)",
         ]

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Opti
 from ...prolog.terms.term_traversal import PLAIN, freeze
 from ...prolog.terms.types import Values
 from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex, TimeBounds
-from .partial_matches import PartialMatch
+from .partial_matches import EventMatch, PartialMatch
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
@@ -74,10 +74,15 @@ class MatchBuffer:
         except ValueError:
             return None
 
-    def add(self, match: PartialMatch, key: Hashable) -> None:
-        """Store a match."""
+    def add(self, match: PartialMatch, key: Hashable, order: Optional[int] = None) -> None:
+        """Store a match, by default with the next order of the rule."""
         rule = self.rule
-        match.order = rule.order = rule.order + 1
+        if order is None:
+            # The end is a larger number than all orders before it if matches arrive in order of time. No second
+            # integer is stored then.
+            end = match.end
+            rule.order = order = end if end > rule.order else rule.order + 1
+        match.order = order
         match.key = key
         last = self.newest.get(key)
         if last is None:
@@ -142,6 +147,20 @@ class MatchBuffer:
         if self.names and key in self.names and self.names[key].get(match.identity) is match:
             del self.names[key][match.identity]
 
+    def expand(self) -> Dict[PartialMatch, PartialMatch]:
+        """Replace the matches that cannot hold all attributes of a `PartialMatch`; return the new ones by the old."""
+        stored = self.all()
+        full = {match: _full(match) for match in stored if not isinstance(match, PartialMatch)}
+        if full:
+            self.newest.clear()
+            self.indices.clear()
+            self.names.clear()
+            for match in full:
+                match.buffer = None
+            self.put_back([full.get(match, match) for match in stored])
+            self.on_mend()
+        return full
+
     def repair(self) -> List[PartialMatch]:
         """Repair the links of stored matches after an interrupt; return the matches, oldest first."""
         matches = []
@@ -175,7 +194,7 @@ class MatchBuffer:
             except ValueError:
                 match.key = None
             if self.name is not None:
-                match.identity = self.name(match)
+                self._identify_match(match)
             groups.setdefault(match.key, []).append(match)
         for key, group in groups.items():
             self._link(key, group)
@@ -206,7 +225,10 @@ class MatchBuffer:
     def _identify_match(self, match: PartialMatch) -> Hashable:
         """Set and return the identity of a match; a match that is alone under its key may not have one yet."""
         assert self.name is not None
-        match.identity = name = self.name(match)
+        name = self.name(match)
+        # An event computes its identity at each access.
+        if isinstance(match, PartialMatch):
+            match.identity = name
         return name
 
     def _drop_if_idle(self, key: Hashable) -> None:
@@ -334,7 +356,7 @@ class MatchBuffer:
         self.names = {}
         if name is not None:
             for match in self.all():
-                match.identity = name(match)
+                self._identify_match(match)
 
 
 def _linked(match: PartialMatch) -> Set[PartialMatch]:
@@ -348,6 +370,13 @@ def _linked(match: PartialMatch) -> Set[PartialMatch]:
                 reached.add(linked)
                 stack.append(linked)
     return reached
+
+
+def _full(match: EventMatch) -> PartialMatch:
+    """Return a match as a `PartialMatch`, to be stored instead of it."""
+    full = PartialMatch(match.values, match.start, match.end, None, match.term, None)
+    full.order = match.order
+    return full
 
 
 def _order(match: PartialMatch) -> int:

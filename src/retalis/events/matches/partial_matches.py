@@ -55,10 +55,12 @@ class MatchHolder(Protocol):
 
 
 class EventMatch:
-    """A match of one event whose arguments are the values of its pattern.
+    """A match of one event without duration whose arguments are the values of its pattern.
 
-    It has the attributes of a `PartialMatch` and is annotated as one, but takes 32 bytes less: millions may be
-    stored. The attributes ``values``, ``event`` and ``parts`` cannot be set.
+    It has the attributes of a `PartialMatch` and is annotated as one, but takes 80 bytes instead of 136: millions may
+    be stored. Its timestamp is its start, its end and its order, all three in one slot. This requires a timestamp
+    that is larger than the orders of all matches that the rule has stored before; see `OrderedEventMatch`. The
+    attributes ``values``, ``event``, ``parts``, ``identity`` and ``used`` cannot be set.
 
     Attributes:
         values: the arguments of the event.
@@ -76,42 +78,36 @@ class EventMatch:
         used: the match that consumed it last; else None.
     """
 
-    __slots__ = (
-        "start",
-        "end",
-        "term",
-        "buffer",
-        "key",
-        "older",
-        "newer",
-        "order",
-        "identity",
-        "used",
-    )
+    __slots__ = ("start", "term", "buffer", "key", "older", "newer")
 
     start: int
-    end: int
     # Declared as Any: code that reads it knows that the match is of a single event.
     term: Any
     buffer: Optional[MatchHolder]
     key: Hashable
     older: "PartialMatch"
     newer: "PartialMatch"
-    order: int
-    identity: Hashable
-    used: "Optional[PartialMatch]"
 
     if TYPE_CHECKING:
+        end: int
+        order: int
         values: Values
         event: Hashable
         parts: "Optional[Parts]"
+        identity: Hashable
+        used: "Optional[PartialMatch]"
     else:
-        event = parts = None
+        event = parts = used = None
 
         @property
         def values(self) -> Values:
             """The arguments of the event."""
             return self.term[1:]
+
+        @property
+        def identity(self) -> Hashable:
+            """The identity; computed at each access."""
+            return term_key(self.term)
 
         def __getattr__(self, name: str) -> Any:
             """Set and return the default of an attribute that was not initialized.
@@ -143,7 +139,21 @@ class EventMatch:
             self.buffer.remove(self)  # type: ignore[arg-type]  # annotated as what it is like
 
 
-class PartialMatch(EventMatch):
+if not TYPE_CHECKING:
+    # Further names of one slot: the three values are the same object.
+    EventMatch.end = EventMatch.order = EventMatch.start
+
+
+class OrderedEventMatch(EventMatch):
+    """An `EventMatch` of an event with a duration, or of one that is not later than all matches before it."""
+
+    __slots__ = ("end", "order")
+
+    end: int
+    order: int
+
+
+class PartialMatch(OrderedEventMatch):
     """A match of a node of a pattern.
 
     Attributes:
@@ -155,7 +165,7 @@ class PartialMatch(EventMatch):
     The other attributes are those of `EventMatch`.
     """
 
-    __slots__ = ("values", "event", "parts")
+    __slots__ = ("values", "event", "parts", "identity", "used")
 
     def __init__(
         self,

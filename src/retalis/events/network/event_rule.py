@@ -68,7 +68,7 @@ class RuleState(NamedTuple):
     Attributes:
         counts: number of firings, end of the last one, number of errors, of dropped matches, of dropped alarms, of
             alarms for the past, and of late matches.
-        times: the clock, the number of stored matches so far, and the time of the last garbage collection.
+        times: the clock, the largest order of its matches, and the time of the last garbage collection.
         nodes: class and state of each node.
         arrivals: stored matches in order of arrival: the match, the position of its buffer (-1: in a run group), its
             order.
@@ -115,7 +115,8 @@ class EventRule:
         arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
             binds it.
         firings: its counters.
-        order: number of matches that have been stored so far.
+        order: the largest order of its matches so far. Each stored match has a larger one, which is its end if the
+            end is larger. Then both are one object.
         timed: whether its clock is maintained.
         clock: largest end of the events that its patterns matched.
         allowed: largest time stamp that is known to be allowed to advance its clock.
@@ -211,6 +212,8 @@ class EventRule:
             sweep for node, _, _ in self.nodes for sweep in node.sweeps(mode) if sweep.waiting.span is None
         ]
         self._sweeps = [] if skipping is not None else sweeps
+        if mode.tracked:
+            self._expand_matches()
         self._end_sweep()
         self._refile_matches()
         # Each node listens again in `bind`, in the order that its new options require.
@@ -231,6 +234,15 @@ class EventRule:
             root.bind(whole, mode)
         self.sound = True
 
+    def _expand_matches(self) -> None:
+        """Replace stored matches that cannot hold all attributes, which tracking sets."""
+        full: Dict[PartialMatch, PartialMatch] = {}
+        for buffer in self._buffers():
+            if isinstance(buffer, MatchBuffer):
+                full.update(buffer.expand())
+        if full:
+            self._reset_arrivals([full.get(match, match) for match in self.arrivals])
+
     def stream_node(self, pattern: Pattern) -> Optional[StreamNode]:
         """Return the node that evaluates an operator on streams; None if there is none for this pattern."""
         nodes = [node for node, _, _ in self.nodes if isinstance(node, StreamNode)]
@@ -248,10 +260,10 @@ class EventRule:
                 *(firings.number, firings.last, firings.errors),
                 *(self.dropped, self.alarms_dropped, self.alarms_past, self.late),
             ),
-            (self.clock, self.order, self._collected_at),
+            (self.clock, int(self.order), self._collected_at),
             [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
             [
-                (match, places.get(id(match.buffer), -1), match.order)
+                (match, places.get(id(match.buffer), -1), int(match.order))
                 for match in self.arrivals
                 if match.buffer is not None
             ],

@@ -324,18 +324,14 @@ class RepeatNode(NetworkNode):
         """Remove a sequence from a group and store it separately, with the age that it had in the group."""
         match = train.match_of(token, number)
         token.leave()
-        rule = self.rule
-        # Storing a match assigns the next order. The sequence is as old as its last repetition, so the counter is
-        # set back for this call.
-        before, rule.order = rule.order, train.order - number
-        try:
-            self._store_separately(match, number, train.key)
-        finally:
-            rule.order = before
+        # The sequence is as old as its last repetition.
+        self._store_separately(match, number, train.key, train.order - number + 1)
 
-    def _store_separately(self, match: PartialMatch, number: int, key: Hashable) -> None:
+    def _store_separately(
+        self, match: PartialMatch, number: int, key: Hashable, order: Optional[int] = None
+    ) -> None:
         buffer = self._buffer(number)
-        buffer.add(match, key)
+        buffer.add(match, key, order)
         # The lengths are cleared lazily, when a key is used. Keys that are never used again would accumulate.
         if key not in self._separate and len(self._separate) > 2 * self.rule.waiting + 1000:
             self._separate = {}
