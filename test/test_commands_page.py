@@ -1,0 +1,21 @@
+"""``docs/reference/commands.md``, which docs/commands.py writes from the parsers of the command line."""
+
+import pytest
+from doc_pages import ROOT, load_script
+
+from retalis.cli.command_line import COMMANDS
+
+pytestmark = pytest.mark.docs
+
+PAGE = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+commands = load_script("commands")
+
+
+def test_the_page_is_what_the_parsers_say():
+    assert commands.page_text() == PAGE, "run docs/commands.py"
+
+
+def test_each_command_has_a_section():
+    assert [f"## retalis {name}" for name in COMMANDS] == [
+        line for line in PAGE.splitlines() if line.startswith("## retalis ")
+    ]
