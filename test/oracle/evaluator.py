@@ -7,15 +7,16 @@ operand place. Comments name the sentence of the language's definition that the 
 from dataclasses import replace
 from typing import Any, Callable, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
+from events.operator_table import EITHER_ORDER, PAIRS
+
 from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
 from .after_match_skipping import Skipping
 from .conditions import Test, all_solutions
 from .goals import first, instance, show
-from .matches import FIRES, INTERVAL, POLICIES, Event, Gap, Match
+from .matches import POLICIES, Event, Gap, Match
 from .patterns import (
-    EITHER_ORDER,
     STREAMED,
     Aggregate,
     Awaited,
@@ -309,12 +310,12 @@ class RuleState(Streams):
 
     def fit(self, node: Both, p: Match, q: Match, tests: List[Test], cnot: Optional[Cnot]) -> Optional[Match]:
         """Return what a pair makes. To fit is all of times, shared variables, conditions, windows."""
-        if not FIRES[node.kind](p, q):
+        if not PAIRS[node.kind].fits(p, q):
             return None
         # Patterns: one single event is not both sides; composed sides may share events.
         if p.is_one_event() and q.is_one_event() and p.numbers == q.numbers:
             return None
-        joined = self.join(p, q, *INTERVAL[node.kind](p, q), node)
+        joined = self.join(p, q, *PAIRS[node.kind].interval(p, q), node)
         if joined is None or not self.in_window(joined):
             return None
         match = self.passes(joined, tests)

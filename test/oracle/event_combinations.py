@@ -13,12 +13,14 @@ from itertools import accumulate
 from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
+from events.operator_table import PAIRS
+
 from retalis import Term
 from retalis.prolog.terms.term_traversal import copy
 
 from .conditions import Conditions, all_solutions
 from .goals import first, instance, show
-from .matches import FIRES, INTERVAL, Event, Match
+from .matches import Event, Match
 from .patterns import (
     STREAMED,
     Aggregate,
@@ -121,9 +123,9 @@ class Combinations:
             for q in self.found(node.right, events):
                 in_time = node.kind != "seq" or self.out_of_order or p.at < q.at
                 same = len(p.match.numbers) == 1 and p.match.numbers == q.match.numbers
-                if same or not in_time or not FIRES[node.kind](p.match, q.match):
+                if same or not in_time or not PAIRS[node.kind].fits(p.match, q.match):
                     continue
-                match = self.tests.join(p.match, q.match, *INTERVAL[node.kind](p.match, q.match), node)
+                match = self.tests.join(p.match, q.match, *PAIRS[node.kind].interval(p.match, q.match), node)
                 if match is not None and self.tests.in_window(match):
                     yield p.match, q.match, Found(match, max(p.at, q.at))
 

@@ -89,32 +89,6 @@ class Run:
     """The repetitions that extended it."""
 
 
-# The table of patterns: when a pair fires.
-FIRES: Dict[str, Callable[[Match, Match], bool]] = {
-    "seq": lambda p, q: p.end < q.start,
-    "forall_seq": lambda p, q: p.end < q.start,
-    "and": lambda p, q: True,
-    "par": lambda p, q: max(p.start, q.start) < min(p.end, q.end),
-    "equals": lambda p, q: p.start == q.start and p.end == q.end,
-    "meets": lambda p, q: p.end == q.start,
-    "during": lambda p, q: q.start <= p.start and p.end <= q.end,
-    "starts": lambda p, q: p.start == q.start and p.end < q.end,
-    "finishes": lambda p, q: p.end == q.end and q.start < p.start,
-}
-
-# The table of patterns: the interval of a pair.
-INTERVAL: Dict[str, Callable[[Match, Match], Tuple[Any, Any]]] = {
-    "seq": lambda p, q: (p.start, q.end),
-    "forall_seq": lambda p, q: (p.start, q.end),
-    "and": lambda p, q: (min(p.start, q.start), max(p.end, q.end)),
-    "par": lambda p, q: (min(p.start, q.start), max(p.end, q.end)),
-    "equals": lambda p, q: (q.start, q.end),
-    "meets": lambda p, q: (p.start, q.end),
-    "during": lambda p, q: (q.start, q.end),
-    "starts": lambda p, q: (q.start, q.end),
-    "finishes": lambda p, q: (q.start, q.end),
-}
-
 # The table of patterns: aggregates. Count, sum and list have a value from the start, the others with the
 # first repetition.
 AGGREGATES: Dict[str, Callable[[List[Any]], Any]] = {

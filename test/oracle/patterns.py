@@ -27,7 +27,7 @@ class Leaf(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Both(Pattern):
-    """``left kind right`` for the two-sided operators of `TWO_SIDED`."""
+    """``left kind right`` for the operators of `PAIRS`."""
 
     kind: str
     left: Pattern
@@ -213,9 +213,6 @@ class Rule:
 
 NO_PROPERTIES: Dict[str, Any] = {"policy": None, "out_of_order": None, "after_match": "keep"}
 """What a rule says that overrides no flag."""
-TWO_SIDED = ("seq", "and", "par", "equals", "meets", "during", "starts", "finishes", "forall_seq")
-EITHER_ORDER = TWO_SIDED[1:-1]
-KINDS = ("count", "sum", "min", "max", "avg", "list")
 WINDOWS = {
     "last": "last({0})",
     "newest": "last({0},events)",

@@ -9,12 +9,12 @@ import re
 from fractions import Fraction
 from typing import Any, Dict, Iterable, Iterator, List, Tuple
 
+from events.operator_table import AGGREGATES, PAIRS
+
 from retalis import Term, Var, atom, functor, list_items, make_list
 
 from .goals import show
 from .patterns import (
-    KINDS,
-    TWO_SIDED,
     WINDOWS,
     Aggregate,
     Awaited,
@@ -89,7 +89,7 @@ def pattern_of(term: Term) -> Pattern:
         found = _sequence(*args) if name == "seq" else None
         if found is not None:
             return found
-    if len(args) == 2 and name in TWO_SIDED:
+    if len(args) == 2 and name in PAIRS:
         return Both(name, pattern_of(args[0]), pattern_of(args[1]))
     made: Dict[str, Any] = {
         "or": lambda p, q: Or(pattern_of(p), pattern_of(q)),
@@ -121,7 +121,7 @@ def _sequence(left: Term, right: Term) -> Any:
         kind = right[1]
         value = kind[1] if kind.__class__ is tuple else None
         name = kind[0].name if kind.__class__ is tuple else kind.name
-        assert name in KINDS, name
+        assert name in AGGREGATES, name
         return Aggregate(pattern_of(left), name, value, pattern_of(right[2]), right[3])
     return None
 

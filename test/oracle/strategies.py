@@ -9,6 +9,7 @@ from fractions import Fraction
 from random import Random
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
+from events.operator_table import AGGREGATES, EITHER_ORDER
 from hypothesis import strategies as st
 
 from retalis import Term, Var, atom, functor, list_items, make_list
@@ -19,7 +20,6 @@ from .evaluator import run
 from .goals import show
 from .matches import POLICIES
 from .patterns import (
-    EITHER_ORDER,
     STREAMED,
     WINDOWS,
     Aggregate,
@@ -287,7 +287,7 @@ class Generator:
         if kind == "star":
             return Star(first, repeated)
         values = [var for var in variables_in_order(repeated) if var in certain(repeated)]
-        which = self.choice(["count", "sum", "min", "max", "avg", "list"]) if values else "count"
+        which = self.choice(list(AGGREGATES)) if values else "count"
         value = self.choice(values) if which != "count" else None
         return Aggregate(first, which, value, repeated, self.choice([Var(), Var(), Var(), 2]))
 

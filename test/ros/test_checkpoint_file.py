@@ -50,7 +50,7 @@ def kill(space, process):
 def written(path):
     """Return when the state in a file was written."""
     found = read_checkpoint(path)
-    return 0.0 if found is None else found.made
+    return 0.0 if found is None else found.written_at
 
 
 def test_goes_on_after_it_was_killed(devel, node, tmp_path):

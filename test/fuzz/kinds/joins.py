@@ -2,6 +2,8 @@
 
 from time import process_time
 
+from events.operator_table import PAIRS
+
 from retalis import Limits, Settings
 
 from ..mutate import changed_text, to_bytes, to_text
@@ -20,21 +22,7 @@ SETTINGS = Settings(
 )
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", *("unrestricted",) * 4)
-JOINS = (
-    "seq",
-    "seq",
-    "and",
-    "and",
-    "or",
-    "par",
-    "cnot",
-    "fnot",
-    "during",
-    "meets",
-    "starts",
-    "finishes",
-    "equals",
-)
+JOINS = (*PAIRS, "seq", "and", "or", "cnot", "fnot")
 AFTER_MATCH = ("skip_past_last", "skip_to_next", "skip_to_first", "skip_to_last", "no_skip")
 MEASURES = (
     "count",

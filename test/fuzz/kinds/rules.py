@@ -1,31 +1,23 @@
 """Texts of rule files, and events for what is in them."""
 
+from events.operator_table import AGGREGATES, PAIRS
+
 from ..mutate import changed_text, soup, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, silent_engine
 
 PIECES = (
     " <- ",
-    " seq ",
-    " and ",
     " or ",
-    " par ",
     " where ",
     " within ",
     " cnot ",
     " fnot ",
     " do ",
     " check ",
-)
-PIECES += (
-    " equals ",
-    " meets ",
-    " during ",
-    " starts ",
-    " finishes ",
     " star_times",
     " ntimes 3",
-    " forall_seq ",
 )
+PIECES += tuple(f" {name} " for name in PAIRS)
 PIECES += (
     " event_multiply ",
     "aggregate(sum(X),b(X),S)",
@@ -66,20 +58,7 @@ PIECES += (
     "->",
     ";",
 )
-SIDES = (
-    "seq",
-    "and",
-    "or",
-    "par",
-    "equals",
-    "meets",
-    "during",
-    "starts",
-    "finishes",
-    "cnot",
-    "fnot",
-    "forall_seq",
-)
+SIDES = (*PAIRS, "or", "cnot", "fnot")
 GOALS = (
     "where X > 1",
     "where (Y = X, foo(Y))",
@@ -99,7 +78,7 @@ GOALS += (
     "where holds(h(X))",
     "do state(h(X, Y), from(a(X)), until(b(Y)))",
 )
-KINDS = ("count", "sum(X)", "min(Y)", "max(X)", "avg(X)", "list(X)", "list(f(X,Y))")
+KINDS = ("count", "list(f(X,Y))", *(f"{name}(X)" for name in AGGREGATES[1:]))
 STREAMS = (
     "aggregate(count, {0}, S, last(2))",
     "aggregate([median(X), list(X)], {0}, S, last(3, events))",
