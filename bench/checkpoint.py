@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Cost of snapshots and checkpoints, and loss of events when the process is killed.
 
-    bench/checkpoint.py [--kills N] [--records N ...] [--waiting N ...] [--seconds N]
+    bench/checkpoint.py [--kills N] [--seconds N]
 
-Prints the time and size of a snapshot and of a restart for numbers of records, the time for numbers of partial
-matches, and the cost of checkpoints while the NAO's program processes 1,900 messages per second with full memories.
-Then a process that writes checkpoints under full load is killed N times at random moments. The loss is the time
-between the restored checkpoint and the kill; the restored state has to be consistent each time.
+Prints the cost of checkpoints while the NAO's program processes 1,900 messages per second with full memories. Then a
+process that writes checkpoints under full load is killed N times at random moments. The loss is the time between the
+restored checkpoint and the kill; the restored state has to be consistent each time. ``bench/snapshots.py`` measures
+the time and size of snapshots.
 """
 
 import argparse
@@ -26,7 +26,7 @@ sys.path[:0] = [str(ROOT / "src"), str(ROOT / "test" / "engine")]
 
 from checkpoint_victim import GOALS, RULES  # noqa: E402
 
-from retalis import Engine, Reports, StreamClock, atom, functor  # noqa: E402
+from retalis import Clock, Engine, Reports  # noqa: E402
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage  # noqa: E402
 
 JOINTS = (
@@ -39,52 +39,10 @@ JOINTS = (
 VICTIM = ROOT / "test" / "engine" / "checkpoint_victim.py"
 
 
-def figures(engine: Engine, what: str) -> None:
-    """Print the duration of a snapshot and of a restart."""
-    taken, restored = [], []
-    for _ in range(3):
-        begin = time.perf_counter()
-        data = engine.snapshot()
-        taken.append(time.perf_counter() - begin)
-        begin = time.perf_counter()
-        Engine.restore(data)
-        restored.append(time.perf_counter() - begin)
-    print(
-        f"{what}: {min(taken):.3f} s, {len(data) / 1e6:.1f} MB; restored in {min(restored):.3f} s", flush=True
-    )
-
-
-def memory_of(records: int) -> Engine:
-    """Return an engine with a memory of poses."""
-    chance = random.Random(1)
-    engine = Engine(StreamClock())
-    engine.load(goals=f"memorize(tf(_, _, _, _), [], _, m, {records})")
-    pose, place, turn = functor("tf", 4), functor("v", 3), functor("q", 4)
-    draw = chance.random
-    for at in range(records):
-        term = pose(
-            atom(f"a{at % 20}"),
-            atom("b"),
-            place(draw(), draw(), draw()),
-            turn(draw(), draw(), draw(), draw()),
-        )
-        engine.event_at(term, 10**18 + at * 10**7, 10**18 + at * 10**7)
-    return engine
-
-
-def waiting(number: int) -> Engine:
-    """Return an engine with partial matches."""
-    engine = Engine(StreamClock())
-    engine.load(rules="p(X, Y) <- a(X) seq b(X, Y).")
-    for at in range(number):
-        engine.event_at(functor("a", 1)(at), at, at)
-    return engine
-
-
 def keep_while_running(seconds: float) -> None:
     """Print the cost of two checkpoints per second of the NAO's program, and how long they block the engine."""
     program = ROOT / "application_source"
-    engine = Engine(StreamClock())
+    engine = Engine(Clock())
     engine.load_program(program)
     with tempfile.TemporaryDirectory() as folder:
         kept = Checkpointer(engine, CheckpointStorage(Path(folder) / "state.db"), program, Reports(), 0.5)
@@ -171,14 +129,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--records", type=int, nargs="*", default=[1_000, 10_000, 150_000])
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--waiting", type=int, nargs="*", default=[100, 10_000])
     options = parser.parse_args()
-    for number in options.records:
-        figures(memory_of(number), f"{number} records")
-    for number in options.waiting:
-        figures(waiting(number), f"{number} matches that wait")
     if options.seconds:
         keep_while_running(options.seconds)
     if options.kills:

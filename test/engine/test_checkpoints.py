@@ -249,7 +249,7 @@ def test_a_database_that_is_another_one_is_refused(folder, statements, message):
         (lambda old: b"\x80\x04}\x94.", "format 5 or older, a pickle, which is never read"),
         (lambda old: to_bytes({**old, "made": "abc"}), "made: 'abc': expected a number of seconds"),
         (lambda old: to_bytes({**old, "files": [["x"]]}), "files: .*expected 2 items"),
-        (lambda old: to_bytes({**old, "format": 7}), "format 7: this version reads format 6"),
+        (lambda old: to_bytes({**old, "format": 99}), "format 99: this version reads format 7"),
         (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
     ],
 )

@@ -62,30 +62,47 @@ def test_unchanged_it_is_taken(state):
         ("program", ["network", "flags"], [["no_flag", 1]], "no flag"),
         ("program", ["memories", 0, 0], atom("x"), "a term of memorize/5"),
         ("program", ["standings"], [["\0", []]], "expected a path"),
-        ("clauses", [0, 0, 0], 1201, "expected an integer from 0 to 1200"),
-        ("clauses", [0, 0], [], "names and types of operators"),
+        ("clauses", [0], [[1201, "xfx", "near"]], "expected an integer from 0 to 1200"),
+        ("clauses", [0], [[700, "fff", "near"]], "'fff': expected one of "),
         ("matches", ["states"], [], "the states of 3 rules"),
-        ("matches", ["states", 0, 3, 0, 0], Ref(10_000), "expected a reference"),
-        ("matches", ["states", 0, 3, 0, 1], 99, "expected an integer from -1"),
-        ("matches", ["states", 0, 3, 0, 2], 10**20, "has a sequence number that was not assigned"),
+        ("matches", ["states", 0, 3, 0, 0], 10_000, "expected references to event match or match"),
+        ("matches", ["states", 0, 3, 0, 0], 2, "expected references to event match or match"),
+        ("matches", ["states", 0, 3, 0, 0], Ref(0), "expected an integer"),
+        ("matches", ["states", 0, 3, 1, 0], 99, "expected an integer from -1"),
+        ("matches", ["states", 0, 3, 2, 0], 10**20, "has a sequence number that was not assigned"),
+        ("matches", ["states", 0, 3, 2], [], "expected 0 partial matches"),
         (
             "matches",
             ["states", 0, 3],
-            lambda old: old + old,
+            lambda old: [column + column for column in old],
             "two partial matches have the same sequence number",
         ),
         (
             "matches",
             ["states", 0, 3],
-            lambda old: [*old, [*old[0][:2], 0]],
+            lambda old: [old[0] * 2, old[1] * 2, [*old[2], 0]],
             "a partial match is stored twice",
         ),
         ("matches", ["states", 0, 2, 0, 0], "Leaves", "its nodes differ from those in the state"),
-        ("matches", ["rows", 0], ["match"], "expected the row of an object"),
-        ("matches", ["rows", 0], lambda old: [*old[:6], [Ref(0)], old[7]], "contains itself"),
-        ("matches", ["rows", 0, 1], [], "a match with 1 values"),
-        ("matches", ["rows", 0, 2], "x", "expected an instant"),
-        ("matches", ["rows", 0, 7], Ref(5000), "expected a reference"),
+        ("matches", ["objects", 0], b"\x63", "expected codes of kinds"),
+        ("matches", ["objects", 0], b"", "kind match: values: '3': expected 0 values"),
+        ("matches", ["objects", 0], b"\0", "'event match': expected a kind with columns"),
+        ("matches", ["objects", 1, "match"], [], "expected 7 columns of kind match"),
+        ("matches", ["objects", 1, "match", 0], [[1]], "kind match: values: '1': expected 3 values"),
+        ("matches", ["objects", 1, "match", 0, 0], [], "a match with 1 values and the event of its pattern"),
+        ("matches", ["objects", 1, "match", 1, 0], b"", "expected 3 instants"),
+        ("matches", ["objects", 1, "match", 1], None, "kind match: start: 'None': expected a sequence"),
+        (
+            "matches",
+            ["objects", 1, "match", 5],
+            [[0], None, None],
+            "object 0, of kind match, contains itself",
+        ),
+        ("matches", ["objects", 1, "match", 5], [[None], None, None], "expected a sequence"),
+        ("matches", ["objects", 1, "match", 4], None, "a match has neither an event nor parts"),
+        ("matches", ["objects", 1, "match", 6], [5000, None, None], "expected references to event match"),
+        ("matches", ["objects", 1, "run", 7], None, "kind run: first: 'None': expected a sequence"),
+        ("matches", ["objects", 1, "run", 8], None, "kind run: last: 'None': expected a sequence"),
         ("matches", ["timers", 0], lambda old: old + old, "alarms with distinct sequence numbers"),
         ("matches", ["timers", 0, 0, 1], functor("no", 1)(1), "expected every"),
         ("matches", ["waiting"], [[0, atom("x"), atom("y"), 1, 2, [], None]], "waits for a memory"),
@@ -123,9 +140,23 @@ def test_a_section_that_no_state_has_is_refused(state):
 
 
 def test_an_older_state_is_refused_by_its_format(state):
-    data = pack(state).replace(b'"format": 6', b'"format": 5')
-    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 6"):
+    data = pack(state).replace(b'"format": 7', b'"format": 5')
+    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 7"):
         Engine.restore(data)
+
+
+def test_a_state_of_another_layout_of_this_package_is_refused_by_its_format(state):
+    data = pack(state).replace(b'"format": 7', b'"format": 6')
+    with pytest.raises(UsageError, match="the state is of format 6: this version reads format 7"):
+        Engine.restore(data)
+
+
+def test_changed_operators_come_back():
+    engine = Engine(StreamClock())
+    engine.load(goals="op(700, xfx, near)\nop(0, yfx, mod)\nop(200, xfx, is)")
+    other = Engine.restore(engine.snapshot())
+    assert list(other.logic.operators) == list(engine.logic.operators)
+    assert len(list(other.logic.operators)) == len(list(Engine().logic.operators))
 
 
 def test_records_come_back_by_columns():
@@ -224,7 +255,7 @@ def test_a_partial_match_of_two_rules_is_refused():
     engine.event("a(1)", 1)
     state = unpack(engine.snapshot())
     states = dict(from_bytes(state["matches"]))["states"]
-    shared = changed(state, "matches", ["states", 1, 3, 0, 0], states[0][3][0][0])
+    shared = changed(state, "matches", ["states", 1, 3, 0], states[0][3][0])
     with pytest.raises(UsageError, match="a partial match is stored twice"):
         Engine.restore(shared)
 
@@ -238,9 +269,9 @@ def state_of(rules, events, goals=""):
     return unpack(engine.snapshot())
 
 
-def rows(state, kind):
-    """Return the numbers of the objects of a kind."""
-    return [at for at, row in enumerate(dict(from_bytes(state["matches"]))["rows"]) if row[0] == kind]
+def columns(state, kind):
+    """Return the columns of the objects of a kind."""
+    return dict(dict(from_bytes(state["matches"]))["objects"][1]).get(kind)
 
 
 def refused(state, path, value, message):
@@ -253,8 +284,8 @@ OTHER_EVENT = functor("other", 1)(2)
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [(1, []), (1, [1, 2]), (5, 3), (5, OTHER_EVENT), (5, None)],
+    ("attribute", "value"),
+    [("values", []), ("values", [1, 2]), ("term", 3), ("term", OTHER_EVENT), ("term", None)],
     ids=lambda value: str(value),
 )
 @pytest.mark.parametrize(
@@ -268,9 +299,14 @@ OTHER_EVENT = functor("other", 1)(2)
         "p(X) <- (a(X) ntimes 3).",
     ],
 )
-def test_a_match_that_its_node_could_not_read_is_refused(rule, field, value):
+def test_a_match_that_its_node_could_not_read_is_refused(rule, attribute, value):
     state = state_of(rule, ["a(1)"])
-    refused(state, ["rows", rows(state, "match")[0], field], value, "expected|neither an event nor parts")
+    kind, position = "match", 0 if attribute == "values" else 4
+    if columns(state, kind) is None:
+        # Its values are the arguments of its event.
+        kind, position = "event match", 2
+        value = functor("a", len(value) or 3)(*(value or [1, 2, 3])) if attribute == "values" else value
+    refused(state, ["objects", 1, kind, position, 0], value, "expected|neither an event nor parts")
 
 
 def test_the_repetitions_of_a_match_are_counted():
@@ -279,11 +315,9 @@ def test_the_repetitions_of_a_match_are_counted():
         ["a(1, 1)", "a(1, 2)", "a(1, 3)"],
         "set_etalis_flag(event_consumption_policy, unrestricted)",
     )
-    data = dict(from_bytes(state["matches"]))
-    (longest,) = [
-        at for at, row in enumerate(data["rows"]) if row[0] == "match" and row[6] and len(row[6]) > 1
-    ][-1:]
-    refused(state, ["rows", longest, 6], data["rows"][longest][6][:1], "expected")
+    parts = columns(state, "match")[5]
+    longest = max(at for at, numbers in enumerate(parts) if numbers is not None and len(numbers) > 1)
+    refused(state, ["objects", 1, "match", 5, longest], parts[longest][:1], "expected")
 
 
 def test_sequences_with_several_repetitions_of_their_own_are_restored():
@@ -342,10 +376,10 @@ def test_a_suppressed_match_that_its_node_could_not_retry_is_refused():
         ["a(1)", "b(2)", "c(3)"],
         "set_etalis_flag(revision_flag, on)",
     )
-    (suppressed,) = rows(state, "suppressed")
-    match = dict(from_bytes(state["matches"]))["rows"][suppressed][2][0]
-    refused(state, ["rows", suppressed, 2], match, "a suppressed match does not fit its node")
-    refused(state, ["rows", suppressed, 2], [match, match], "a suppressed match does not fit its node")
+    match = columns(state, "suppressed")[1][0][0]
+    path = ["objects", 1, "suppressed", 1, 0]
+    refused(state, path, match, "a suppressed match does not fit its node")
+    refused(state, path, [match, match], "a suppressed match does not fit its node")
 
 
 @pytest.mark.parametrize(

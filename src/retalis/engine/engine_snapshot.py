@@ -95,7 +95,7 @@ class EngineSnapshot:
         return (
             engine.logic.database.changes,
             len(engine.logic.database.predicates),
-            list(engine.logic.operators),
+            engine.logic.operators.changes(),
             [rule.serial for rule in named_rules],
             len(rules.rules),
             rules.all_properties(),

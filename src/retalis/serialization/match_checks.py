@@ -6,6 +6,7 @@ of the node, and, for a node that receives events, an event of the functor that 
 describes this for the matches of one node, and `buffer_shapes` for each buffer of a node.
 """
 
+from itertools import chain
 from typing import Any, Iterable, List, NamedTuple, Sequence, Set, Tuple
 
 from ..events.matches.negation import NegationBuffer
@@ -171,14 +172,16 @@ def check_arrivals(rule: EventRule, state: RuleState, shapes: Sequence[Any]) -> 
     Raises:
         UsageError: if a match does not fit.
     """
+    matches, buffer_numbers, orders = state.arrivals
+    if not len(matches) == len(buffer_numbers) == len(orders):
+        raise wrong(len(matches), f"{len(orders)} partial matches")
     # Sequence numbers reproduce the order in which partial matches arrived.
-    orders = [order for _, _, order in state.arrivals]
     if len(set(orders)) != len(orders):
         raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
-    if any(order > state.times[1] for order in orders):
+    if max(orders, default=0) > state.times[1]:
         raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
-    waiting = [(match, buffer_number) for match, buffer_number, _ in state.arrivals]
-    for match, buffer_number in (*waiting, *((match, buffer_number) for buffer_number, match in state.later)):
+    later = [(match, buffer_number) for buffer_number, match in state.later]
+    for match, buffer_number in chain(zip(matches, buffer_numbers), later):
         if buffer_number < 0:
             if match.buffer is None:
                 raise UsageError(f"{rule.name}: a run does not belong to a group")
@@ -197,10 +200,11 @@ def check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -
     """
     stored: Set[int] = set()
     for rule, state in zip(rules, states):
-        for match in (*(match for match, _, _ in state.arrivals), *(match for _, match in state.later)):
-            if id(match) in stored:
-                raise UsageError(f"{rule.name}: a partial match is stored twice")
-            stored.add(id(match))
+        matches = [*state.arrivals[0], *(match for _, match in state.later)]
+        size = len(stored) + len(matches)
+        stored.update(map(id, matches))
+        if len(stored) != size:
+            raise UsageError(f"{rule.name}: a partial match is stored twice")
 
 
 def check_lineage(graph: GraphReader) -> None:

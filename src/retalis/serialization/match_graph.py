@@ -1,16 +1,19 @@
 """Serialization of partial matches and events as an object graph.
 
-Matches, events, shared buffers and nodes refer to each other in cycles. Each object therefore becomes a row of its
-attributes, in which other objects are represented by their numbers (`Ref`). `GraphWriter` assigns the numbers in the
-order in which objects are reached. `GraphReader` first creates all objects without attributes, so that references can
-be resolved in any order, then checks and assigns the attributes, and finally checks relations between attributes and
-derives those that are not stored.
+Matches, events, shared buffers and nodes refer to each other in cycles. Each object therefore has a number, by which
+other objects refer to it. `GraphWriter` assigns the numbers in the order in which objects are reached, and encodes
+the attributes of all objects of a kind in columns, one for each attribute. `GraphReader` first creates all objects
+without attributes, so that references can be resolved in any order, then checks and assigns the attributes, and
+finally checks relations between attributes and derives those that are not stored.
 
-A state file is not trusted: every attribute has a check, references are only accepted to objects of the right kind,
-and the graph of what objects were made of must be acyclic, because the engine traverses it recursively.
+A state file is not trusted: every column has a check, references are only accepted to objects of the right kind, and
+the graph of what objects were made of must be acyclic, because the engine traverses it recursively.
 """
 
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from collections import defaultdict, deque
+from enum import Enum
+from operator import attrgetter, is_
+from typing import Any, Callable, DefaultDict, Dict, List, Sequence, Tuple
 
 from ..events.matches.partial_matches import (
     NOTHING_HELD,
@@ -31,18 +34,22 @@ from ..events.streams.stream_operator import StreamElement
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Functor
 from .codec import Ref
+from .columns import decode_instants, encode_instants
 from .schema import (
     Decoded,
     ValueCheck,
+    anything,
     boolean,
     count,
+    dict_of,
     each,
     fixed,
-    instant,
     integer,
+    integers,
     items,
     key,
-    match_order,
+    match_orders,
+    one_of,
     optional,
     term,
     value_of_match,
@@ -50,42 +57,112 @@ from .schema import (
     wrong,
 )
 
-_MATCH = ("values", "start", "end", "event", "term", "parts", "used")
-_TRACKED = ("derived", "held", "gone", "reported", "suppressed")
 
-FIELDS: Dict[str, Tuple[Any, Tuple[str, ...]]] = {
+class _Form(Enum):
+    """Encoding of the column of an attribute."""
+
+    DATA = "data"
+    """Values that contain no objects."""
+    INSTANTS = "instants"
+    """Instants, see `encode_instants`."""
+    OBJECT = "object"
+    """Objects, as their numbers, or None."""
+    PARTS = "parts"
+    """Parts of matches: objects as their numbers, numbers of branches and `Found` as sequences of one item."""
+    MIXED = "mixed"
+    """Any data, with objects as `Ref`."""
+
+
+_DATA, _INSTANTS, _OBJECT, _PARTS, _MIXED = _Form
+_INTERVAL = {"start": _INSTANTS, "end": _INSTANTS}
+_MATCH = {"values": _DATA, **_INTERVAL, "event": _MIXED, "term": _DATA, "parts": _PARTS, "used": _OBJECT}
+_TRACKED = {"derived": _MIXED, "held": _MIXED, "gone": _DATA, "reported": _DATA, "suppressed": _MIXED}
+
+FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
+    "event match": (EventMatch, {**_INTERVAL, "term": _DATA}),
     "match": (PartialMatch, _MATCH),
     "run": (
         Run,
-        (*_MATCH, "first", "last", "fixed", "state", "items", "taken", "held", "steps", "sound", "open"),
+        {
+            **_MATCH,
+            "first": _OBJECT,
+            "last": _INSTANTS,
+            "fixed": _DATA,
+            "state": _DATA,
+            "items": _DATA,
+            "taken": _MIXED,
+            "held": _OBJECT,
+            "steps": _DATA,
+            "sound": _DATA,
+            "open": _DATA,
+        },
     ),
-    "token": (RunCursor, (*_MATCH, "first", "apart", "log", "at", "since", "buffer")),
-    "train": (RunGroup, ("node", "key", "tokens", "end", "order", "log", "taken", "alive")),
-    "log": (SharedLog, ("items",)),
-    "chain": (BufferSlice, ("pieces", "length")),
-    "held": (TrackedMatch, ("match", "earlier", "number", "linked", *_TRACKED)),
+    "run cursor": (
+        RunCursor,
+        {
+            **_MATCH,
+            "first": _OBJECT,
+            "apart": _DATA,
+            "log": _OBJECT,
+            "at": _DATA,
+            "since": _DATA,
+            "buffer": _OBJECT,
+        },
+    ),
+    "run group": (
+        RunGroup,
+        {
+            "node": _OBJECT,
+            "key": _DATA,
+            "tokens": _MIXED,
+            "end": _INSTANTS,
+            "order": _DATA,
+            "log": _OBJECT,
+            "taken": _DATA,
+        },
+    ),
+    "log": (SharedLog, {"items": _MIXED}),
+    "log slices": (BufferSlice, {"pieces": _MIXED}),
+    "tracked match": (
+        TrackedMatch,
+        {"match": _OBJECT, "earlier": _OBJECT, "number": _DATA, "linked": _DATA, **_TRACKED},
+    ),
     "event": (
         Occurrence,
-        ("number", "term", "start", "end", "rule", "match", "forgotten", "takes_back", *_TRACKED),
+        {
+            "number": _DATA,
+            "term": _DATA,
+            **_INTERVAL,
+            "rule": _OBJECT,
+            "match": _OBJECT,
+            "forgotten": _DATA,
+            "takes_back": _MIXED,
+            **_TRACKED,
+        },
     ),
-    "item": (StreamElement, ("match", "start", "end", "by", "values", "order")),
-    "suppressed": (Suppressed, ("node", "what", "number", "freed")),
+    "element": (
+        StreamElement,
+        {"match": _MIXED, **_INTERVAL, "by": _DATA, "values": _DATA, "order": _DATA},
+    ),
+    "suppressed": (Suppressed, {"node": _OBJECT, "what": _MIXED, "number": _DATA, "freed": _DATA}),
 }
 """Kinds of objects: their class, and the attributes that are stored. Other attributes are derived when read."""
 
+_KINDS = [*FIELDS, "nothing", "rule", "node"]
+"""All kinds, in the order of their codes: `NOTHING_HELD`, rules and nodes exist before objects are read."""
+
+_CODES = {kind: code for code, kind in enumerate(_KINDS)}
 _KIND_BY_CLASS = {
-    EventMatch: "match",
-    OrderedEventMatch: "match",
-    **{kind: name for name, (kind, _) in FIELDS.items()},
+    EventRule: "rule",
+    OrderedEventMatch: "event match",
+    **{object_class: kind for kind, (object_class, _) in FIELDS.items()},
 }
-
-_SCALARS = frozenset((int, bool, type(None)))
-
-ObjectRow = List[Any]
+MATCH_KINDS = ("event match", "match", "run", "run cursor")
+"""Kinds of matches."""
 
 
 class GraphWriter:
-    """Writer that assigns numbers to objects and creates their rows.
+    """Writer that assigns numbers to objects and encodes their attributes.
 
     Args:
         rules: rules with known numbers. Deleted rules that are still referred to are added after them.
@@ -93,153 +170,304 @@ class GraphWriter:
 
     def __init__(self, rules: Sequence[EventRule]):
         self.rules = list(rules)
-        self.rows: List[ObjectRow] = []
+        self._numbers: Dict[int, int] = {}
         self._refs: Dict[int, Ref] = {}
-        self._objects: List[Any] = []
-        self._places: Dict[int, int] = {}
+        self._unexplored: List[Any] = []
+        self._kinds = bytearray()
+        self._objects: DefaultDict[str, List[Any]] = defaultdict(list)
+        self._columns: DefaultDict[Tuple[str, str], List[Any]] = defaultdict(list)
+        self._rule_numbers: Dict[int, int] = {}
         self._nodes: Dict[int, Tuple[int, int]] = {}
         for number, rule in enumerate(self.rules):
             self._add_rule(rule, number)
 
     def _add_rule(self, rule: EventRule, number: int) -> None:
-        self._places[id(rule)] = number
+        self._rule_numbers[id(rule)] = number
         for node_number, (node, _, _) in enumerate(rule.nodes):
             self._nodes[id(node)] = (number, node_number)
 
     def write(self, data: Any) -> Any:
-        """Return data in which objects are replaced by `Ref`; rows are added for new objects."""
-        result = _map_objects(data, self._to_ref)
-        # Rows are created in a loop instead of recursively: chains of objects can be very long.
-        while len(self.rows) < len(self._objects):
-            self.rows.append(self._row(self._objects[len(self.rows)]))
-        return result
+        """Return data in which objects are replaced by `Ref`."""
+        return _map_objects(data, self._to_ref)
 
-    def _to_ref(self, data: Any) -> Any:
-        data_class = data.__class__
-        if data_class in _KIND_BY_CLASS or data_class is EventRule or id(data) in self._nodes:
-            return self._ref(data)
-        if isinstance(data, NetworkNode):  # a node of a deleted rule
-            self._rule(data.rule)  # type: ignore[attr-defined]  # nodes that hold state have a rule
-            return self._ref(data)
-        return data
+    def number(self, item: Any) -> int:
+        """Return the number of an object."""
+        number = self._numbers.get(id(item))
+        if number is None:
+            number = self._numbers[id(item)] = len(self._numbers)
+            self._unexplored.append(item)
+        return number
 
-    def _ref(self, data: Any) -> Ref:
-        ref = self._refs.get(id(data))
-        if ref is None:
-            ref = self._refs[id(data)] = Ref(len(self._objects))
-            self._objects.append(data)
-        return ref
+    def encode(self) -> Any:
+        """Return the encoding of all objects that were reached: codes of their kinds, and columns by kind."""
+        # Objects are reached in a loop instead of recursively, because chains of objects can be very long.
+        while self._unexplored:
+            self._explore()
+        return bytes(self._kinds), [
+            [kind, self._encode_columns(kind)] for kind in _KINDS if self._objects[kind]
+        ]
+
+    def _explore(self) -> None:
+        """Collect the objects that have got a number, and give numbers to those that they refer to."""
+        reached, self._unexplored = self._unexplored, []
+        kinds = [self._kind(item) for item in reached]
+        self._kinds += bytes(map(_CODES.__getitem__, kinds))
+        by_kind: DefaultDict[str, List[Any]] = defaultdict(list)
+        for kind, item in zip(kinds, reached):
+            by_kind[kind].append(item)
+        for kind, objects in by_kind.items():
+            self._objects[kind] += objects
+            for field, form in FIELDS[kind][1].items() if kind in FIELDS else ():
+                values = map(attrgetter(field), objects)
+                column = self._columns[kind, field]
+                if form is _OBJECT:
+                    column += [None if value is None else self.number(value) for value in values]
+                elif form is _PARTS:
+                    column += map(self._to_parts, values)
+                elif form is _MIXED:
+                    column += map(self.write, values)
+
+    def _kind(self, item: Any) -> str:
+        if item is NOTHING_HELD:
+            return "nothing"
+        kind = _KIND_BY_CLASS.get(item.__class__, "node")
+        # Numbers of rules and nodes are assigned here, because those of deleted rules are not known before.
+        if kind == "rule":
+            self._rule(item)
+        elif kind == "node" and id(item) not in self._nodes:
+            self._rule(item.rule)
+        return kind
+
+    def _encode_columns(self, kind: str) -> List[Any]:
+        objects = self._objects[kind]
+        if kind == "nothing":
+            return []
+        if kind == "rule":
+            return [[self._rule(rule) for rule in objects]]
+        if kind == "node":
+            return list(zip(*[self._nodes[id(node)] for node in objects]))
+        columns: List[Any] = []
+        fields = FIELDS[kind][1]
+        for field, form in fields.items():
+            column: Any = self._columns.get((kind, field)) or list(map(attrgetter(field), objects))
+            if (
+                field == "end"
+                and "start" in fields
+                and all(map(is_, map(attrgetter("start"), objects), column))
+            ):
+                column = None
+            elif form is _INSTANTS:
+                column = encode_instants(column)
+            # An attribute that is not used by any object takes no space.
+            columns.append(
+                None if column.__class__ is list and all(value is None for value in column) else column
+            )
+        return columns
 
     def _rule(self, rule: EventRule) -> int:
-        number = self._places.get(id(rule))
+        number = self._rule_numbers.get(id(rule))
         if number is None:
             number = len(self.rules)
             self.rules.append(rule)
             self._add_rule(rule, number)
         return number
 
-    def _row(self, item: Any) -> ObjectRow:
-        if item is NOTHING_HELD:
-            return ["nothing"]
-        item_class = item.__class__
-        if item_class is EventRule:
-            return ["rule", self._rule(item)]
-        if id(item) in self._nodes:
-            return ["node", *self._nodes[id(item)]]
-        name = _KIND_BY_CLASS[item_class]
-        row: ObjectRow = [name]
-        for field in FIELDS[name][1]:
-            value = getattr(item, field)
-            if value.__class__ not in _SCALARS:
-                value = _map_objects(list(value) if field == "tokens" else value, self._to_ref)
-            row.append(value)
-        return row
+    def _to_ref(self, data: Any) -> Any:
+        if not (data.__class__ in _KIND_BY_CLASS or isinstance(data, NetworkNode)):
+            return data
+        number = self.number(data)
+        return self._refs.get(number) or self._refs.setdefault(number, Ref(number))
 
+    def _to_parts(self, parts: Any) -> Any:
+        if parts is None:
+            return None
+        return [
+            self.number(part)
+            if part.__class__ in _KIND_BY_CLASS
+            else part
+            if part.__class__ is Found
+            else [part]
+            for part in parts
+        ]
 
-_MATCHES = ("match", "run", "token")
 
 _NUMBER = optional(count)
 
+_ColumnCheck = Callable[[Decoded, Sequence[int]], Sequence[Any]]
+"""Check of a column of the objects with the given numbers; returns the values of an attribute."""
+
 
 class GraphReader:
-    """Reader that creates objects from rows, with a check of each attribute.
+    """Reader that creates objects from columns, with a check of each attribute.
 
     Attributes refer to other objects by their numbers; checks restrict the kinds of these objects. No object may
     directly or indirectly consist of itself (`_sources`), otherwise traversals would not terminate.
 
     Args:
-        rows: the rows of all objects.
+        value: result of `GraphWriter.encode`.
         rules: the rules in the order of their numbers.
 
     Raises:
-        UsageError: if a row cannot have been created by `GraphWriter`.
+        UsageError: if the value cannot have been created by `GraphWriter`.
     """
 
-    def __init__(self, rows: Any, rules: Sequence[EventRule]):
+    def __init__(self, value: Decoded, rules: Sequence[EventRule]):
         self._rules = rules
-        self._kinds: List[str] = []
+        self._kinds, columns_by_kind = fixed(_kind_codes, dict_of(one_of(*_KINDS), items))(value)
         self._objects: List[Any] = []
-        self._sources: List[List[int]] = []
+        self._sources: DefaultDict[int, List[int]] = defaultdict(list)
         self._current: List[int] = []
-        self.match = self.ref(*_MATCHES)
+        self.match = self.ref(*MATCH_KINDS)
         """Check of a reference to a match of any kind."""
         self._refer_to_event = self.ref("event")
-        checks = self._checks()
-        rows = [items(row) for row in items(rows)]
-        for row in rows:
-            self._kinds.append(row[0] if row and row[0].__class__ is str else "")
-            # Objects exist before their attributes are set, since references form cycles.
-            self._objects.append(self._empty(row))
-        for number, (item, row) in enumerate(zip(self._objects, rows)):
-            self._current = []
-            self._sources.append(self._current)
-            if row[0] in FIELDS:
-                try:
-                    self._fill(item, row, checks[row[0]])
-                except UsageError as error:
-                    raise UsageError(f"object {number}, a {row[0]}: {error.message}") from None
-        self._check_order()
-        for item in self._objects:
-            self._finish(item)
+        # Objects exist before their attributes are set, since references form cycles.
+        objects_by_kind = {kind: self._create(kind, columns) for kind, columns in columns_by_kind.items()}
+        numbers_by_kind = self._arrange(objects_by_kind)
+        # Most states have no partial matches.
+        checks = self._checks() if columns_by_kind else {}
+        for kind, objects in objects_by_kind.items():
+            if kind in FIELDS:
+                self._fill(kind, objects, numbers_by_kind[kind], columns_by_kind[kind], checks[kind])
+        self._check_acyclic()
+        for kind, objects in objects_by_kind.items():
+            if kind in _FINISH:
+                for item in objects:
+                    _FINISH[kind](item)
 
     def objects(self, *object_classes: type) -> List[Any]:
         """Return all objects of some classes."""
         return [item for item in self._objects if item.__class__ in object_classes]
 
-    def _empty(self, row: Sequence[Any]) -> Any:
-        name = row[0] if row else None
-        if name == "nothing" and len(row) == 1:
-            return NOTHING_HELD
-        if name == "rule" and len(row) == 2:
-            return self._rules[integer(0, len(self._rules) - 1)(row[1])]
-        if name == "node" and len(row) == 3:
-            nodes = self._rules[integer(0, len(self._rules) - 1)(row[1])].nodes
-            return nodes[integer(0, len(nodes) - 1)(row[2])][0]
-        if name.__class__ is not str or name not in FIELDS or len(row) != len(FIELDS[name][1]) + 1:
-            raise wrong(row, "the row of an object")
-        object_class = FIELDS[name][0]
-        return object_class.__new__(object_class)
+    def _create(self, kind: str, columns: Sequence[Decoded]) -> List[Any]:
+        """Return the objects of a kind, without attributes."""
+        size = self._kinds.count(_CODES[kind])
+        if kind in FIELDS:
+            # An `EventMatch` has one slot for its interval and its order, which is assigned later.
+            object_class = PartialMatch if kind == "event match" else FIELDS[kind][0]
+            return [object_class.__new__(object_class) for _ in range(size)]
+        if kind == "nothing":
+            fixed()(columns)
+            return [NOTHING_HELD] * size
+        rule_numbers = integers(0, len(self._rules) - 1)
+        if kind == "rule":
+            (numbers,) = fixed(rule_numbers)(columns)
+            return [self._rules[number] for number in numbers]
+        rules_of_nodes, node_numbers = fixed(rule_numbers, integers())(columns)
+        nodes = []
+        for rule_number, node_number in zip(rules_of_nodes, node_numbers):
+            nodes_of_rule = self._rules[rule_number].nodes
+            nodes.append(nodes_of_rule[integer(0, len(nodes_of_rule) - 1)(node_number)][0])
+        return nodes
 
-    def _fill(self, item: Any, row: Sequence[Any], checks: Sequence[ValueCheck]) -> None:
-        if isinstance(item, PartialMatch):
-            item.buffer = None
-        for field, check, value in zip(FIELDS[row[0]][1], checks, row[1:]):
-            setattr(item, field, check(value))
+    def _arrange(self, objects_by_kind: Dict[str, List[Any]]) -> Dict[str, List[int]]:
+        """Put the objects in the order of their numbers; return the numbers by kind."""
+        for code in set(self._kinds):
+            if _KINDS[code] not in objects_by_kind:
+                raise wrong(_KINDS[code], "a kind with columns")
+        numbers_by_kind: Dict[str, List[int]] = {kind: [] for kind in objects_by_kind}
+        # By the code of the kind.
+        arranged = [(iter(objects_by_kind.get(kind, ())), numbers_by_kind.get(kind, [])) for kind in _KINDS]
+        for number, code in enumerate(self._kinds):
+            objects, numbers = arranged[code]
+            self._objects.append(next(objects))
+            numbers.append(number)
+        return numbers_by_kind
+
+    def _fill(
+        self,
+        kind: str,
+        objects: Sequence[Any],
+        numbers: Sequence[int],
+        columns: Sequence[Decoded],
+        checks: Sequence[_ColumnCheck],
+    ) -> None:
+        """Check the columns of a kind and set the attributes of its objects."""
+        if len(columns) != len(checks):
+            raise wrong(len(columns), f"{len(checks)} columns of kind {kind}")
+        if kind in MATCH_KINDS:
+            for item in objects:
+                item.buffer = None
+        fields = FIELDS[kind][1]
+        values: Sequence[Any] = ()
+        for field, check, column in zip(fields, checks, columns):
+            try:
+                # If the ends are the starts, which are the values of the previous column, there is no column.
+                if column is not None or field != "end" or "start" not in fields:
+                    values = check(column, numbers)
+                if len(values) != len(objects):
+                    raise wrong(len(values), f"{len(objects)} values")
+            except UsageError as error:
+                raise UsageError(f"kind {kind}: {field}: {error.message}") from None
+            for item, value in zip(objects, values):
+                setattr(item, field, value)
 
     def ref(self, *kinds: str) -> ValueCheck:
         """Return a check of a reference to an object of one of the given kinds; the result is the object."""
-        # The lists are filled later, so kinds are compared when the check is called.
-        allowed = frozenset(kinds)
-        object_kinds, objects = self._kinds, self._objects
+        codes = frozenset(map(_CODES.__getitem__, kinds))
 
         def check(value: Decoded) -> Decoded:
             if (
                 value.__class__ is not Ref
-                or value.number >= len(object_kinds)
-                or object_kinds[value.number] not in allowed
+                or value.number >= len(self._kinds)
+                or self._kinds[value.number] not in codes
             ):
                 raise wrong(value, f"a reference to {' or '.join(kinds)}")
-            return objects[value.number]
+            return self._objects[value.number]
+
+        return check
+
+    def numbered(self, *kinds: str) -> ValueCheck:
+        """Return a check of a sequence of numbers of objects of the given kinds; the result is the objects."""
+        codes = frozenset(map(_CODES.__getitem__, kinds))
+
+        def check(value: Decoded) -> Decoded:
+            numbers = integers()(value)
+            is_in_range = max(numbers, default=-1) < len(self._kinds)
+            if not is_in_range or not codes.issuperset(map(self._kinds.__getitem__, numbers)):
+                raise wrong(numbers, f"references to {' or '.join(kinds)}")
+            return list(map(self._objects.__getitem__, numbers))
+
+        return check
+
+    def _object_column(self, *kinds: str, is_source: bool = False, is_optional: bool = False) -> _ColumnCheck:
+        """Return a check of a column of numbers of objects.
+
+        Args:
+            kinds: kinds of the objects.
+            is_source: if the objects with the column consist of these objects.
+            is_optional: if a number can be None.
+        """
+        check_numbers = self.numbered(*kinds)
+
+        def check(column: Decoded, numbers: Sequence[int]) -> Sequence[Any]:
+            if column is None and is_optional:
+                return [None] * len(numbers)
+            present = [number for number in items(column) if number is not None]
+            objects = iter(check_numbers(present))
+            if is_source:
+                for number, source in zip(numbers, column):
+                    if source is not None:
+                        self._sources[number].append(source)
+            if len(present) == len(column):
+                return list(objects)
+            if not is_optional:
+                raise wrong(None, f"a reference to {' or '.join(kinds)}")
+            return [None if number is None else next(objects) for number in column]
+
+        return check
+
+    def _mixed_column(self, check_value: ValueCheck) -> _ColumnCheck:
+        """Return a check of a column of data with references."""
+
+        def check(column: Decoded, numbers: Sequence[int]) -> Sequence[Any]:
+            if column is None:
+                return [check_value(None)] * len(numbers)
+            values = []
+            for number, value in zip(numbers, items(column)):
+                # References to what the object consists of are added by `_event` and `_source`.
+                self._current = self._sources[number]
+                values.append(check_value(value))
+            return values
 
         return check
 
@@ -275,23 +503,22 @@ class GraphReader:
         """Check the origin of a stream element: a match, the event of a subscription, or None."""
         return self.match(value) if value.__class__ is Ref else optional(term)(value)
 
-    def _checks(self) -> Dict[str, List[ValueCheck]]:
+    def _part(self, value: Decoded) -> Decoded:
+        """Check a part of a match, see `_Form.PARTS`."""
+        if value.__class__ is int:
+            part = self._part_objects([value])[0]
+            self._current.append(value)
+            return part
+        (content,) = fixed(anything)(value)
+        return count(content) if content.__class__ is int else Found(_match_values(content))
+
+    def _checks(self) -> Dict[str, List[_ColumnCheck]]:
         """Return the checks of the attributes of each kind of object, in the order of `FIELDS`."""
-        source_match = self._source(*_MATCHES)
-        source_tracked = self._source("held", "nothing")
-        source_part = self._source(*_MATCHES, "held", "nothing", "chain")
-        values = each(value_of_match, tuple)
-        found_values = fixed(values)
-
-        def part(value: Decoded) -> Decoded:
-            if value.__class__ is Ref:
-                return source_part(value)
-            return count(value) if value.__class__ is int else Found(*found_values(value))
-
+        self._part_objects = self.numbered(*MATCH_KINDS, "tracked match", "nothing", "log slices")
         match_ref = self.match
         node_entry = fixed(
             self.ref("node"),
-            self.ref("run", "node", "train"),
+            self.ref("run", "node", "run group"),
             lambda value: match_ref(value) if value.__class__ is Ref else count(value),
         )
 
@@ -306,60 +533,76 @@ class GraphReader:
             by_match = (owner is node and isinstance(node, StreamNode)) or (
                 isinstance(node, KleeneNode) and owner.__class__ is Run
             )
-            if not by_number and not (by_match and isinstance(entry, PartialMatch)):
+            if not by_number and not (by_match and isinstance(entry, EventMatch)):
                 raise wrong(value, "a buffer entry of a node")
             return node, owner, entry
 
         tried = fixed(match_ref, match_ref)
+        numbers, booleans, terms = _column(integers()), _column(each(boolean)), _column(each(term))
+        first = self._object_column(*MATCH_KINDS, is_source=True)
+        optional_match = self._object_column(*MATCH_KINDS, is_optional=True)
+        log, node = self._object_column("log"), self._object_column("node")
         # The order of the checks is that of the attributes in `FIELDS`.
+        interval: List[_ColumnCheck] = [_instant_column, _instant_column]
         match = [
-            *(values, instant, instant, self.token, optional(term), optional(each(part, tuple))),
-            optional(match_ref),
+            *(_column(each(_match_values)), *interval, self._mixed_column(self.token)),
+            *(_optional_column(each(optional(term))), self._mixed_column(optional(each(self._part, tuple)))),
+            optional_match,
         ]
         tracked = [
-            *(each(self.ref("event", "held")), each(holder), boolean, boolean),
-            each(self.ref("suppressed")),
+            self._mixed_column(each(self.ref("event", "tracked match"))),
+            *(self._mixed_column(each(holder)), booleans, booleans),
+            self._mixed_column(each(self.ref("suppressed"))),
         ]
-        slice_piece = fixed(self._source("log"), count, count)
+        slices = each(fixed(self._source("log"), count, count), tuple)
         return {
+            "event match": [*interval, _column(each(_compound))],
             "match": match,
             "run": [
-                *match,
-                *(source_match, instant, optional(values), _state, term, each(match_ref), source_tracked),
-                *(each(fixed(values, values)), count, each(variable, tuple)),
+                *(*match, first, _instant_column, _optional_column(each(optional(_match_values)))),
+                *(_optional_column(each(_state)), terms, self._mixed_column(each(match_ref))),
+                self._object_column("tracked match", "nothing", is_source=True),
+                *(_column(each(each(fixed(_match_values, _match_values)))), numbers),
+                _column(each(each(variable, tuple))),
             ],
-            "token": [
-                *match,
-                *(source_match, count, self.ref("log"), count, count, optional(self.ref("train"))),
+            "run cursor": [
+                *(*match, first, numbers, log, numbers, numbers),
+                self._object_column("run group", is_optional=True),
             ],
-            "train": [
-                *(self.ref("node"), key, each(optional(self.ref("token")))),
-                *(instant, match_order, self.ref("log"), count, count),
+            "run group": [
+                *(node, _column(each(key)), self._mixed_column(each(optional(self.ref("run cursor"))))),
+                *(_instant_column, _column(match_orders), log, numbers),
             ],
-            "log": [each(source_match)],
-            "chain": [each(slice_piece, tuple), count],
-            "held": [optional(source_match), optional(source_tracked), count, boolean, *tracked],
+            "log": [self._mixed_column(each(self._source(*MATCH_KINDS)))],
+            "log slices": [self._mixed_column(slices)],
+            "tracked match": [
+                self._object_column(*MATCH_KINDS, is_source=True, is_optional=True),
+                self._object_column("tracked match", "nothing", is_source=True, is_optional=True),
+                *(numbers, booleans, *tracked),
+            ],
             "event": [
-                *(count, term, instant, instant, optional(self.ref("rule")), optional(source_match), boolean),
-                *(optional(each(self.ref("event"))), *tracked),
+                *(numbers, terms, *interval, self._object_column("rule", is_optional=True)),
+                *(self._object_column(*MATCH_KINDS, is_source=True, is_optional=True), booleans),
+                *(self._mixed_column(optional(each(self.ref("event")))), *tracked),
             ],
-            "item": [
-                *(self._origin, instant, instant, values),
-                *(each(optional(term), tuple), count),
+            "element": [
+                *(self._mixed_column(self._origin), *interval, _column(each(_match_values))),
+                *(_column(each(each(optional(term), tuple))), numbers),
             ],
             "suppressed": [
-                self.ref("node"),
-                lambda value: self.match(value) if value.__class__ is Ref else tried(value),
-                count,
-                boolean,
+                node,
+                self._mixed_column(
+                    lambda value: self.match(value) if value.__class__ is Ref else tried(value)
+                ),
+                *(numbers, booleans),
             ],
         }
 
-    def _check_order(self) -> None:
+    def _check_acyclic(self) -> None:
         """Check that no object consists of itself, by a depth-first search with an explicit stack."""
         # 1 while the objects that an object consists of are being visited, then 2.
         progress = bytearray(len(self._objects))
-        for number in range(len(progress)):
+        for number in list(self._sources):
             stack = [number]
             while stack:
                 current = stack[-1]
@@ -368,32 +611,96 @@ class GraphReader:
                     stack.pop()
                     continue
                 progress[current] = 1
-                for source in self._sources[current]:
+                for source in self._sources.get(current, ()):
                     if progress[source] == 1:
-                        raise UsageError(f"object {source}, a {self._kinds[source]}, contains itself")
+                        kind = _KINDS[self._kinds[source]]
+                        raise UsageError(f"object {source}, of kind {kind}, contains itself")
                     if not progress[source]:
                         stack.append(source)
 
-    def _finish(self, item: Any) -> None:
-        """Check relations between the attributes of an object, and derive those that are not stored."""
-        item_class = item.__class__
-        if isinstance(item, PartialMatch) and item.parts is None and item.term is None:
-            raise UsageError("a match has neither an event nor parts")
-        if item_class is RunGroup:
-            if not isinstance(item.node, RepeatNode):
-                raise UsageError("a group of runs belongs to a node of another type")
-            item.alive = sum(token is not None and token.buffer is item for token in item.tokens)
-        elif item_class is BufferSlice:
-            if not all(start <= end <= len(log.items) for log, start, end in item.pieces):
-                raise UsageError("a slice of repetitions exceeds their buffer")
-            item.length = sum(end - start for _, start, end in item.pieces)
-        elif item_class is RunCursor and item.at > len(item.log.items):
-            raise UsageError("a run has more repetitions than its buffer")
-        elif item_class is TrackedMatch and (item.earlier is None) != (item.match is None):
-            raise UsageError("a tracked match of repetitions has no beginning")
-        # Fields that depend on others are computed last, when all attributes are set.
-        if item_class in (RunGroup, SharedLog, Run):
-            item.begin_again()
+
+def _finish_event_match(match: Any) -> None:
+    match.values = match.term[1:]
+    match.event = match.parts = match.used = None
+
+
+def _finish_match(match: Any) -> None:
+    if match.parts is None and match.term is None:
+        raise UsageError("a match has neither an event nor parts")
+
+
+def _finish_run(run: Any) -> None:
+    _finish_match(run)
+    run.begin_again()
+
+
+def _finish_cursor(cursor: Any) -> None:
+    _finish_match(cursor)
+    if cursor.at > len(cursor.log.items):
+        raise UsageError("a run has more repetitions than its buffer")
+
+
+def _finish_group(group: Any) -> None:
+    if not isinstance(group.node, RepeatNode):
+        raise UsageError("a group of runs belongs to a node of another type")
+    group.alive = sum(cursor is not None and cursor.buffer is group for cursor in group.tokens)
+    group.begin_again()
+
+
+def _finish_slices(slices: Any) -> None:
+    if not all(start <= end <= len(log.items) for log, start, end in slices.pieces):
+        raise UsageError("a slice of repetitions exceeds their buffer")
+    slices.length = sum(end - start for _, start, end in slices.pieces)
+
+
+def _finish_tracked(tracked: Any) -> None:
+    if (tracked.earlier is None) != (tracked.match is None):
+        raise UsageError("a tracked match of repetitions has no beginning")
+
+
+_FINISH: Dict[str, Callable[[Any], None]] = {
+    "event match": _finish_event_match,
+    "match": _finish_match,
+    "run": _finish_run,
+    "run cursor": _finish_cursor,
+    "run group": _finish_group,
+    "log": SharedLog.begin_again,
+    "log slices": _finish_slices,
+    "tracked match": _finish_tracked,
+}
+"""By kind: checks of relations between the attributes of an object, and derivation of those that are not stored."""
+
+
+def _kind_codes(value: Decoded) -> bytes:
+    """Check the codes of the kinds of all objects."""
+    if value.__class__ is not bytes or (value and max(value) >= len(_KINDS)):
+        raise wrong(value, "codes of kinds")
+    return value
+
+
+def _column(check: ValueCheck) -> _ColumnCheck:
+    """Return a check of a column by the check of all its values."""
+    return lambda column, numbers: check(column)
+
+
+def _optional_column(check: ValueCheck) -> _ColumnCheck:
+    """Return a check of a column that is None if all its values are."""
+    return lambda column, numbers: [None] * len(numbers) if column is None else check(column)
+
+
+def _instant_column(column: Decoded, numbers: Sequence[int]) -> Sequence[Any]:
+    return decode_instants(column, len(numbers))
+
+
+_match_values = each(value_of_match, tuple)
+"""Check of the values of the variables of a match."""
+
+
+def _compound(value: Decoded) -> Decoded:
+    """Check the term of an event whose arguments are the values of a match."""
+    if value.__class__ is not tuple:
+        raise wrong(value, "a compound term")
+    return value
 
 
 def _state(value: Decoded) -> Decoded:
@@ -414,12 +721,12 @@ def _state(value: Decoded) -> Decoded:
 
 
 def _map_objects(data: Any, change: Callable[[Any], Any]) -> Any:
-    """Return data with a function applied to everything but lists, tuples and terms."""
+    """Return data with a function applied to everything but sequences and terms; deques become lists."""
     data_class = data.__class__
     if data_class is tuple:
         if data and data[0].__class__ is Functor:
             return data
         return tuple([_map_objects(item, change) for item in data])
-    if data_class is list:
+    if data_class is list or data_class is deque:
         return [_map_objects(item, change) for item in data]
     return change(data)

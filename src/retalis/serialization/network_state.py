@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.timeouts import TimeoutAlarm
-from ..events.matches.partial_matches import PartialMatch
+from ..events.matches.partial_matches import EventMatch
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
 from ..events.network.kleene_node import KleeneNode
@@ -39,7 +39,7 @@ from .match_checks import (
     check_stored_once,
     group_fits,
 )
-from .match_graph import GraphReader, GraphWriter
+from .match_graph import MATCH_KINDS, GraphReader, GraphWriter
 from .schema import (
     Decoded,
     ValueCheck,
@@ -51,9 +51,11 @@ from .schema import (
     fixed,
     instant,
     integer,
+    integers,
     items,
     key,
     match_order,
+    match_orders,
     named,
     nothing,
     optional,
@@ -63,8 +65,6 @@ from .schema import (
     wrong,
 )
 from .schema import named as named_check
-
-_NEVER = -(1 << 63)
 
 
 class StreamCheck:
@@ -88,7 +88,7 @@ class StreamCheck:
         needs: bool = False,
         shapes: Sequence[MatchShape] = (),
     ):
-        self._refer = graph.ref("item")
+        self._refer = graph.ref("element")
         self._stream = stream
         self._widths = widths
         self._of_terms = of_terms
@@ -108,7 +108,7 @@ class StreamCheck:
         if element.match is None:
             is_valid = not self._needs
         elif self._of_terms:
-            is_valid = not isinstance(element.match, PartialMatch)
+            is_valid = not isinstance(element.match, EventMatch)
         else:
             is_valid = self._shapes[channel].fits(element.match)
         if not is_valid or element.start > element.end:
@@ -260,7 +260,7 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
         counts=fixed(count, optional(instant), count, count, count, count, count),
         times=fixed(instant, match_order, optional(instant)),
         nodes=lambda _: checked_states,
-        arrivals=each(fixed(graph.match, integer(-1, len(shapes) - 1), match_order)),
+        arrivals=fixed(graph.numbered(*MATCH_KINDS), integers(-1, len(shapes) - 1), match_orders),
         later=each(fixed(buffer_number, graph.match)),
         later_event=graph.token,
         skipped=optional(fixed(instant, each(instant, tuple))),
@@ -298,7 +298,7 @@ def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
 def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     # Complete sequences are not stored.
     number = integer(1, node.times - 1)
-    train = graph.ref("train")
+    train = graph.ref("run group")
 
     def own_group(value: Decoded) -> Decoded:
         group = train(value)
@@ -323,7 +323,7 @@ def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     channel = integer(0, len(node.children) - 1)
     _received = fixed(channel, anything, instant)
     output = fixed(each(stream.item), instant, instant, each(term, tuple), nothing)
-    emitted = fixed(lambda value: output(value) if items(value) else None, graph.ref("held"))
+    emitted = fixed(lambda value: output(value) if items(value) else None, graph.ref("tracked match"))
 
     def base(value: Decoded) -> Decoded:
         return stream.known(value) if items(value) else ()
@@ -389,9 +389,9 @@ def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
 def keep_matches(
     rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, active: Sequence[EventRule]
 ) -> Tuple[Any, List[EventRule]]:
-    """Return partial matches and recorded events as rows, and the rules that they refer to, active ones first."""
+    """Return partial matches and recorded events, and the rules that they refer to, active ones first."""
     graph = GraphWriter(active)
-    states = [graph.write(tuple(rule.state())) for rule in active]
+    states = [_write_state(graph, rule) for rule in active]
     queries = knowledge.pending_queries
     order, waiting = queries.snapshot()
     data = {
@@ -407,8 +407,17 @@ def keep_matches(
         "stored": rules.store.stored(),
         "counts": (rules.serial, rules.fired_before, rules.revs_of_nothing),
     }
-    data["rows"] = graph.rows
+    data["objects"] = graph.encode()
     return data, graph.rules
+
+
+def _write_state(graph: GraphWriter, rule: EventRule) -> Any:
+    state = rule.state()
+    matches, buffer_numbers, orders = state.arrivals
+    # A rule can have many partial matches, so they are columns of numbers instead of references.
+    arrivals: Any = list(map(graph.number, matches)), buffer_numbers, orders
+    others = graph.write(tuple(state._replace(arrivals=([], [], []))))
+    return tuple(RuleState(*others)._replace(arrivals=arrivals))
 
 
 def _alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
@@ -466,7 +475,7 @@ class _CheckedState:
     """
 
     def __init__(self, rules: RuleBase, knowledge: KnowledgeBase, data: Any, named: Sequence[EventRule]):
-        self._graph = graph = GraphReader(data["rows"], named)
+        self._graph = graph = GraphReader(data["objects"], named)
         active = rules.rules
         if len(items(data["states"])) != len(active):
             raise wrong(len(data["states"]), f"the states of {len(active)} rules")

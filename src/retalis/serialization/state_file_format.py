@@ -9,6 +9,7 @@ with a program (partial matches, streams) is checked in `network_state`.
 """
 
 import json
+import sys
 from typing import Any, Dict, Tuple
 from zlib import crc32
 
@@ -16,12 +17,13 @@ from ..events.knowledge.knowledge_base import MEMORIZE, SUBSCRIBE
 from ..events.language.rule_head_parser import Property
 from ..events.network.event_rule import RuleState
 from ..foundation.errors import Place, UsageError
+from ..prolog.syntax.operators import TYPES
 from ..prolog.system.logic_state import KeptLogic, KeptValues
 from ..prolog.terms.timestamps import MAX_TIMESTAMP
 from ..prolog.terms.types import Atom, Functor
 from .codec import from_bytes
 from .match_graph import FIELDS
-from .memory_state import read_terms
+from .memory_state import decode_records
 from .schema import (
     Decoded,
     ValueCheck,
@@ -58,13 +60,13 @@ _MAX_HEADER_BYTES = 16_000_000
 _MAX_HEADER_DIGITS = 20
 """Maximum number of digits of an integer in the header."""
 
-FORMAT = 6
+FORMAT = 7
 """Format number of state files, incremented when their structure changes."""
 
 
 def _layout() -> int:
     """Return a checksum of the names of stored attributes, so that renamed or added attributes are detected."""
-    names = [(name, *fields) for name, (_, fields) in FIELDS.items()]
+    names = [(sys.byteorder,), *((name, *map(str, fields.items())) for name, (_, fields) in FIELDS.items())]
     names += [
         (named_tuple.__name__, *named_tuple._fields) for named_tuple in (RuleState, KeptLogic, KeptValues)
     ]
@@ -139,8 +141,10 @@ def check_version(format_number: object, layout: object) -> None:
     """
     if format_number != FORMAT:
         # Formats before 6 were pickles, which can execute code when they are read.
-        is_older = format_number.__class__ is int and format_number < FORMAT
-        explanation = ", a pickle of an older version of the package, which is never read" if is_older else ""
+        is_pickle = format_number.__class__ is int and format_number < 6
+        explanation = (
+            ", a pickle of an older version of the package, which is never read" if is_pickle else ""
+        )
         raise UsageError(
             f"the state is of format {format_number}{explanation}: this version reads format {FORMAT}"
         )
@@ -237,18 +241,8 @@ def _builtin_state(value: Decoded) -> Dict[str, Decoded]:
     return {name: named(name, _BUILTIN_STATE[name])(state) for name, state in values.items()}
 
 
-_operator_columns = fixed(
-    each(integer(0, 1200)), each(one_of("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")), each(text)
-)
-
-
-def _operators(value: Decoded) -> Decoded:
-    """Check the priorities, types, and names of operators."""
-    priorities, types, names = columns = _operator_columns(value)
-    if not len(priorities) == len(types) == len(names):
-        raise wrong(len(names), f"{len(priorities)} names and types of operators")
-    return columns
-
+_operator = fixed(integer(0, 1200), one_of(*TYPES), text)
+"""Check of the priority, type, and name of an operator."""
 
 _MAX_CLOCK_INSTANT = MAX_TIMESTAMP + (1 << 60)
 """Largest instant in ns that a clock reaches: each event without a timestamp advances it by 1 ns."""
@@ -282,7 +276,7 @@ SECTIONS: Dict[str, ValueCheck] = {
         answers=each(fixed(key, each(each(term, tuple)), boolean)),
     ),
     "matches": _unchecked(
-        "states tracked alarms order waiting held rates timeouts timers stored counts rows"
+        "states tracked alarms order waiting held rates timeouts timers stored counts objects"
     ),
     "run": fields(clock=_clock, followed=boolean, taken=count, dropped=count, tokens=count, sent=each(count)),
     "program": fields(
@@ -298,7 +292,7 @@ SECTIONS: Dict[str, ValueCheck] = {
     ),
     "clauses": record(
         KeptLogic,
-        operators=_operators,
+        operators=each(_operator),
         tabled=each(term),
         predicates=each(_clauses),
         incremental=each(functor),
@@ -319,52 +313,20 @@ def read_section(name: str, data: bytes) -> Decoded:
     return named(f"section {name}", check)(from_bytes(data))
 
 
-def _instant_column(value: Decoded) -> Decoded:
-    """Check a column of instants; see `memory_state._instants`."""
-    numbers, forms, stamps = fixed(anything, anything, each(term))(value)
-    if forms.__class__ is not bytes or forms.translate(None, b"\0\1\2") or forms.count(2) != len(stamps):
-        raise wrong(forms, "the forms of instants")
-    if numbers.__class__ is bytes:
-        if len(numbers) != 8 * len(forms):
-            raise wrong(len(numbers), f"{len(forms)} instants")
-    elif len(each(instant)(numbers)) != len(forms):
-        raise wrong(numbers, f"{len(forms)} instants")
-    return numbers, forms, stamps
-
-
-_records = fixed(count, count, boolean, anything, _instant_column, optional(_instant_column))
-
-
-def records(value: Decoded) -> Decoded:
-    """Check consecutive records of a memory."""
-    before, late, is_open, terms, ends, starts = _records(value)
-    number = len(ends[1])
-    if starts is not None and len(starts[1]) != number:
-        raise wrong(len(starts[1]), f"{number} instants")
-    return (
-        before,
-        late,
-        is_open,
-        named("terms", lambda encoded: read_terms(encoded, number))(terms),
-        ends,
-        starts,
-    )
-
-
 def read_records(data: bytes) -> Decoded:
-    """Return consecutive records of a memory, checked.
+    """Return consecutive records of a memory, see `decode_records`.
 
     Raises:
         UsageError: if they are damaged.
     """
-    return records(from_bytes(data))
+    return decode_records(from_bytes(data))
 
 
 about = fields(
     format=count,
     layout=count,
     files=each(fixed(path, text)),
-    memories=each(fixed(count, count, records)),
+    memories=each(fixed(count, count, decode_records)),
     made=seconds,
 )
 """Check of the header of a checkpoint."""

@@ -70,8 +70,8 @@ class RuleState(NamedTuple):
             alarms for the past, and of late matches.
         times: the clock, the largest order of its matches, and the time of the last garbage collection.
         nodes: class and state of each node.
-        arrivals: stored matches in order of arrival: the match, the position of its buffer (-1: in a run group), its
-            order.
+        arrivals: stored matches in order of arrival, the positions of their buffers (-1: in a run group), and their
+            orders.
         later: matches that are stored when the next event is served: position of the buffer, and the match.
         later_event: the event after which that happens.
         skipped: state of the after-match skip strategy; None if nothing is skipped.
@@ -80,7 +80,7 @@ class RuleState(NamedTuple):
     counts: Tuple[Any, ...]
     times: Tuple[Any, ...]
     nodes: List[Any]
-    arrivals: List[Tuple[PartialMatch, int, int]]
+    arrivals: Tuple[List[PartialMatch], List[int], List[int]]
     later: List[Tuple[int, PartialMatch]]
     later_event: object
     skipped: Any
@@ -254,6 +254,7 @@ class EventRule:
     def state(self) -> RuleState:
         """Return the state, for `restore` of another rule with the same definition."""
         places = {id(buffer): position for position, buffer in enumerate(self._buffers())}
+        stored = [match for match in self.arrivals if match.buffer is not None]
         firings = self.firings
         return RuleState(
             (
@@ -262,11 +263,11 @@ class EventRule:
             ),
             (self.clock, int(self.order), self._collected_at),
             [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
-            [
-                (match, places.get(id(match.buffer), -1), int(match.order))
-                for match in self.arrivals
-                if match.buffer is not None
-            ],
+            (
+                stored,
+                [places.get(id(match.buffer), -1) for match in stored],
+                [int(match.order) for match in stored],
+            ),
             [(places[id(buffer)], match) for buffer, match, _ in self.later],
             self._later_event,
             None if self.skipping is None else self.skipping.snapshot(),
@@ -291,14 +292,15 @@ class EventRule:
                 node.restore(saved)
         buffers = self._buffers()
         waiting: Dict[int, Dict[PartialMatch, None]] = {}
-        for match, position, order in state.arrivals:
+        stored, positions, orders = state.arrivals
+        for match, position, order in zip(stored, positions, orders):
             # Orders are set before the matches are put back: buffers link them in this order.
             match.order = order
             waiting.setdefault(position, {})[match] = None
         for position, matches in waiting.items():
             if position >= 0:
                 buffers[position].put_back(list(matches))
-        self._reset_arrivals([match for match, _, _ in state.arrivals])
+        self._reset_arrivals(stored)
         self.waiting = len(set(self.arrivals))
         self.later = [
             (buffers[position], match, buffers[position].key_of(match)) for position, match in state.later

@@ -290,6 +290,33 @@ class Operators:
             for name, operator in table.items():
                 yield operator.priority, operator.type, name
 
+    def changes(self) -> List[Tuple[int, str, str]]:
+        """Return priority, type and name of each operator that differs from `prolog`; 0 for one that it lacks.
+
+        >>> operators = Operators.prolog()
+        >>> operators.add(700, "xfx", "near")
+        >>> operators.add(0, "fy", "spy")
+        >>> sorted(operators.changes())
+        [(0, 'fy', 'spy'), (700, 'xfx', 'near')]
+        """
+        standard = standard_operators()
+        changes = []
+        for table, standard_table in (
+            (self.prefix, standard.prefix),
+            (self.infix, standard.infix),
+            (self.postfix, standard.postfix),
+        ):
+            if table != standard_table:
+                changes += [
+                    (operator.priority, operator.type, name)
+                    for name, operator in table.items()
+                    if standard_table.get(name) != operator
+                ]
+                changes += [
+                    (0, operator.type, name) for name, operator in standard_table.items() if name not in table
+                ]
+        return changes
+
 
 def _read_table(text: str) -> Operators:
     operators = Operators()

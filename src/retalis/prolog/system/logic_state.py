@@ -5,7 +5,7 @@ behind: flags, global variables, counters, and answers of tables. Both are taken
 contain no code: compiled code is generated again by the system that restores them.
 """
 
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import Place
 from ..builtins.clause_predicates import declare_as
@@ -13,7 +13,6 @@ from ..builtins.global_state import flags_from
 from ..builtins.tabling import tables_of
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate
-from ..syntax.operators import Operators
 from ..terms.types import Functor, Term
 from .prolog_system import PrologSystem
 
@@ -29,13 +28,14 @@ class KeptLogic(NamedTuple):
     """Program of a Prolog system; `restore_logic` loads it.
 
     Attributes:
-        operators: priorities, types and names of all operators.
+        operators: priority, type and name of each operator that differs from the standard ones, see
+            `Operators.changes`.
         tabled: declarations of tabled predicates.
         predicates: predicates of the program.
         incremental: predicates whose clauses incremental tables depend on.
     """
 
-    operators: Tuple[Sequence[int], Sequence[str], Sequence[str]]
+    operators: List[Tuple[int, str, str]]
     tabled: List[Term]
     predicates: List[KeptClauses]
     incremental: List[Functor]
@@ -63,9 +63,8 @@ def keep_logic(logic: PrologSystem) -> KeptLogic:
     """Return the program of a Prolog system."""
     tables = tables_of(logic.machine)
     predicates = program_predicates(logic)
-    priorities, types, names = zip(*logic.operators)
     return KeptLogic(
-        (priorities, types, names),
+        logic.operators.changes(),
         tables.declarations(),
         [_kept(predicate) for predicate in predicates],
         [predicate.functor for predicate in predicates if predicate.incremental],
@@ -112,7 +111,8 @@ def restore_logic(logic: PrologSystem, kept_logic: KeptLogic) -> None:
     Raises:
         PrologError: if the program is invalid, for instance if it defines a fixed predicate.
     """
-    _restore_operators(logic.operators, kept_logic.operators)
+    for priority, op_type, name in kept_logic.operators:
+        logic.operators.add(priority, op_type, name)
     tables = tables_of(logic.machine)
     # Declarations first: they create the hidden predicates that hold the clauses of tabled ones.
     for declaration in kept_logic.tabled:
@@ -139,19 +139,3 @@ def restore_values(logic: PrologSystem, kept_values: KeptValues) -> None:
     modules.restore(kept_values.counted.get(_MODULES, {}))
     modules.metas.update(kept_values.counted.get(_METAS, {}))
     tables_of(logic.machine).restore(kept_values.answers)
-
-
-def _restore_operators(
-    operators: Operators, kept_operators: Tuple[Sequence[int], Sequence[str], Sequence[str]]
-) -> None:
-    """Make an operator table contain exactly the given operators."""
-    priorities, types, names = kept_operators
-    # Only differences are applied: each change of the table invalidates what depends on it.
-    kept_priorities = dict(zip(zip(types, names), priorities))
-    current = {(op_type, name): priority for priority, op_type, name in operators}
-    for op_type, name in current:
-        if (op_type, name) not in kept_priorities:
-            operators.add(0, op_type, name)
-    for (op_type, name), priority in kept_priorities.items():
-        if current.get((op_type, name)) != priority:
-            operators.add(priority, op_type, name)

@@ -1,0 +1,38 @@
+"""Costs of snapshots in two checkouts."""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = ("alternating", "comparison", "engine", "processes", "renamed", "snapshots", "workload")
+
+
+@pytest.fixture
+def snapshots(monkeypatch):
+    """The module."""
+    monkeypatch.setattr(sys, "path", [str(ROOT / "bench"), str(ROOT / "examples" / "nao"), *sys.path])
+    yield importlib.import_module("snapshots")
+    for name in MODULES:
+        sys.modules.pop(name, None)
+
+
+def test_two_checkouts_are_compared(snapshots, capsys):
+    few = ["--sizes", "5", "--runs", "1", "--repeats", "1"]
+    assert snapshots.main([str(ROOT), *few, "--most", "1000"]) == 0
+    cost = r" [\d.]+ -> [\d.]+ (ms|kB) \([\d.]+\)"
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["memory", "seq", "join"]
+    for line in lines:
+        assert re.search(f"snapshot{cost} +restore{cost} +size{cost}$", line)
+
+
+def test_a_case_that_takes_more_is_named(snapshots, monkeypatch, capsys):
+    costs = iter([snapshots.Costs(1.0, 1.0, 100), snapshots.Costs(1.0, 1.3, 100)])
+    monkeypatch.setattr(snapshots, "measure", lambda *arguments: next(costs))
+    few = ["--case", "seq", "--sizes", "5", "--runs", "1"]
+    assert snapshots.main([str(ROOT), *few]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "more than 1.2 times as much: seq 5"
