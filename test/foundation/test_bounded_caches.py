@@ -29,7 +29,7 @@ DECORATED = {
 HELD = {
     ("ros/ros_interface.py", "self._cached_handlers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
-    ("ros/internal_topics.py", "self._seen"): (1000, 1 << 20),
+    ("ros/internal_topics.py", "self._checked"): (1000, 1 << 20),
     ("ros/text_topics.py", "self._names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/listener_index.py", "self._plans"): (10_000, 16 << 20),
@@ -39,7 +39,7 @@ HELD = {
     ("prolog/syntax/event_text.py", "self._last"): (256, 1 << 20),
     ("prolog/syntax/event_text.py", "self._spans"): (2048, 1 << 20),
     ("prolog/syntax/literals.py", "atom_text"): (8192, 4 << 20),
-    ("foundation/codegen.py", "_makers"): (1000, 16 << 20),
+    ("foundation/codegen.py", "_factories"): (1000, 16 << 20),
     ("prolog/swi/swi_terms.py", "self._handles"): (4096, 1 << 20),
     ("prolog/swi/swi_terms.py", "self._functors"): (4096, 1 << 20),
     ("prolog/swi/swi_terms.py", "self._atoms"): (4096, 1 << 20),
@@ -48,7 +48,7 @@ HELD = {
     ("messages/type_registry.py", "self._decoders"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._encoders"): (1000, 32 << 20),
     ("messages/named_slots.py", "self.forms"): (1000, 1 << 20),
-    ("messages/encoder.py", "_packed"): (2048, 1 << 20),
+    ("messages/encoder.py", "_packed_texts"): (2048, 1 << 20),
     ("messages/decoder.py", "cache"): (
         2048,
         2 << 20,

@@ -125,7 +125,7 @@ def test_cycles_that_become_garbage_late_are_collected_at_work_when_the_heap_has
 @pytest.mark.slow
 @pytest.mark.usefixtures("_limited")
 def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
-    monkeypatch.setattr(YoungCollector, "BLOCKS_OF_RECORD", 40)
+    monkeypatch.setattr(YoungCollector, "BLOCKS_PER_RECORD", 40)
     engine = Engine()
     engine.load(rules="fever(X) <- hot(X) seq cold(X).")
     limit_gc_pauses()
@@ -134,7 +134,7 @@ def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
     for number in range(100_000):
         engine.event(f"hot({number})", number)
     assert not collect_when_idle()
-    monkeypatch.setattr(YoungCollector, "BLOCKS_OF_RECORD", 0)
+    monkeypatch.setattr(YoungCollector, "BLOCKS_PER_RECORD", 0)
     assert collect_when_idle()
 
 
