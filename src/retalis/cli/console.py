@@ -225,7 +225,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; with goals from a pipe, the status is 1 if there was an error."""
     if options.node is not None:
-        return run_ros_command("live_console", options)
+        return run_ros_command("live_commands", options)
     report = Report().attach(events=True)
     console = Console(report, apply_limits(UNRESTRICTED, options), options.most)
     for path in options.files:

@@ -14,6 +14,14 @@ from typing import Any, Callable, Iterable, List, Mapping, Optional, Tuple
 
 import rospy
 
+from ..engine.checkpoints import (
+    Checkpoint,
+    Checkpointer,
+    CheckpointStorage,
+    ProgramFiles,
+    rename_refused_file,
+    resume,
+)
 from ..engine.engine import Engine
 from ..engine.program_check import explain_missing_source, explain_unsendable
 from ..engine.runtime.clock import Alarm, Clock
@@ -22,13 +30,12 @@ from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import TOPICS, Topics, TopicType, direct_topics, read_topics
 from ..explanation.explain import record_origins
-from ..foundation.errors import RetalisError, UsageError
+from ..foundation.errors import RetalisError, UsageError, counted
 from ..messages.decoder import Decoder
 from ..messages.type_definition import functor_name
 from ..messages.type_registry import Definitions, Installed
 from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.types import CompoundTerm, Term, atom
-from .checkpoint_file import CheckpointFile
 from .diagnostics import (
     DEFAULT_LATE_SECONDS,
     Diagnostics,
@@ -68,6 +75,92 @@ A full queue may have dropped the announcement of the epoch.
 
 MAX_INTERFACE_WAIT_SECONDS = 5.0
 """Longest wait in seconds for the interface before alarms run that became due while the node was not running."""
+
+
+class CheckpointFile:
+    """The file of parameter ``~checkpoint``, which may be unset: restored at the start, then written periodically.
+
+    A file that does not fit the program is renamed, and the node starts without state.
+
+    Args:
+        parameters: parameters of the node.
+        reports: receives the errors of writing.
+
+    Attributes:
+        resumed: whether the engine was restored from the file, with its program loaded.
+    """
+
+    def __init__(self, parameters: Parameters, reports: Reports):
+        self._parameters = parameters
+        self._reports = reports
+        self.resumed = False
+        self._is_usable = parameters.checkpoint is not None
+        self._files: Optional[ProgramFiles] = None
+
+    def engine(self, clock: Callable[[], Clock], definitions: Definitions) -> Engine:
+        """Return the engine of the node: restored from the file, or a new one.
+
+        Args:
+            clock: creates a clock; called again if restoring fails.
+            definitions: known message types.
+        """
+        parameters = self._parameters
+        path = parameters.checkpoint
+        if path is not None:
+            try:
+                restored = resume(
+                    path, parameters.program, clock(), parameters.settings, self._reports, definitions
+                )
+            except RetalisError as error:
+                self._rename_unusable(error)
+                restored = None
+            if restored is not None:
+                self.resumed = True
+                self._files = restored[1].files
+                self._log_restored(*restored)
+                return restored[0]
+        return Engine(clock(), parameters.settings, self._reports, definitions)
+
+    def _rename_unusable(self, error: RetalisError) -> None:
+        path = self._parameters.checkpoint
+        assert path is not None
+        try:
+            outcome = f"the file is kept as {rename_refused_file(path)}"
+        except RetalisError as rename_error:
+            outcome = f"{rename_error.message}, so no state is kept"
+            self._is_usable = False
+        rospy.logwarn(
+            "%s is not restored: %s: the node starts without state; %s", path, error.message, outcome
+        )
+
+    def _log_restored(self, engine: Engine, restored: Checkpoint) -> None:
+        records = sum(len(entry.memory) for entry in engine.knowledge.memories)
+        rospy.loginfo(
+            "restored from %s, written %.1f s ago: %s with %s, %s, %s",
+            self._parameters.checkpoint,
+            time.time() - restored.written_at,
+            engine.summary(),
+            counted(records, "record"),
+            counted(engine.rules.waiting, "partial match", "partial matches"),
+            counted(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
+        )
+
+    def begin(self, engine: Engine) -> None:
+        """Start to write the engine's state periodically, until the node ends."""
+        path = self._parameters.checkpoint
+        if path is None or not self._is_usable:
+            return
+        try:
+            storage = CheckpointStorage(path)
+        except RetalisError as error:
+            rospy.logerr("parameter ~checkpoint: %s", error.message)
+            return
+        # The files that the restored program was read from, which may have changed since.
+        checkpointer = Checkpointer(
+            engine, storage, self._parameters.program, self._reports, files=self._files
+        )
+        checkpointer.start()
+        rospy.on_shutdown(checkpointer.stop)
 
 
 class RosClock(Clock):
