@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from retalis import String, UsageError, Var, atom, functor, make_list
 from retalis.prolog.terms.term_traversal import term_key
-from retalis.prolog.terms.timestamps import Stamp, WholeSeconds
+from retalis.prolog.terms.timestamps import FloatSeconds, Stamp
 from retalis.prolog.terms.types import Lazy
 from retalis.serialization.codec import from_bytes, to_bytes
 from retalis.serialization.schema import FlatKey, key
@@ -69,9 +69,9 @@ def test_what_is_lazy_is_made():
 
 
 def test_instants_keep_their_forms():
-    whole, stamp, plain = from_bytes(to_bytes([WholeSeconds(5), Stamp.of(7, F2(1, 2)), 9]))
+    whole, stamp, plain = from_bytes(to_bytes([FloatSeconds(5), Stamp.of(7, F2(1, 2)), 9]))
     assert (whole, stamp, plain) == (5, 7, 9)
-    assert [one.__class__ for one in (whole, stamp, plain)] == [WholeSeconds, Stamp, int]
+    assert [one.__class__ for one in (whole, stamp, plain)] == [FloatSeconds, Stamp, int]
     assert stamp.term == F2(1, 2)
 
 

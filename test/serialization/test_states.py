@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
-from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, Stamp, WholeSeconds
+from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, FloatSeconds, Stamp
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_file_format import pack, unpack
 
@@ -208,7 +208,7 @@ def test_instants_in_records_come_back_as_integers():
     engine.load(goals="memorize(f(_, _), [], _, m, 60)")
     for at in range(60):
         stamp = Stamp.of(at, functor("s", 1)(at))
-        engine.event_at(functor("f", 2)(WholeSeconds(at), stamp if at % 7 else at), at, at)
+        engine.event_at(functor("f", 2)(FloatSeconds(at), stamp if at % 7 else at), at, at)
     other = Engine.restore(engine.snapshot())
     found = [one["R"] for one in other.query("access_mem(m, R, _)")]
     assert found == [functor("f", 2)(at, at) for at in reversed(range(60))]

@@ -164,7 +164,7 @@ class _RunPrinter:
         topic = atom(output.topic)
         # The program's clock is the bag's, so each run over a bag prints the same times.
         if self._options.times:
-            instant: Term = timestamps.to_term(timestamps.WholeSeconds(output.time))
+            instant: Term = timestamps.to_term(int(output.time))
             if self._origin is not None:
                 instant = timestamps.to_seconds(output.time - self._origin)
             print(f"{to_text((_TIMED_OUTPUT_FUNCTOR, output.term, topic, instant))}.")

@@ -421,7 +421,7 @@ class Console:
             event = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
             if event is None:
                 return False
-            self.engine.event_at(event.term, event.start, event.end)
+            self.engine.event(event.term, *event.shown_interval())
             print("true.")
         except RetalisError as error:
             self._report(error)

@@ -315,7 +315,7 @@ class Session:
         # The clock moves first, so that alarms that are due before the event run before it.
         if event.end is not None:
             self._clock.move_to(event.end)
-        self.engine.event_at(event.term, event.start, event.end)
+        self.engine.event(event.term, *event.shown_interval())
 
     def print_results(self) -> None:
         """Print the solutions of the queries, and the explanations."""

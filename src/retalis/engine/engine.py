@@ -39,7 +39,7 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import copy, variables
-from ..prolog.terms.timestamps import WholeSeconds
+from ..prolog.terms.timestamps import FloatSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
 from ..serialization.state_file_format import pack, read_records, unpack
 from .deployments import Deployment
@@ -350,13 +350,20 @@ class Engine:
         """
         start_instant = None if start is None else timestamps.from_any(start)
         end_instant = start_instant if end is None else timestamps.from_any(end)
-        self.event_at(self._read(term, EVENT_FLAGS), start_instant, end_instant)
+        self._process(self._read(term, EVENT_FLAGS), start_instant, end_instant)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Process an event with an interval in nanoseconds; see `event`.
 
         >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
         """
+        self._process(
+            term,
+            FloatSeconds(start) if start.__class__ is int else start,
+            FloatSeconds(end) if end.__class__ is int else end,
+        )
+
+    def _process(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         self.executor.call(lambda: self._check_and_dispatch(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
@@ -371,8 +378,7 @@ class Engine:
         if instant is None:
             self.executor.post(self._dispatch_message, term)
         else:
-            # `WholeSeconds` is the form that the message converter produces; the rules compare it fastest.
-            stamped = WholeSeconds(instant)
+            stamped = instant if instant.__class__ is int else int(instant)
             self.executor.post(self._dispatch_event, term, stamped, stamped, True)
 
     def post_each(self, messages: Iterable[Tuple[Term, Optional[int]]]) -> None:

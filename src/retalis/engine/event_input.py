@@ -24,7 +24,6 @@ from ..prolog.machine.errors import domain_error, instantiation_error, permissio
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
-from ..prolog.terms.timestamps import WholeSeconds
 from ..prolog.terms.types import Atom, String, Term, Var, deref
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
@@ -92,8 +91,7 @@ class EventInput:
             if stamp is None:
                 stamp = self._present_after_alarms(term)
         else:
-            # `WholeSeconds` is the form that the message converter produces; the rules compare it fastest.
-            stamp = WholeSeconds(instant)
+            stamp = instant if instant.__class__ is int else int(instant)
             followed = self.followed
             if not (self._clock.is_quiet() if followed is None else followed.follow(instant)):
                 self._move_clock(instant)

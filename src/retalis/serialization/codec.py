@@ -19,7 +19,7 @@ import msgpack
 
 from ..events.network.deferred_conditions import ITEM_FUNCTOR_NAME
 from ..foundation.errors import UsageError
-from ..prolog.terms.timestamps import Stamp, WholeSeconds
+from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor
 from .schema import FlatKey
 
@@ -47,12 +47,12 @@ _MAX_UNSHARED_ITEMS = 2_000_000
 _MAX_ARITY = 10_000_000
 
 _TERMS = frozenset((int, float, Atom, String, Var, tuple))
-_VALUES = _TERMS | {WholeSeconds, Stamp}
+_VALUES = _TERMS | {FloatSeconds, Stamp}
 _IN_KEYS = frozenset((int, str, Atom, Functor, String, FlatKey, type, type(None)))
 _IN_PAIRS = frozenset((str, int))
 
 
-_SIGNED: Dict[int, Callable[[int], int]] = {_BIG: int, _INSTANT: WholeSeconds}
+_SIGNED: Dict[int, Callable[[int], int]] = {_BIG: int, _INSTANT: FloatSeconds}
 
 
 class Ref:
@@ -275,12 +275,12 @@ def _split(data: Any, nodes: List[Any]) -> Any:
 def _replaced(sequence: Any, parts: List[Any], replacements: Dict[int, Any]) -> List[Any]:
     """Return the items of a sequence with nested sequences replaced; instants in terms become integers."""
     if sequence.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM_FUNCTOR_NAME:
-        parts = [int(part) if part.__class__ in (WholeSeconds, Stamp) else part for part in parts]
+        parts = [int(part) if part.__class__ in (FloatSeconds, Stamp) else part for part in parts]
     return [
         replacements[id(part)]
         if _is_container(part)
         else msgpack.ExtType(_INSTANT, _signed(int(part)))
-        if part.__class__ is WholeSeconds
+        if part.__class__ is FloatSeconds
         else part
         for part in parts
     ]

@@ -13,7 +13,7 @@ from struct import error as StructError
 from struct import pack, unpack
 from typing import Any, Dict, List, Optional, Sequence
 
-from ..prolog.terms.timestamps import Stamp, WholeSeconds
+from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
 from .schema import Decoded, anything, each, fixed, functor, instant, items, term, wrong
 
@@ -32,7 +32,7 @@ Positions have 16 bits.
 _MAX_BYTE_POSITIONS = 256
 """Maximum number of distinct terms in a column for positions of 8 bits."""
 
-_FORMS: Dict[Any, int] = {int: 0, WholeSeconds: 1, Stamp: 2}
+_FORMS: Dict[Any, int] = {int: 0, FloatSeconds: 1, Stamp: 2}
 """Codes of the classes of instants, which print differently."""
 
 
@@ -88,7 +88,7 @@ def _encode_part(terms: List[Term], depth: int = 0, columns_left: Optional[List[
 def _listed(terms: List[Term]) -> List[Any]:
     """Return terms as a list, with instants as integers."""
     classes = set(map(type, terms))
-    if WholeSeconds in classes or Stamp in classes:
+    if FloatSeconds in classes or Stamp in classes:
         terms = [int(term) if isinstance(term, int) else term for term in terms]
     return ["terms", terms]
 
@@ -173,7 +173,7 @@ def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
 def encode_instants(instants: Sequence[Any]) -> Any:
     """Return columns of instants: nanoseconds as 64-bit integers if they fit, forms, and the terms of stamps."""
     are_plain = set(map(type, instants)) == {int}
-    # Integers, whole seconds and stamps with their own text print differently.
+    # Integers, float seconds and stamps with their own text print differently.
     forms = bytes(len(instants)) if are_plain else bytes([_FORMS[instant.__class__] for instant in instants])
     stamps = [] if are_plain else [instant.term for instant in instants if instant.__class__ is Stamp]
     try:
@@ -209,11 +209,11 @@ def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
     if not any(forms):
         return list(numbers)
     if forms.count(1) == len(forms):
-        return list(map(WholeSeconds, numbers))
+        return list(map(FloatSeconds, numbers))
     terms = iter(stamps)
     instants: List[int] = []
     for number, form in zip(numbers, forms):
         instants.append(
-            number if form == 0 else WholeSeconds(number) if form == 1 else Stamp.of(number, next(terms))
+            number if form == 0 else FloatSeconds(number) if form == 1 else Stamp.of(number, next(terms))
         )
     return instants

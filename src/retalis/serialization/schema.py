@@ -9,7 +9,7 @@ from math import isfinite
 from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence, Tuple, cast
 
 from ..foundation.errors import UsageError
-from ..prolog.terms.timestamps import Stamp, WholeSeconds
+from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor, String, Term, Var
 
 Decoded = Any
@@ -36,8 +36,8 @@ class FlatKey(tuple):  # type: ignore[type-arg]
 
 _SEQUENCES = frozenset((list, tuple, FlatKey))
 _TERMS = frozenset((int, float, Atom, String, Var, tuple))
-_INSTANTS = frozenset((int, WholeSeconds, Stamp))
-_FORMS = frozenset((WholeSeconds, Stamp))
+_INSTANTS = frozenset((int, FloatSeconds, Stamp))
+_FORMS = frozenset((FloatSeconds, Stamp))
 _KEYS = frozenset((int, Atom, String, Functor))
 
 

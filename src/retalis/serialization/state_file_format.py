@@ -19,7 +19,7 @@ from ..events.network.event_rule import RuleState
 from ..foundation.errors import Place, UsageError
 from ..prolog.syntax.operators import TYPES
 from ..prolog.system.logic_state import KeptLogic, KeptValues
-from ..prolog.terms.timestamps import MAX_TIMESTAMP
+from ..prolog.terms.timestamps import MAX_TIMESTAMP, FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor
 from .codec import from_bytes
 from .match_graph import FIELDS
@@ -70,6 +70,7 @@ def _layout() -> int:
     names += [
         (named_tuple.__name__, *named_tuple._fields) for named_tuple in (RuleState, KeptLogic, KeptValues)
     ]
+    names.append(("instant", "int", FloatSeconds.__name__, Stamp.__name__))
     return crc32(repr(names).encode())
 
 

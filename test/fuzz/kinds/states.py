@@ -3,7 +3,7 @@
 from time import process_time
 
 from retalis import Engine, Functor, RetalisError, String, UsageError, Var, atom, functor
-from retalis.prolog.terms.timestamps import WholeSeconds
+from retalis.prolog.terms.timestamps import FloatSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_file_format import pack, unpack
 
@@ -121,7 +121,7 @@ class Inputs(Kind):
         self.sections = [(state, name) for state in self.states for name in state]
         self.values = [1, -1, 1 << 70, 0.5, float("nan"), None, True, "", "text", b"", [], (), {}, atom("a")]
         self.values += [(functor("f", 1), 1), (functor("f", 2), 1), [1], (1, 2, 3), *NUMBERS]
-        self.values += [Var(), String("s"), functor("f", 1), WholeSeconds(5), float("inf"), -1e300, 10**400]
+        self.values += [Var(), String("s"), functor("f", 1), FloatSeconds(5), float("inf"), -1e300, 10**400]
         self.values += [
             Ref(0),
             Ref(1),

@@ -14,7 +14,7 @@ import time
 from itertools import count
 from typing import Callable, List, Optional, Sequence, Tuple
 
-from ...prolog.terms.timestamps import SECOND, WholeSeconds
+from ...prolog.terms.timestamps import SECOND
 
 Alarm = Callable[[int], None]
 
@@ -110,7 +110,7 @@ class Clock:
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
-        return WholeSeconds(instant)
+        return instant
 
     def stamp_at_once(self) -> Optional[int]:
         """Return a timestamp for the present time; None if the clock is not set or must be processed first.
@@ -138,7 +138,7 @@ class Clock:
         if instant <= self._last_stamp:
             instant = self._last_stamp + 1
         self._last_stamp = instant
-        return WholeSeconds(instant)
+        return instant
 
     def is_quiet(self) -> bool:
         """Read the source; return whether no alarm is due and time has not gone back.

@@ -46,7 +46,7 @@ from ...prolog.machine.errors import (
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
-from ...prolog.terms.timestamps import WholeSeconds, shown
+from ...prolog.terms.timestamps import shown
 from ...prolog.terms.types import Frame, Functor, Term, Values, Var, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..dispatch.dispatcher import Dispatcher
@@ -294,7 +294,7 @@ class DeclaredState:
             # The first opening was retracted, so the state began later.
             self._timeouts.add_at(order, int(begin) + within)
             return
-        ended = self._end_state(state, WholeSeconds(instant), None)
+        ended = self._end_state(state, int(instant), None)
         if ended is not None:
             machine = self._logic.machine
             # The alarm may be called while another event is dispatched; the event of the state does not depend on it.

@@ -555,7 +555,7 @@ class PendingQueries:
         """Drop a query whose time is over, and dispatch an event that reports it."""
         _, _, (event, query), _, _, missing = self._all[order]
         pairs = [
-            make_list([instance.id, timestamps.to_term(awaited_instant)])
+            make_list([instance.id, timestamps.to_term(timestamps.FloatSeconds(awaited_instant))])
             for instance, awaited_instant in missing
             if not instance.has_reached(awaited_instant)
         ]

@@ -16,7 +16,7 @@ from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 from ...foundation.errors import Place, RuleError, UsageError
 from ...prolog.terms.list_terms import list_items, list_parts, make_list
 from ...prolog.terms.term_traversal import is_ground
-from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, WholeSeconds, from_any, from_seconds
+from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, from_any, from_seconds
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .called_predicates import calls
 from .event_operators import ARROWS, SPELLINGS
@@ -165,9 +165,9 @@ def resolve_alarm(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Te
     """
     if head[0] is _ALARM_AFTER:
         # The original engine counts alarms in whole seconds.
-        instant = WholeSeconds(end + duration(head[2]))
+        instant = int(end + duration(head[2]))
     elif head[0] is _ALARM_AT:
-        instant = WholeSeconds(from_any(head[2]))
+        instant = int(from_any(head[2]))
     else:
         return None
     if instant < start:

@@ -34,7 +34,7 @@ from typing import (
 from ...foundation.errors import RuleError
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
-from ...prolog.terms.timestamps import WholeSeconds
+from ...prolog.terms.timestamps import FloatSeconds
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
 from ..dispatch.dispatcher import Dispatcher
 from ..fused.fused_single_event import Continuation
@@ -598,14 +598,13 @@ class StreamNode(NetworkNode):
         held = self._held(output, arrival_number) if self.stream.tracked else ()
         if result is not None:
             start, end = output.start, output.end
-            if end.__class__ is int:
-                start, end = WholeSeconds(start), WholeSeconds(end)
+            # Instants that the operator has computed have integer seconds.
+            if end is not last.end or end.__class__ is FloatSeconds:
+                start, end = int(start), int(end)
             return PartialMatch(values, start, end, None, None, (Found(values), *held))
         match: PartialMatch = last.match
         if output.end != match.end:
-            return PartialMatch(
-                match.values, match.start, WholeSeconds(output.end), None, None, (match, *held)
-            )
+            return PartialMatch(match.values, match.start, int(output.end), None, None, (match, *held))
         if not held:
             return match
         return PartialMatch(match.values, match.start, match.end, match.event, match.term, (match, *held))

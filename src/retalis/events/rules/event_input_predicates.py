@@ -22,7 +22,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import copy
-from ...prolog.terms.timestamps import FIRST, LAST, SECOND, WholeSeconds, from_any
+from ...prolog.terms.timestamps import FIRST, LAST, SECOND, FloatSeconds, from_any
 from ...prolog.terms.types import Atom, Frame, Functor, String, Term, Values, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
 
@@ -92,6 +92,12 @@ class InputEvent(NamedTuple):
     end: Any
     ground: Optional[bool] = None
 
+    def shown_interval(self) -> Tuple[Any, Any]:
+        """Return the terms of start and end; None if the clock is to provide them."""
+        if self.start is None:
+            return None, None
+        return timestamps.shown(self.start), timestamps.shown(self.end)
+
 
 class InputReader:
     """Parses events from the text of goals; not thread-safe.
@@ -152,7 +158,7 @@ class InputReader:
             return None
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
             return None
-        instant = WholeSeconds(second_instant + int(stamp[nanosecond_start:-1]))
+        instant = second_instant + int(stamp[nanosecond_start:-1])
         return InputEvent(callable_of(goal[1]), instant, instant, self._reader.ground)
 
     def _cache_second(self, text: str) -> Optional[int]:
@@ -233,6 +239,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
         if seconds.__class__ is int and nanoseconds.__class__ is int:
             instant = seconds * SECOND + nanoseconds
             if FIRST <= instant < LAST:
+                instant = FloatSeconds(instant)
                 return dispatch(event, instant, instant, after, None, plain or None, plain)
         return general(machine, arguments, after)
 

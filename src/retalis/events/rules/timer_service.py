@@ -35,7 +35,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import copy, freeze, term_key
-from ...prolog.terms.timestamps import SECOND, WholeSeconds, shown
+from ...prolog.terms.timestamps import SECOND, shown
 from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..language.rule_head_parser import TIMER, Schedule, parse_schedule
@@ -411,7 +411,7 @@ class Timers:
                 self._set_alarm(timer)
             else:
                 self._all.remove(timer.key)
-            self._dispatch(timer.event, WholeSeconds(instant))
+            self._dispatch(timer.event, int(instant))
 
     def _skip_missed(self, timer: ProgramTimer, instant: int) -> bool:
         """If too many instants of a periodic timer have passed, move it to the last one; return whether it moved."""
@@ -589,6 +589,6 @@ class _TimerGoals:
     def list(self, machine: Machine, listed: Term) -> bool:
         rows: List[Any] = []
         for timer in self.timers:
-            instant = _WAITING if timer.instant is None else shown(WholeSeconds(timer.instant))
+            instant = _WAITING if timer.instant is None else shown(int(timer.instant))
             rows.append((_TIMER_ROW, copy(timer.event), copy(timer.schedule.term), instant))
         return bool(machine.unify(listed, make_list(rows)))

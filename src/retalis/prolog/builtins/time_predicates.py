@@ -169,7 +169,11 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
         return make_list(timestamps.to_parts(moved))
     if arity == 6:
         return _as_datime6(fields, deref(timestamp[6]).__class__ is float or seconds.__class__ is float)
-    return timestamps.datime(moved) if deref(timestamp[6]).__class__ is int else timestamps.to_term(moved)
+    return (
+        timestamps.datime(moved)
+        if deref(timestamp[6]).__class__ is int
+        else timestamps.to_term(timestamps.FloatSeconds(moved))
+    )
 
 
 def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:

@@ -4,8 +4,8 @@ Inside the engine an instant is an ``int`` of nanoseconds, so comparisons are ex
 ``datime(Year,Month,Day,Hour,Minute,Second,Nanosecond)``, the same without the last field, or a number of seconds. An
 instant keeps the form in which it was given:
 
-* a plain ``int`` is shown as ``datime/7`` with float seconds, as ``new_event/3`` creates them;
-* a `WholeSeconds` is shown as ``datime/7`` with integer seconds, as the clock creates them;
+* a plain ``int`` is shown as ``datime/7`` with integer seconds, as the clock and messages have them;
+* a `FloatSeconds` is shown as ``datime/7`` with float seconds, as ``new_event/3`` creates them;
 * a `Stamp` is shown as the term that it was read from.
 
 All three are integers. They compare and subtract by the instant that they denote, in whatever form they are shown.
@@ -45,8 +45,8 @@ _FIELD_LIMITS = ((1, 9999), (1, 12), (1, 31), (0, 23), (0, 59))
 """Lowest and highest value of year, month, day, hour and minute."""
 
 
-class WholeSeconds(int):
-    """An instant whose term has integer seconds."""
+class FloatSeconds(int):
+    """An instant whose term has float seconds."""
 
     __slots__ = ()
 
@@ -66,7 +66,7 @@ class Stamp(int):
 
 def from_parts(seconds: int, nanoseconds: int) -> int:
     """Return the instant of a ROS time (s, ns), in the form that ``new_event/3`` uses."""
-    return seconds * SECOND + nanoseconds
+    return FloatSeconds(seconds * SECOND + nanoseconds)
 
 
 def to_parts(instant: int) -> Tuple[int, int]:
@@ -175,10 +175,10 @@ def to_term(instant: int) -> Term:
     """Return the term of an instant, in the form in which it was given."""
     instant_class = instant.__class__
     if instant_class is int:
+        return datime(instant)
+    if instant_class is FloatSeconds:
         year, month, day, hour, minute, second, nanosecond = fields(instant)
         return (DATIME7, year, month, day, hour, minute, float(second), nanosecond)
-    if instant_class is WholeSeconds:
-        return datime(instant)
     return instant.term  # type: ignore[attr-defined, no-any-return]
 
 
@@ -222,7 +222,7 @@ def from_term(term: Term) -> int:
         if value[0] is DATIME7:
             instant, exact = _from_fields(value)
             if exact is not None:
-                return WholeSeconds(instant) if exact is int else instant
+                return instant if exact is int else FloatSeconds(instant)
         elif value[0] is DATIME6:
             instant, exact = _from_fields(value)
             if exact is not None:
@@ -267,6 +267,9 @@ def from_any(term: Term) -> int:
     Raises:
         UsageError: if the term is neither.
     """
+    # As in `from_term`.
+    if term.__class__ is Lazy and term.make is to_term and term.made is None:
+        return term.source  # type: ignore[no-any-return]
     term = deref(term)
     if term.__class__ is tuple and term[0] is CONS:
         rest = deref(term[2])
