@@ -1,4 +1,4 @@
-"""What loading rules says: the errors or warnings of a text, each as line, column and message."""
+"""Errors and warnings of loaded rules, each as line, column and message."""
 
 import pytest
 from events.stream_programs import Program

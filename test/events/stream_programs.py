@@ -1,4 +1,4 @@
-"""Programs over short streams, for tests: ``a@1 b(2)@3-5`` is a stream and an answer alike."""
+"""Helper that runs programs over short streams; ``a@1 b(2)@3-5`` denotes a stream, and the derived events."""
 
 from retalis import Engine, Settings, StreamClock, functor
 from retalis.prolog.syntax.term_writer import write_term

@@ -1,4 +1,4 @@
-"""Which files the goals of a program open, when it is loaded and afterwards, and what stays untouched."""
+"""File access of a program's goals, during loading and afterwards."""
 
 import json
 import os

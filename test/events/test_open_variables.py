@@ -1,4 +1,4 @@
-"""Variables that a match leaves open: conditions wait for them, and two matches are told apart without them."""
+"""Unbound variables of matches: postponed conditions, and identity of matches."""
 
 import pytest
 from oracle.comparison import Case, answer, difference

@@ -1,4 +1,4 @@
-"""Operator by policy by everything a rule may be in: a case that fires and one that must not in each cell."""
+"""Each operator with each policy in each context of a rule: one stream that fires, and one that must not."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Programs of several operators, policies, memories and queries over short streams: what happens, in order."""
+"""Programs of several operators, policies, memories and queries over short streams, with all results in order."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The stamps in the bytes of messages, with their frames."""
+"""Stamps and frames in serialized messages."""
 
 import struct
 

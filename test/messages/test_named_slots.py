@@ -1,4 +1,4 @@
-"""Messages written with slots by name: what they read as, what is wrong with them, and how they are shown again."""
+"""Messages with named slots: parsing, errors, and output."""
 
 import pytest
 from hypothesis import given, settings

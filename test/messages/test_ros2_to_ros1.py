@@ -1,4 +1,4 @@
-"""Definitions of ROS 2, and messages in CDR: ``rosbags`` converts them as well, for the types that it can read."""
+"""ROS 2 definitions and CDR messages, compared with the conversion by ``rosbags`` for the types that it supports."""
 
 import struct
 

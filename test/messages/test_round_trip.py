@@ -1,4 +1,4 @@
-"""Bytes to terms to text and back, for every installed message type and for some that have everything."""
+"""Round trip from bytes to terms and text, for all installed message types and some artificial ones."""
 
 import importlib
 import io

@@ -1,4 +1,4 @@
-"""What ``retalis msg`` prints reads back as the type that it is of, for all types that are installed."""
+"""Templates of ``retalis msg`` for all installed types, parsed again."""
 
 import pytest
 from rosbags.typesys import Stores, get_typestore

@@ -1,4 +1,4 @@
-"""Terms with variables against message types."""
+"""Checks of terms with variables against message types."""
 
 import pytest
 

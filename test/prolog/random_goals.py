@@ -1,4 +1,4 @@
-"""Goals over the built-ins, made at random from a seed.
+"""Generator of random goals over the built-ins.
 
 ``goal_predicates.txt`` says for each predicate what kind of argument goes where, ``goal_kinds.txt`` gives the
 arguments of a kind. An argument is mostly of its kind, and sometimes a variable or anything at all, so that errors

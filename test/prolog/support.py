@@ -1,4 +1,4 @@
-"""What the tests of the logic room share."""
+"""Helpers of the Prolog tests."""
 
 from typing import Any, Dict, List
 

@@ -1,4 +1,4 @@
-"""Questions to SWI-Prolog: each goal in a process of its own, so that none sees what another one left."""
+"""Queries to SWI-Prolog: each goal runs in its own process, so that goals do not affect each other."""
 
 import subprocess
 import tempfile

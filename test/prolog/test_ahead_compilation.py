@@ -1,4 +1,4 @@
-"""What is compiled before it is called, and that programs behave alike with and without."""
+"""Compilation before the first call, and equal behaviour without it."""
 
 from prolog.support import answers, first, prolog
 

@@ -1,4 +1,4 @@
-"""Answers do not depend on what has been compiled; ``compilation_modes.py`` compares those of all suites."""
+"""Independence of answers from compilation; ``compilation_modes.py`` compares those of all suites."""
 
 import pytest
 from prolog.compilation_modes import compare

@@ -1,4 +1,4 @@
-"""The standard's answers, but for the exceptions that the documentation lists with their reasons."""
+"""Conformity to the ISO standard, except for the documented differences."""
 
 import importlib.util
 import re

@@ -1,4 +1,4 @@
-"""Long work inside one step counts as inferences and ends with a resource error, as endless goals do."""
+"""Long steps: they count as inferences and end with a resource error, as endless goals do."""
 
 import random
 

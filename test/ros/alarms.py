@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Alarms and timers ring by ROS time: simulated time, which stands still until the test moves it."""
+"""Alarms and timers by simulated ROS time, which stands still until the test advances it."""
 
 import sys
 import unittest

@@ -1,4 +1,4 @@
-"""Small bags for the test that all ways in give the same: with stamps and without, alike, out of order, nested."""
+"""Small bags for the comparison of node configurations: with and without stamps, repeated, out of order, nested."""
 
 import random
 from typing import NamedTuple, Tuple

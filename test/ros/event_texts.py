@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Other people's nodes on the String topics, simulated time, and a type that is installed nowhere."""
+"""Other nodes on the topics of event texts, simulated time, and a type that is not installed."""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-"""What the tests on a real master share: publishing raw bytes, waiting for what has to come."""
+"""Helpers of the tests on a real master: publishers of raw bytes, and waiting for messages."""
 
 import threading
 import time

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Requests, texts, messages and headers that nobody would send, to a live node: it answers, and goes on."""
+"""Malformed requests, texts, messages and headers to a running node, which has to answer and continue."""
 
 import sys
 import unittest

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Latched messages reach the engine in whatever order the nodes and the publisher are started, and started again."""
+"""Delivery of latched messages for all orders in which nodes and publisher are started and restarted."""
 
 import os
 import signal

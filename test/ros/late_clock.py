@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Bags of the same seconds, while ``/clock`` and messages overtake each other: the poses of each are its own."""
+"""Bags with the same stamps, while ``/clock`` and messages overtake each other: their poses are not mixed."""
 
 import sys
 import tempfile

@@ -1,4 +1,4 @@
-"""Sends texts on topic ``in`` until one comes back on topic ``out``, then asks each node for a service."""
+"""Program that sends texts on topic ``in`` until one returns on topic ``out``, then calls a service of each node."""
 
 import sys
 

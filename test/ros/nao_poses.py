@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The NAO bag through real nodes: the poses are those that the engine gives offline."""
+"""Playback of the NAO bag to nodes: the poses are those of the engine without ROS."""
 
 import sys
 import tempfile

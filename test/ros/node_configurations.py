@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Ten bags through real nodes, each twice: what comes out is what the engine gives offline, in its order."""
+"""Playback of ten bags to nodes, each twice: the outputs are those of the engine without ROS, in the same order."""
 
 import sys
 import tempfile

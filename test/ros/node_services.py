@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The services by which others look into a node that runs, and change it."""
+"""Services that inspect and change a running node."""
 
 import json
 import sys

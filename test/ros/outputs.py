@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What is published: types that publishers bring, topics without a type, latched topics."""
+"""Output topics: types that publishers define, topics without a type, latched topics."""
 
 import sys
 import unittest

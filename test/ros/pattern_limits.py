@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Rules that multiply events, added to a live node by services: the node stops at its limit and answers others."""
+"""Rules that multiply events, added to a running node by services: the node stops at its limit and answers others."""
 
 import sys
 import threading

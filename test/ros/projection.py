@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Of messages only what is read goes as text from the interface to the engine, and nobody can tell."""
+"""Projection pushdown: the interface omits unread fields from event texts without visible effects."""
 
 import sys
 import unittest

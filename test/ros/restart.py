@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Nodes that are killed, started again and interrupted; the other one goes on."""
+"""Killed, restarted and interrupted nodes; the other node continues."""
 
 import os
 import signal

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The six services, with good and bad requests, while events flow."""
+"""The six services with valid and invalid requests, while events are processed."""
 
 import sys
 import tempfile

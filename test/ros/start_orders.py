@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Starts of both nodes beside latched inputs, and kills of the interface: no output is lost, no input comes twice.
+"""Starts of both nodes with latched inputs, and kills of the interface: no output is lost, no input is repeated.
 
 rostest retalis start_orders.test starts:=50 kills:=50
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a node tells of itself: service ~list, and /diagnostics while simulated time stands still."""
+"""Status of a node: service ~list, and /diagnostics while simulated time stands still."""
 
 import sys
 import threading

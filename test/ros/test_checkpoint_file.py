@@ -1,4 +1,4 @@
-"""Node ``retalis`` keeps its state in a file, is killed, and goes on."""
+"""Checkpoint file of node ``retalis``: state after a kill, changed programs, damaged files."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""The command line on a node that runs."""
+"""Commands for a running node."""
 
 import json
 import re

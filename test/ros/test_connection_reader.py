@@ -1,4 +1,4 @@
-"""Reading messages from a connection in rospy's place. Needs rospy, no master."""
+"""Batched reading of connections. Needs rospy, no master."""
 
 import socket
 import struct

@@ -1,4 +1,4 @@
-"""Writing messages to connections in rospy's place. Needs rospy, no master."""
+"""Writing of serialized messages to connections. Needs rospy, no master."""
 
 import socket
 import threading

@@ -1,4 +1,4 @@
-"""``/diagnostics`` as it is published, or not."""
+"""Publishing of ``/diagnostics``."""
 
 import re
 import sys

@@ -1,4 +1,4 @@
-"""What node retalis tells of the topics that goals subscribe, and what is refused of it."""
+"""List of subscriptions of goals between the nodes, and its validation."""
 
 import json
 

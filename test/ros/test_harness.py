@@ -1,4 +1,4 @@
-"""When a collector is there for what a publisher sends. Needs the package as built, no master."""
+"""Connection state of the tests' subscribers. Needs the built package, no master."""
 
 import sys
 import threading

@@ -1,4 +1,4 @@
-"""How a node is judged: levels that say whether somebody has to look."""
+"""Levels and messages of a node's health."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Recognition of latched messages that come a second time. Needs rospy, no master."""
+"""Recognition of repeated latched messages. Needs rospy, no master."""
 
 import struct
 

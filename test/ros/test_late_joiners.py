@@ -1,4 +1,4 @@
-"""What node retalis gets of what came before it. Needs rospy, no master."""
+"""Delivery of buffered texts to a node that joins late. Needs rospy, no master."""
 
 import socket
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Each rostest, run against a master of its own."""
+"""Runs of each rostest with its own master."""
 
 import shutil
 import signal

@@ -1,4 +1,4 @@
-"""A master that is killed and started anew: both nodes register again by themselves, and messages flow."""
+"""Restart of the master: both nodes register again, and messages are delivered."""
 
 import sys
 from pathlib import Path

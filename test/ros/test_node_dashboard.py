@@ -1,4 +1,4 @@
-"""The page of a node: only where it is asked for, beside a node that runs without it too."""
+"""Dashboard of a node: on request only, and optional for the node."""
 
 import json
 import os

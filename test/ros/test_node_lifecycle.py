@@ -1,4 +1,4 @@
-"""One signal ends a node, whatever it is doing; its exit status says whether it could be set up."""
+"""End of a node by one signal at any moment, and its exit status."""
 
 import os
 import resource

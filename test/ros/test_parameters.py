@@ -1,4 +1,4 @@
-"""The nodes' parameters: defaults, forms, and what is refused by name. Needs rospy, no master."""
+"""Parameters of the nodes: defaults, conversions and errors. Needs rospy, no master."""
 
 from pathlib import Path
 

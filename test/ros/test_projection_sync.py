@@ -1,4 +1,4 @@
-"""When the interface believes what it was told of messages that nobody reads. Needs rospy, no master."""
+"""Validity of the received unread arguments in the interface. Needs rospy, no master."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""What node `retalis_ros_interface` says of types. Needs rospy, no master."""
+"""Conversion and type errors of the ROS interface. Needs rospy, no master."""
 
 import struct
 import threading

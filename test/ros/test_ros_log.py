@@ -1,4 +1,4 @@
-"""Texts from outside in the node's log and in lines that goals print. Needs rospy, no master."""
+"""Escaping of foreign text in the log and in printed lines. Needs rospy, no master."""
 
 import io
 import logging

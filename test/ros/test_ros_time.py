@@ -1,4 +1,4 @@
-"""ROS time. Needs rospy, no master."""
+"""ROS time, its epochs, and receipt stamps. Needs rospy, no master."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Requests of services as they are read. Needs rospy, no master."""
+"""Parsing and size limits of service requests. Needs rospy, no master."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""A program that is read again in a node that runs."""
+"""Reloading of a program in a running node."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""The package as users find it: sourced, launched, run, in devel and install space."""
+"""The package in devel and install space: environment, launch files, programs."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Node ``retalis`` with a program that has SWI-Prolog load a file."""
+"""Node ``retalis`` with a program that uses SWI-Prolog."""
 
 import pytest
 

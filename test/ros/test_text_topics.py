@@ -1,4 +1,4 @@
-"""What a text says of the run of those after it. Needs rospy, no master."""
+"""Marks of clock epochs in the stream of event texts. Needs rospy, no master."""
 
 import struct
 

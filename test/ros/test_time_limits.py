@@ -1,4 +1,4 @@
-"""What holds up the engine is named and ended, on a real node with the parameters that it has by default."""
+"""Endless goals in a node with default parameters: they are reported and aborted."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What is said once after the start: topics that nobody publishes."""
+"""Warnings about topics without publishers after the start."""
 
 import pytest
 

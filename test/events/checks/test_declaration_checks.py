@@ -1,4 +1,4 @@
-"""What was read before a declaration and does not fit it, and values of declared events beside those of messages."""
+"""Rules before a declaration that do not fit it, and value types of declared events and messages."""
 
 import pytest
 from events.checks.test_reported_mistakes import said_of, write

@@ -1,4 +1,4 @@
-"""Events that nothing makes, and events that nothing takes."""
+"""Events without a producer, and events without a consumer."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Memories that are read and are not there."""
+"""References to missing memories."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Messages in rules, memories and subscriptions that are none of their types."""
+"""Messages in rules, memories and subscriptions that do not fit their types."""
 
 import pytest
 

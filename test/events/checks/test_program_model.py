@@ -1,4 +1,4 @@
-"""What is probably meant is looked for in bounded time."""
+"""Bounded time of the search for similar names."""
 
 from retalis import functor
 from retalis.events.checks import program_model

@@ -1,4 +1,4 @@
-"""What is said of mistakes that are made in programs, word for word."""
+"""Exact texts of the findings for typical mistakes."""
 
 from collections import defaultdict
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Warnings about tables that keep their answers although what these were made of changes."""
+"""Warnings about tables whose answers become outdated."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Programs with very many rules, looked through for what is wrong with their times."""
+"""Time checks of programs with many rules."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Integers where floats come, and floats where integers come."""
+"""Comparisons of integers with values that are floats, and vice versa."""
 
 import pytest
 

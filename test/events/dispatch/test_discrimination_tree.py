@@ -1,4 +1,4 @@
-"""Decision trees: who is served, in which order, and who is not even looked at."""
+"""Discrimination trees: served listeners, their order, and skipped ones."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Terms made from values: equal to copies with the values in place of variables; large ones are not compiled."""
+"""Compiled construction of terms, compared with copying; large terms are not compiled."""
 
 import pytest
 from events.stream_programs import text_of

@@ -1,4 +1,4 @@
-"""State has few owners: what is being served is set by the dispatcher and by fused actions only."""
+"""Owners of shared state: few modules assign it."""
 
 import ast
 

@@ -1,4 +1,4 @@
-"""Gates and fused actions: what is not made or set up because nobody could notice, and what stays the same."""
+"""Events that are not created because nothing observes them, and unchanged results."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""What nobody reads of events may be left out of them, and nobody can tell."""
+"""Omission of unread arguments of events without visible effects."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""The quick ways of the sides of a pair give and know what the plain ways do, whatever comes."""
+"""Fused joins compared with plain nodes, on random streams."""
 
 import random
 import re

@@ -1,4 +1,4 @@
-"""A fused window gives and knows what the plain way does, whatever comes."""
+"""Fused windows compared with plain nodes, on random streams."""
 
 import pytest
 from events.fused.fused_path_plugin import PATHS

@@ -1,4 +1,4 @@
-"""Fused paths count the same pattern work as the plain way, so that limits end both alike."""
+"""Equal counts of pattern work by fused and plain nodes, so that limits apply equally."""
 
 import pytest
 from events.fused.fused_path_plugin import PATHS

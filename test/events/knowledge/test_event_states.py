@@ -1,4 +1,4 @@
-"""States: what holds from one event until another."""
+"""States that hold from one event until another."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""Gaps in memories: how wide they are, that nobody interpolates over those that are too wide, and who is told."""
+"""Gaps in memories: widths, refused interpolations, and reports."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Memories made, fed, read and deleted by goals."""
+"""Creation, recording, reading and deletion of memories by goals."""
 
 import logging
 import re

@@ -1,4 +1,4 @@
-"""Synchronized queries: when they are called, how often, with which interval.
+"""Synchronized queries: time, number and interval of their calls.
 
 Where nobody but the queries listens to the synchronized events of a rule, these are not made: most tests run
 both ways.

@@ -1,4 +1,4 @@
-"""Chains of poses, beside the predicates that do the same one after the other, and beside tf2."""
+"""Chains of poses, compared with single steps and with tf2."""
 
 import math
 import random

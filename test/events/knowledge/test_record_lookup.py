@@ -1,4 +1,4 @@
-"""Look-ups for a record that matches."""
+"""Look-up of matching records."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""Subscriptions with a shape, ``P with S``: they send what a rule with that shape would let through."""
+"""Subscriptions ``P with S``: they send what a rule with the same rate operator would emit."""
 
 import pytest
 from recording_engine import RecordingEngine

@@ -1,4 +1,4 @@
-"""Subscriptions made and deleted by goals."""
+"""Creation and deletion of subscriptions by goals."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""Synchronized queries that are given up."""
+"""Timeouts of synchronized queries."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Declarations of events: written and read, and what does not fit them."""
+"""Declarations of events: parsing, output, and violations."""
 
 import pytest
 from hypothesis import given, settings

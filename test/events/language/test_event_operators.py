@@ -1,4 +1,4 @@
-"""The table of the operators of events: what is read, found, explained and documented comes from it."""
+"""Table of event operators: syntax, meaning, explanations and documentation."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""What rules say that was hardly meant: a warning at its place, and none for what may be meant."""
+"""Warnings about likely mistakes in rules, with their places, and no false alarms."""
 
 from itertools import combinations, product
 

@@ -1,4 +1,4 @@
-"""Each operator: when it fires, with which interval, and when it does not."""
+"""Each operator: condition and interval of its matches."""
 
 import pytest
 from events.stream_programs import Program, fired

@@ -1,4 +1,4 @@
-"""Aggregates that have nothing to collect."""
+"""Errors in aggregates that collect nothing."""
 
 import pytest
 from events.load_messages import errors_of, warnings_of

@@ -1,4 +1,4 @@
-"""Rules over windows of steps, as people write them."""
+"""Syntax and errors of row patterns."""
 
 import pytest
 from events.stream_programs import Program, fired

@@ -1,4 +1,4 @@
-"""Heads of rules: what is no event, alarm or query that waits."""
+"""Errors in rule heads: events, alarms and synchronized queries."""
 
 import pytest
 from events.load_messages import assert_refused, warnings_of

@@ -1,4 +1,4 @@
-"""Labels that are none, and properties without a value."""
+"""Errors in labels and properties."""
 
 import pytest
 from events.load_messages import assert_refused, warnings_of

@@ -1,4 +1,4 @@
-"""When timers ring."""
+"""Schedules of timers."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Which values are of which kind, and which kinds exclude each other."""
+"""Value types, their members, and disjoint types."""
 
 import pytest
 from parsing import parse_term

@@ -1,4 +1,4 @@
-"""When waiting matches go: in time, whatever the order in which they came, and without hoarding those that left."""
+"""Expiration of partial matches: in time, for any order of arrival, in bounded memory."""
 
 import random
 from collections import deque

@@ -1,4 +1,4 @@
-"""The index by time against a plain search through all that is in it."""
+"""Interval index, compared with linear search."""
 
 import random
 from weakref import ref

@@ -1,4 +1,4 @@
-"""Where matches wait: order of arrival, partners by time, and changes under way."""
+"""Match buffers: order of arrival, partners by time, and changes during iteration."""
 
 from unittest.mock import patch
 

@@ -1,4 +1,4 @@
-"""What must not have happened: what is kept of it."""
+"""Storage of negated events."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""Where partners are looked for: never too narrow, and for each operator as narrow as can be said."""
+"""Time ranges of the search for partners: complete, and as narrow as possible for each operator."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""Chains of repetitions: equal for the same event terms, however they are divided into pieces."""
+"""Shared run buffers: equality is independent of their division."""
 
 import pytest
 

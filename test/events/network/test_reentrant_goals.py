@@ -1,4 +1,4 @@
-"""Goals that an operator on streams calls, and that make events for it, reset it or change how it runs."""
+"""Goals of a stream operator that emit events for it, reset it or change its flags."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Bounds of what waits: the smallest counts, and none is larger than any."""
+"""Retention times: the smallest bound applies, and None is infinite."""
 
 import pytest
 

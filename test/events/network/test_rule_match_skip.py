@@ -1,4 +1,4 @@
-"""What a match that has fired skips: ``after_match``."""
+"""After-match skip strategies of rules."""
 
 import pytest
 from events.stream_programs import Program, fired, show

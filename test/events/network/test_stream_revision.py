@@ -1,4 +1,4 @@
-"""What operators on streams give on without an event that is taken back: what they would have without it."""
+"""Revision of stream operators: after a retraction, results are as without the event."""
 
 import random
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Operators on streams in rules: when they ring, what they hold, and what they report."""
+"""Stream operators in rules: deadlines, state and reports."""
 
 from fractions import Fraction
 

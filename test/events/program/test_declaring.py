@@ -1,4 +1,4 @@
-"""What does not fit the declared events of a file, with its place."""
+"""Violations of a file's event declarations, with their places."""
 
 import pytest
 from events.load_messages import errors_of

@@ -1,4 +1,4 @@
-"""Directives: what goes wrong is shown at the goal where it did."""
+"""Errors of directives, reported at the goal that failed."""
 
 import pytest
 from events.load_messages import errors_of, warnings_of

@@ -1,4 +1,4 @@
-"""Event files: forms, errors with their places, directives, what is left when a file is refused."""
+"""Event files: syntax, errors with places, directives, and rejection as a whole."""
 
 import linecache
 

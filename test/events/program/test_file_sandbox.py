@@ -1,4 +1,4 @@
-"""The door to files: phases, what is resolved, and writing all of a text or nothing."""
+"""File sandbox: permissions by phase, resolution of paths, and atomic writing."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Files that are modules: loaded once, in circles, from rules, kept and read again."""
+"""Module files: loading once, circular imports, use by rules, and reloading."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Prolog files: loaded clause by clause, and what is wrong in them costs itself and nothing else."""
+"""Prolog files: loading clause by clause; an error affects its clause only."""
 
 import pytest
 from events.stream_programs import Program

@@ -1,4 +1,4 @@
-"""Files that a program names: modules, files loaded once, included files, libraries, which may be opened."""
+"""Source files of a program: modules, files loaded once, included files, libraries, permissions."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Terms and goals that a program has replaced while it is read."""
+"""Expansion of terms and goals while a program is read."""
 
 import pytest
 from events.stream_programs import Program

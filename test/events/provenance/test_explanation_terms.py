@@ -1,4 +1,4 @@
-"""Why an event happened, and what was missing, where operators on streams stand in rules."""
+"""Explanations of events and missing events for rules with stream operators."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""When nodes are woken: in order, each by itself, with one alarm of the clock for all that wait."""
+"""Deadlines of nodes: order, independence, and a single alarm of the clock."""
 
 from types import SimpleNamespace
 

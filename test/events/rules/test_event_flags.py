@@ -1,4 +1,4 @@
-"""Flags: what they take, what they are at first, and that each does what it says."""
+"""Flags: accepted values, defaults and effects."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Declared events while a program runs: what is refused, and how long a declaration holds."""
+"""Declared events at run time: refused events, and lifetime of declarations."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Items by hand, for tests of operators on streams: a clock that follows the ends, and rings before it takes."""
+"""Feeder of items for tests of stream operators, with a clock that runs due deadlines before each item."""
 
 from collections import deque
 from typing import NamedTuple

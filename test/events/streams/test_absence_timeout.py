@@ -1,4 +1,4 @@
-"""Absence with a deadline, against the sentence that defines it."""
+"""Absence with a deadline, compared with its definition."""
 
 from events.streams.stream_feeder import Came, Fed, entries, item_of, stream
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""The end of the state of keys: idle keys, keys beyond the largest number, matches of steps that take too long."""
+"""Eviction of key states: idle keys, too many keys, row pattern matches that take too long."""
 
 import pytest
 

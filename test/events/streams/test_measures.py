@@ -1,4 +1,4 @@
-"""What windows measure, against plain sums, sortings and counts over the values that are in them."""
+"""Measures of windows, compared with direct computation."""
 
 import math
 import statistics

@@ -1,4 +1,4 @@
-"""Throttles, bursts, what has settled and what has changed, against the sentences that define them."""
+"""Throttle, burst, debounce and change, compared with their definitions."""
 
 from events.streams.stream_feeder import Came, Fed, entries, item_of, stream
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Windows of steps against trying all ways in their order, as the oracle does."""
+"""Row patterns, compared with the exhaustive search of the oracle."""
 
 from random import Random
 

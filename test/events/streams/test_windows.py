@@ -1,4 +1,4 @@
-"""Windows against the sentences that define them, over plain lists of all that came."""
+"""Windows, compared with their definitions over plain lists."""
 
 import pytest
 from events.streams.stream_feeder import Came, Fed, entries, item_of, listing, spanning, stream

@@ -1,4 +1,4 @@
-"""What all kinds share."""
+"""Base class and helpers of all kinds of inputs."""
 
 import logging
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Inputs that do what must not be done, for the tests of the watch; no kind that is run."""
+"""Inputs with forbidden side effects, for the tests of their detection; not part of campaigns."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""Single built-ins with adversarial arguments: far beyond the limits of time and memory is a finding.
+"""Single built-ins with adversarial arguments; exceeding the limits of time and memory is a finding.
 
 The first inputs are systematic: each predicate with each kind of value at each argument, the others bound to
 something small, and with the same value at all arguments. They are shuffled in a fixed order, so that the first ones

@@ -1,4 +1,4 @@
-"""Texts of rule files, and events for what is in them."""
+"""Texts of rule files, and events for their rules."""
 
 from events.operator_table import AGGREGATES, PAIRS
 

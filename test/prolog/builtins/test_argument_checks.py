@@ -1,4 +1,4 @@
-"""What built-ins make of wrong and of partial arguments."""
+"""Wrong and partial arguments of built-ins."""
 
 import pytest
 from prolog.support import answers, prolog

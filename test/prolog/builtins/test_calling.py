@@ -1,4 +1,4 @@
-"""Goals under conditions: limits, portions, goals that would have to wait, ports."""
+"""Meta-calls with limits, portions, blocking goals and ports."""
 
 import pytest
 from prolog.support import answers, first, prolog

@@ -1,4 +1,4 @@
-"""Single-sided rules: what SWI-Prolog 9 answers."""
+"""Single-sided unification rules, as in SWI-Prolog 9."""
 
 import pytest
 

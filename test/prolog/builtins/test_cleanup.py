@@ -1,4 +1,4 @@
-"""When cleanups run."""
+"""Execution of cleanup goals."""
 
 import pytest
 from prolog.support import answers, prolog

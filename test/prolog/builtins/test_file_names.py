@@ -1,4 +1,4 @@
-"""Names of files: their parts, and where they are."""
+"""Parts of file names, and resolution of files."""
 
 import pytest
 from prolog.support import answers, first, prolog

@@ -1,4 +1,4 @@
-"""The program's say in how terms are printed."""
+"""Printing of terms with user-defined hooks."""
 
 import pytest
 from prolog.support import answers, prolog

@@ -1,4 +1,4 @@
-"""Incremental tables give the answers that hold, whatever has changed since they were evaluated."""
+"""Incremental tables: correct answers after any change."""
 
 import importlib.util
 import random

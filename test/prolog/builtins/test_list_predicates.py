@@ -1,4 +1,4 @@
-"""Sorting by keys against comparing pair by pair, and association lists against dictionaries."""
+"""Sorting by keys compared with pairwise comparison, and association lists compared with dictionaries."""
 
 import random
 from functools import cmp_to_key

@@ -1,4 +1,4 @@
-"""Terms of which only the outer parts are written."""
+"""Depth limit of written terms."""
 
 import pytest
 from prolog.support import answers, prolog

@@ -1,4 +1,4 @@
-"""Tabled predicates end where plain ones recurse for ever, with all answers and each once."""
+"""Tabling: termination of left recursion, with all answers and without duplicates."""
 
 import random
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Streams: texts of files that are read and written, and a user who types."""
+"""Text streams: reading and writing files, and terminal input."""
 
 import pytest
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""Compiled clauses do what interpreted ones do: random programs, run both ways."""
+"""Compiled and interpreted clauses, compared on random programs."""
 
 import random
 import signal

@@ -1,4 +1,4 @@
-"""Goals that call predicates of the program as plain functions: same answers, errors and bindings as by frames."""
+"""Predicates compiled to functions: same answers, errors and bindings as with frames."""
 
 import random
 

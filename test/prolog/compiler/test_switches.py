@@ -1,4 +1,4 @@
-"""Clauses are told apart by the argument that tells: the same answers, and no choice point where one is left."""
+"""Clause selection by the distinguishing argument: same answers, and no choice point for the last clause."""
 
 from random import Random
 

@@ -1,4 +1,4 @@
-"""Patterns in compiled clauses against the general unification of terms."""
+"""Compiled unification, compared with general unification."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Goals for Python code, attempts as part of a run, limits, predicates in Python."""
+"""Goals called from Python, nested attempts, limits, and predicates in Python."""
 
 import traceback
 

@@ -1,4 +1,4 @@
-"""Control: cut, if-then-else, negation, exceptions, and how deep it goes."""
+"""Control constructs: cut, if-then-else, negation, exceptions, and deep nesting."""
 
 import pytest
 from prolog.support import NEVER, answers, first, prolog

@@ -1,4 +1,4 @@
-"""Predicates that are functions of some of their arguments: called by compiled clauses, by terms, by goals."""
+"""Predicates that are functions of some arguments, called by compiled clauses, terms and goals."""
 
 import pytest
 from prolog.support import NEVER, answers, prolog

@@ -1,4 +1,4 @@
-"""Indexes of clauses: what may match a key, in the order in which it was added."""
+"""Clause indexes: candidates for a key, in order of addition."""
 
 from random import Random
 

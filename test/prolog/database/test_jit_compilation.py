@@ -1,4 +1,4 @@
-"""A body in which much time is spent is compiled while it runs, and does what it did before."""
+"""Just-in-time compilation of a running body, without a change of behaviour."""
 
 from random import Random
 

@@ -1,4 +1,4 @@
-"""Modules: names of a file that are its own, and goals that mean in others what they mean there."""
+"""Modules: local names, and goals in the context of another module."""
 
 import pytest
 from hypothesis import given, settings

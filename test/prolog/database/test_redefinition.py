@@ -1,4 +1,4 @@
-"""Predicates of the system that a program defines anew: its own take their place, but not for the library."""
+"""Redefinition of system predicates by a program, without effect on the library."""
 
 import pytest
 from prolog.support import answers, first, prolog

@@ -1,4 +1,4 @@
-"""The libraries against what SWI-Prolog 9.0.4 answers: goals and the bindings of their first solutions, recorded."""
+"""Libraries, compared with recorded answers of SWI-Prolog 9.0.4."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What measures goals, draws by chance, reports by topic."""
+"""Libraries for measurement, random numbers and debug messages."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Arithmetic with stamps: to the nanosecond, whatever their forms, interpreted and compiled."""
+"""Arithmetic with timestamps: exact to the nanosecond in all forms, interpreted and compiled."""
 
 import pytest
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""Budgets: what is left of the limits, entries inside of others, and ceilings of calls."""
+"""Budgets: remaining limits, nested entries, and limits of calls."""
 
 import threading
 from unittest.mock import patch

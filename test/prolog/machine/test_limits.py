@@ -1,4 +1,4 @@
-"""What runs away ends with a resource error, and the engine goes on."""
+"""Resource limits: runaway goals end with an error, and the engine continues."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Knowledge bases that need libraries of SWI-Prolog's, each asked by rules: constraints, CHR, triples."""
+"""Knowledge bases with libraries of SWI-Prolog, queried by rules: constraints, CHR, triples."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Goals in SWI-Prolog: solutions, cuts, errors, limits, threads, and what it asks back."""
+"""Goals in SWI-Prolog: solutions, cuts, errors, limits, threads, and callbacks."""
 
 import gc
 import threading

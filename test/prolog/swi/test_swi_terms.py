@@ -1,4 +1,4 @@
-"""Terms go over to SWI-Prolog and come back as they were."""
+"""Round trip of terms through SWI-Prolog."""
 
 import pytest
 from hypothesis import given, settings

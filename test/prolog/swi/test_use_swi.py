@@ -1,4 +1,4 @@
-"""What a program has SWI-Prolog load, who may, and what becomes of it in a state."""
+"""``use_swi``: loaded files, permissions, and snapshots."""
 
 import ctypes
 import os

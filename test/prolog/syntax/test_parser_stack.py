@@ -1,4 +1,4 @@
-"""Error messages by example: what is said, and where."""
+"""Syntax errors: messages and places."""
 
 import pytest
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""Where quoted text ends, and what it stands for."""
+"""End and value of quoted text."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Event rules: which operators hold where, and the canonical term that comes out."""
+"""Event rules: scope of operators, and canonical terms."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Programs clause by clause: that each takes its own time only."""
+"""Reading clause by clause in time linear in the clause."""
 
 import pytest
 

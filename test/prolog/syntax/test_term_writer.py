@@ -1,4 +1,4 @@
-"""How terms look: ISO 13211-1, and SWI-Prolog 9 where that leaves it open."""
+"""Written terms: ISO 13211-1, and SWI-Prolog 9 where the standard leaves it open."""
 
 import math
 

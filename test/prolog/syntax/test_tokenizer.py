@@ -118,7 +118,7 @@ def test_quotes_by_flag():
     assert read('""', double_quotes="codes") is NIL
 
 
-def test_special_floats_are_atoms_in_programs_and_numbers_in_event_text():
+def test_accumulators_are_atoms_in_programs_and_numbers_in_event_text():
     text = "e(nan,inf,-inf,'nan',nan(1),a-inf)"
     assert to_text(read(text, event_text=True)) == "e(nan,inf,-inf,'nan',nan(1),-(a,inf))"
     assert to_text(read(text)) == "e('nan','inf',-('inf'),'nan',nan(1),-(a,'inf'))"

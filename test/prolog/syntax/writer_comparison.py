@@ -1,4 +1,4 @@
-"""Terms made at random, written here and by SWI-Prolog.
+"""Comparison of written random terms with SWI-Prolog.
 
 Usage: python writer_comparison.py COUNT [SEED]      print what differs
 """

@@ -1,4 +1,4 @@
-"""Terms that contain themselves: compared and unified as the infinite terms that they are, else refused soon."""
+"""Cyclic terms: comparison and unification as infinite terms, and early errors elsewhere."""
 
 import pytest
 from prolog.support import answers, prolog

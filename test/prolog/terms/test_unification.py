@@ -1,4 +1,4 @@
-"""Unification goes to where terms differ, and no further than it has to."""
+"""Unification of large terms up to the first difference."""
 
 from retalis import Var, atom, functor, make_list
 from retalis.prolog.terms.unification import unify

@@ -1,4 +1,4 @@
-"""Sums, lowest numbers and quantiles of numbers that come and go."""
+"""Accumulators of windows: exact sums, deviations, minima and quantiles of added and removed numbers."""
 
 import math
 from fractions import Fraction
