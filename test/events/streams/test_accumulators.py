@@ -28,7 +28,7 @@ def test_a_sum_is_exact_however_many_have_gone(steps, number):
         if goes:
             total.change(inside.pop(which % len(inside)), -1)
         expected = Fraction(sum(map(Fraction, inside))) / number
-        found = total.over(number)
+        found = total.over(number, len(inside))
         assert found == (expected if isinstance(found, int) else float(expected))
         whole = all(isinstance(one, int) for one in inside) and expected.denominator == 1
         assert isinstance(found, int) == whole
@@ -38,7 +38,7 @@ def test_floats_that_have_gone_leave_an_integer():
     total = ExactSum()
     for value, by in ((3, 1), (0.1, 1), (1e300, 1), (0.1, -1), (1e300, -1)):
         total.change(value, by)
-    assert repr(total.over(1)) == "3"
+    assert repr(total.over(1, 1)) == "3"
 
 
 @some

@@ -43,12 +43,14 @@ class _MeasureSource(NamedTuple):
         add: adds the value of ``item`` to the accumulator of ``group``.
         remove: removes the value of ``old`` from the accumulator of the keyed window ``left``.
         result: expression for the result of ``number`` elements.
+        keeps_elements: whether the accumulator refers to elements, also to some that are gone.
     """
 
     check: Sequence[Statement]
     add: Sequence[Statement]
     remove: Sequence[Statement]
     result: str
+    keeps_elements: bool = False
 
 
 def _count_source(number: int, position: int) -> _MeasureSource:
@@ -56,7 +58,7 @@ def _count_source(number: int, position: int) -> _MeasureSource:
 
 
 def _sum_source(number: int, position: int) -> _MeasureSource:
-    x, total, scaled = f"x{number}", f"s{number}", f"y{number}"
+    x, total, scaled, is_integer = f"x{number}", f"s{number}", f"y{number}", f"i{number}"
     return _MeasureSource(
         [
             f"{total} = group.measures[{number}].sum",
@@ -68,31 +70,33 @@ def _sum_source(number: int, position: int) -> _MeasureSource:
                     f"{scaled} = {x} * {total}.factor",
                     Block(f"if not {scaled}.is_integer():", [_GENERAL_PATH]),
                     f"{scaled} = {scaled}.__trunc__()",
+                    f"{is_integer} = False",
                 ],
             ),
-            Block(f"elif {x}.__class__ is int:", [f"{scaled} = {x} << {total}.scale"]),
+            Block(
+                f"elif {x}.__class__ is int:", [f"{scaled} = {x} << {total}.scale", f"{is_integer} = True"]
+            ),
             Block("else:", [_GENERAL_PATH]),
         ],
-        [f"{total}.total += {scaled}", Block(f"if {x}.__class__ is float:", [f"{total}.floats += 1"])],
+        [f"{total}.total += {scaled}", Block(f"if {is_integer}:", [f"{total}.integers += 1"])],
         [
             f"value = old.values[{position}]",
             f"total = left.measures[{number}].sum",
             Block(
                 "if value.__class__ is float and (scaled := value * total.factor).is_integer():",
-                ["total.total -= scaled.__trunc__()", "total.floats -= 1"],
+                ["total.total -= scaled.__trunc__()"],
             ),
             Block("else:", ["total.change(value, -1)"]),
         ],
-        f"{total}.over(1)",
+        f"{total}.over(1, number)",
     )
 
 
 def _mean_source(number: int, position: int) -> _MeasureSource:
     total = f"s{number}"
-    # `ExactSum.over` without the call, for a sum with floats, whose average is a float in any case.
-    exact = f"{total}.total / (number << {total}.scale)"
+    # `ExactSum.over` without the call, for floats only, whose average is a float in any case.
     return _sum_source(number, position)._replace(
-        result=f"{exact} if {total}.floats else {total}.over(number)"
+        result=f"{total}.over(number, number) if {total}.integers else {total}.total / (number << {total}.scale)"
     )
 
 
@@ -111,6 +115,7 @@ def _min_source(number: int, position: int, sign: str = "") -> _MeasureSource:
         ],
         [f"left.measures[{number}].lowest.remove()"],
         f"{heap}.top()[2].values[{position}]",
+        keeps_elements=True,
     )
 
 
@@ -139,6 +144,7 @@ def fused_window(
     plain: EventAction,
     complete: EventAction,
     too_large: Callable[[Any, Any], Any],
+    whole: bool,
 ) -> EventAction:
     """Return the action that adds the values of an event to a sliding window.
 
@@ -149,6 +155,7 @@ def fused_window(
         plain: the general path.
         complete: receives the values of the key and the results.
         too_large: reports a window whose results exceed the range of floats.
+        whole: whether the values are the arguments of the event, so that the action accepts None for them.
     """
     names: Dict[str, Any] = {
         "node": node,
@@ -163,23 +170,19 @@ def fused_window(
         "PLAIN": PLAIN,
         "term_key": term_key,
         "heappush": heappush,
+        "KeyError": KeyError,
         "OverflowError": OverflowError,
     }
     metered = node.rule.meter is not None
     if metered:
         names["pattern_steps"] = node.rule.network.logic.machine.budget.pattern_steps
-    action: EventAction = shared_function(_window_source(window, limit is not None, metered), names, "window")
+    source = _window_source(window, whole, limit is not None, metered)
+    action: EventAction = shared_function(source, names, "window")
     return action
 
 
-def _window_source(window: FusedWindow, limited: bool, metered: bool) -> str:
+def _window_source(window: FusedWindow, whole: bool, limited: bool, metered: bool) -> str:
     """Return the source; of the program, it contains only numbers and indices."""
-    value_assignments = [
-        f"x{number} = values[{position}]"
-        for number, position in enumerate(window.values)
-        if position is not None
-    ]
-    value_names = [f"x{number}" for number, position in enumerate(window.values) if position is not None]
     measures = []
     for number, measure_kind in enumerate(window.kinds):
         # `StreamElement.values` contains the values of those measures that have one.
@@ -190,21 +193,22 @@ def _window_source(window: FusedWindow, limited: bool, metered: bool) -> str:
         *(measure.result for measure in measures),
     ]
     body: List[Statement] = [
-        # A pattern that matches all events of its functor passes no values; see `Continuation.fused`.
-        Block("if values is None:", ["values = term[1:]"]),
+        *_value_statements(window, whole),
         "stream = node.stream",
         "queue = stream.queue",
-        *_key_statements(window.groups),
-        *value_assignments,
         "groups = stream.states",
-        "group = groups.get(key)",
+        Block("try:", ["group = groups[key]"]),
+        Block("except KeyError:", [_GENERAL_PATH]),
         Block(f"if {_NEEDS_GENERAL_PATH}:", [_GENERAL_PATH]),
         *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if metered else []),
         *(statement for measure in measures for statement in measure.check),
         *([f"pattern_steps[0] -= {_METERED_STEPS}"] if metered else []),
         # All checks are done: from here on nothing calls the general path.
         "stream.clock = end",
+        "members = group.members",
+        "by = members[-1].by",
         "before = end - span",
+        "item = None",
         Block(
             "while queue and queue[0].start <= before:",
             [
@@ -214,61 +218,91 @@ def _window_source(window: FusedWindow, limited: bool, metered: bool) -> str:
                 # A window with elements out of order keeps heaps; removing from them is rare and left to the general
                 # method.
                 Block("if left.starts is not None:", ["stream.remove(old)", "continue"]),
-                "old.gone = True",
                 "left.members.popleft()",
-                "left.number = number = left.number - 1",
-                "stream.number -= 1",
                 *(statement for measure in measures for statement in measure.remove),
-                Block("if not number:", ["del groups[old.key]"]),
+                Block("if not left.members:", ["del groups[old.key]"]),
+                *_release_statements(measures),
             ],
         ),
-        "item = new(StreamElement)",
-        "item.match = None",
+        Block(
+            "if item is None:",
+            [
+                "item = new(StreamElement)",
+                "item.match = None",
+                "item.gone = False",
+                "stream.number += 1",
+            ],
+        ),
         "item.start = start",
         "item.end = end",
-        "item.by = last.by",
+        "item.by = by",
         "item.key = key",
-        f"item.values = {tuple_source(value_names)}",
+        f"item.values = {tuple_source(_value_names(window))}",
         "item.order = stream.last_order = order = stream.last_order + 1",
-        "item.gone = False",
-        Block("if group.number:", ["groups.move_to_end(key)"]),
+        Block("if members:", ["groups.move_to_end(key)"]),
         Block("else:", ["groups[key] = group"]),
-        "group.number = number = group.number + 1",
-        "stream.number += 1",
-        "members = group.members",
         "members.append(item)",
-        *(statement for measure in measures for statement in measure.add),
         # The element is complete before results are computed, which may raise an error.
         "queue.append(item)",
+        "number = len(members)",
+        *(statement for measure in measures for statement in measure.add),
         Block("try:", [f"found = {tuple_source(results)}"]),
         Block("except OverflowError:", ["return too_large(group, after)"]),
         *([Block("if end - members[0].start > limit:", ["return after"])] if limited else []),
         "return complete(None, found, members[0].start, end, after)",
     ]
-    return source_of([Block("def made(term, values, start, end, after):", body)])
+    source = source_of([Block("def made(term, values, start, end, after):", body)])
+    # The general path expects the values also if they are the arguments of the event.
+    return source.replace(_GENERAL_PATH, _GENERAL_PATH.replace("values", "term[1:]")) if whole else source
 
 
 _NEEDS_GENERAL_PATH = " or ".join(
     [
-        "group is None",
+        # No window without elements out of order has holes, so the number of its elements is that of its members.
         "group.starts is not None",
         "stream.disordered",
+        # All elements of the queue started by the clock, so this one is the newest if it is an instant.
         "not stream.clock <= end <= stream.newest_allowed",
-        "(start is not end and end - start >= span)",
-        "start < queue[-1].start",
-        "end < (last := group.members[-1]).end",
-        "stream.number >= network.cap",
+        "(start is not end and (end - start >= span or start < queue[-1].start))",
+        # The queue contains at least all elements that are counted.
+        "len(queue) >= network.cap",
     ]
 )
 
 
-def _key_statements(groups: Sequence[int]) -> List[Statement]:
-    """Return statements that compute the key from the values at some indices."""
-    keys = ["key"] if len(groups) == 1 else [f"key{number}" for number in range(len(groups))]
+def _release_statements(measures: Sequence[_MeasureSource]) -> List[Statement]:
+    """Return statements for an element ``old`` that has left; ``item`` is the one that left before, or None."""
+    if any(measure.keeps_elements for measure in measures):
+        return ["old.gone = True", "stream.number -= 1"]
+    # Nothing refers to the element, so it becomes the new one: creating an object takes a twentieth of an event.
+    return [Block("if item is not None:", ["stream.number -= 1"]), "item = old"]
+
+
+def _value_names(window: FusedWindow) -> List[str]:
+    """Return the names of the values of those measures that have one."""
+    return [f"x{number}" for number, position in enumerate(window.values) if position is not None]
+
+
+def _value_statements(window: FusedWindow, whole: bool) -> List[Statement]:
+    """Return statements that read the values of the measures and compute the key."""
+
+    def value(position: int) -> str:
+        return f"term[{position + 1}]" if whole else f"values[{position}]"
+
+    keys = ["key"] if len(window.groups) == 1 else [f"key{number}" for number in range(len(window.groups))]
     statements: List[Statement] = []
-    for number, (key, position) in enumerate(zip(keys, groups)):
+    for number, (key, position) in enumerate(zip(keys, window.groups)):
         statements += [
-            f"k{number} = {key} = values[{position}]",
+            f"k{number} = {key} = {value(position)}",
             Block(f"if k{number}.__class__ not in PLAIN:", [f"{key} = term_key(k{number})"]),
         ]
-    return statements if len(keys) == 1 else [*statements, f"key = {tuple_source(keys)}"]
+    if len(keys) != 1:
+        statements.append(f"key = {tuple_source(keys)}")
+    return [
+        *statements,
+        *(
+            f"x{number} = {value(position)}"
+            for number, position in enumerate(window.values)
+            if position is not None
+        ),
+    ]

@@ -277,7 +277,7 @@ class JoinNode(NetworkNode):
         # At the root, the pair is not created as a match: its values go directly to the head.
         whole = rule.completion if rule.root is self else None
         pair = FusedPair(
-            (_is_whole(self.left), _is_whole(self.right)),
+            (self.left.whole, self.right.whole),
             self.operator,
             self.span,
             list(zip(self.vars, self.taken)),
@@ -303,7 +303,7 @@ class JoinNode(NetworkNode):
         rule = self.rule
         if not self._may_fuse(mode):
             return None
-        return lambda plain: fused_absence(absence, rule, _is_whole(negated), plain)
+        return lambda plain: fused_absence(absence, rule, negated.whole, plain)
 
     def _wait_later(self, match: PartialMatch, key: Hashable) -> None:
         """Store a right operand when its event has been tried as a left operand too.
@@ -409,11 +409,6 @@ class JoinNode(NetworkNode):
 
     def _right_waits(self, mode: NetworkOptions) -> bool:
         return self.operator.either or mode.out_of_order
-
-
-def _is_whole(node: NetworkNode) -> bool:
-    """Return whether the matches of a node are events whose arguments are the values."""
-    return isinstance(node, EventNode) and node.whole
 
 
 def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse]) -> None:

@@ -135,6 +135,8 @@ class NetworkNode:
     """True if the window of a label is tested here."""
     alone = False
     """True if the pattern is one event with conditions and goals, so that values are passed instead of matches."""
+    whole = False
+    """True if the values of its matches are the arguments of an event."""
     forbids = False
     """True if it belongs to a negated pattern; its matches are not skipped after a match."""
 
@@ -186,11 +188,7 @@ class NetworkNode:
 
 
 class EventNode(NetworkNode):
-    """Receives the events that unify with a term.
-
-    Attributes:
-        whole: whether all events of its functor do, so that the values are their arguments.
-    """
+    """Receives the events that unify with a term; it is `whole` if all events of its functor do."""
 
     def __init__(self, rule: "EventRule", term: Term):
         self.rule = rule

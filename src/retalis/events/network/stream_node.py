@@ -401,7 +401,8 @@ class StreamNode(NetworkNode):
         action: EventAction = arrive
         # Without fusion an event takes twice the time.
         if fused is not None and not self.rule.mode.revised:
-            action = fused_window(fused, self.span, self, arrive, complete, too_large)
+            whole = self.children[0].whole
+            action = fused_window(fused, self.span, self, arrive, complete, too_large, whole)
         self.children[0].bind_alone(Continuation(action, fused=action is not arrive))
 
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:

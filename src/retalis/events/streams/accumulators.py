@@ -55,24 +55,24 @@ class ExactSum:
         scale: the exponent, which never decreases.
         factor: two to the power of ``scale`` as a float, or nan if that is too large. The product of this factor and
             a float is exact if it is an integer.
-        floats: number of floats among the numbers.
+        integers: number of integers among the numbers.
     """
 
-    __slots__ = ("total", "scale", "factor", "floats")
+    __slots__ = ("total", "scale", "factor", "integers")
 
     def __init__(self) -> None:
         self.total = 0
         self.scale = 0
         self.factor = 1.0
-        self.floats = 0
+        self.integers = 0
 
     def change(self, value: Number, by: int) -> None:
         """Add a number ``by`` times; -1 removes it."""
         if value.__class__ is int:
             self.total += by * int(value) << self.scale
+            self.integers += by
             return
         over, under = value.as_integer_ratio()
-        self.floats += by
         self.change_fraction(over, under.bit_length() - 1, by)
 
     def change_fraction(self, over: int, bits: int, by: int) -> None:
@@ -84,10 +84,13 @@ class ExactSum:
             self.factor = 2.0**bits if bits < _MAX_BITS else nan
         self.total += by * over << self.scale - bits
 
-    def over(self, number: int) -> Number:
-        """Return the sum divided by ``number``: an integer if the result is exact and no number is a float."""
-        whole = number << self.scale
-        if not self.floats:
+    def over(self, divisor: int, number: int) -> Number:
+        """Return the sum of ``number`` numbers divided by ``divisor``.
+
+        The result is an integer if it is exact and no number is a float.
+        """
+        whole = divisor << self.scale
+        if self.integers == number:
             quotient, rest = divmod(self.total, whole)
             if not rest:
                 # Integers stay exact, of any size.
@@ -392,14 +395,14 @@ class _Sum(_StatelessMeasure):
         self.sum.change(item.values[self.index], -1)
 
     def result(self, members: Members, number: int) -> Optional[Term]:
-        return self.sum.over(1)
+        return self.sum.over(1, number)
 
 
 class _Average(_Sum):
     of_none = False
 
     def result(self, members: Members, number: int) -> Optional[Term]:
-        return self.sum.over(number)
+        return self.sum.over(number, number)
 
 
 class _Deviation(_Sum):

@@ -43,22 +43,29 @@ class KeyedWindow:
     """Elements of one key in a window, with their accumulators.
 
     Attributes:
+        members: the elements in order of arrival; those that are gone may remain between others.
+        holes: number of members that are gone; 0 as long as elements arrive in order.
         since: instant from which its time counts: the clock at the last element, or the end of the first element for
             windows that start with an element.
         starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
         ends: negated ends of the elements; None under the same condition.
     """
 
-    __slots__ = ("members", "number", "measures", "checks", "since", "starts", "ends")
+    __slots__ = ("members", "holes", "measures", "checks", "since", "starts", "ends")
 
     def __init__(self, measures: Sequence[Accumulator], since: int = 0):
         self.members: Deque[StreamElement] = deque()
-        self.number = 0
+        self.holes = 0
         self.measures = measures
         self.checks = [measure.check for measure in measures if measure.picky]
         self.since = since
         self.starts: Optional[Lowest] = None
         self.ends: Optional[Lowest] = None
+
+    @property
+    def number(self) -> int:
+        """Number of elements."""
+        return len(self.members) - self.holes
 
     def add(self, item: StreamElement) -> None:
         """Add an element."""
@@ -74,22 +81,24 @@ class KeyedWindow:
                 self.starts.add(member.start, member)
                 self.ends.add(-member.end, member)
         members.append(item)
-        self.number += 1
         for measure in self.measures:
             measure.add(item)
 
     def remove(self, item: StreamElement) -> None:
         """Remove an element."""
         item.gone = True
-        self.number -= 1
         members = self.members
+        self.holes += 1
         # Both ends are kept clean, so that the interval and `first` and `last` can be read off in constant time.
         while members and members[0].gone:
             members.popleft()
+            self.holes -= 1
         while members and members[-1].gone:
             members.pop()
+            self.holes -= 1
         if len(members) > 2 * self.number + 64:
             self.members = deque([member for member in members if not member.gone])
+            self.holes = 0
         if self.starts is not None and self.ends is not None:
             self.starts.remove()
             self.ends.remove()
@@ -280,8 +289,9 @@ class SlidingTimeWindow(Window):
     """Window of the elements that started less than ``span`` ns before the newest end; emits at each element.
 
     Attributes:
-        queue: elements that arrived in the order of their starts, the oldest first.
-        disordered: heap of the elements that started before the end of the queue when they arrived, by their starts.
+        queue: elements that arrived in the order of their starts, the oldest first. None ends after the clock.
+        disordered: heap of the other elements, by their starts: those that started before the end of the queue when
+            they arrived, and those that are too far in the future to advance the clock.
     """
 
     def __init__(self, make: Make, span: int):
@@ -307,7 +317,7 @@ class SlidingTimeWindow(Window):
     def _file(self, item: StreamElement) -> None:
         queue = self.queue
         # Most elements arrive in order, and a queue is cheaper than a heap.
-        if not queue or queue[-1].start <= item.start:
+        if item.end <= self.clock and (not queue or queue[-1].start <= item.start):
             queue.append(item)
         else:
             heapq.heappush(self.disordered, (item.start, item.order, item))
