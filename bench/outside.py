@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Four workloads in four systems: the engine, a handwritten loop, bytewax, and ROS message_filters.
+"""Five workloads in four systems: the engine, a handwritten loop, bytewax, and ROS message_filters.
 
     bench/outside.py [--work NAME ...] [--events N] [--runs N] [--bytewax PYTHON] [--ros PYTHON] [--json FILE]
                      [--markdown]
 
     keyed    for each key, b less than a minute after a; ten thousand keys wait
     absence  the same without a c in between
-    sliding  for each of a hundred keys, count and mean of the last ten seconds, at each reading
+    sliding  for each of a hundred keys, count and mean of the last ten seconds, at each reading; all systems but the
+             engine keep a running total of floats, in which rounding errors add up
+    exact    the same with an exact mean in all systems: the others sum the whole window with math.fsum
     pairs    l and r less than 50 ms apart, each used once
 
 All systems get the same streams, which are created before the measurement. Each run is its own process; the systems

@@ -5,6 +5,7 @@ of each result. It imports its packages itself, because not all of them are inst
 """
 
 from collections import OrderedDict, deque
+from math import fsum
 from typing import Any, Callable, Deque, Dict, List, Tuple
 
 from outside_streams import SECOND, StreamEvent
@@ -13,10 +14,12 @@ Emit = Callable[..., None]
 Run = Callable[[], None]
 NAP, TEN, MINUTE = SECOND // 20, 10 * SECOND, 60 * SECOND
 
+SLIDING = "out(K, N, A) <- aggregate([count, avg(X)], x(K, X), [N, A], last(10))."
 RULES = {
     "keyed": "out(K) <- (a(K) seq b(K)) within 60.",
     "absence": "out(K) <- ((a(K) seq b(K)) cnot c(K)) within 60.",
-    "sliding": "out(K, N, A) <- aggregate([count, avg(X)], x(K, X), [N, A], last(10)).",
+    "sliding": SLIDING,
+    "exact": SLIDING,
     "pairs": "out(I, J) <- (l(I) and r(J)) within 0.05.",
 }
 
@@ -37,7 +40,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     size = RULES[work].partition(")")[0].count(",") + 1
     result = functor("out", size)(*(Var() for _ in range(size)))
     engine.dispatcher.listen(ListenerPhase.SUBSCRIPTIONS, result, heard)
-    if work == "sliding":
+    if work in ("sliding", "exact"):
         x = functor("x", 2)
         ready = [(x(key, value), time) for key, value, time in events]
     else:
@@ -54,7 +57,13 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
 def loop(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     """Return the function of a handwritten loop."""
-    take = {"keyed": _sequence, "absence": _sequence, "sliding": _window, "pairs": _pairs}[work](emit)
+    take = {
+        "keyed": _sequence,
+        "absence": _sequence,
+        "sliding": _window,
+        "exact": _exact_window,
+        "pairs": _pairs,
+    }[work](emit)
 
     def all_of_them() -> None:
         for event in events:
@@ -80,7 +89,10 @@ def _sequence(emit: Emit) -> Callable[[StreamEvent], None]:
 
 
 def _window(emit: Emit) -> Callable[[StreamEvent], None]:
-    """Return a handler of readings: count and mean of a key in the last ten seconds."""
+    """Return a handler of readings: count and mean of a key in the last ten seconds.
+
+    The total is a float, so its rounding errors add up.
+    """
     windows: Dict[int, Tuple[Deque[Tuple[int, float]], List[float]]] = {}
 
     def take(event: StreamEvent) -> None:
@@ -93,6 +105,25 @@ def _window(emit: Emit) -> Callable[[StreamEvent], None]:
         while time - window[0][0] >= TEN:
             total[0] -= window.popleft()[1]
         emit(key, len(window), total[0] / len(window))
+
+    return take
+
+
+def _exact_window(emit: Emit) -> Callable[[StreamEvent], None]:
+    """Return a handler like `_window` that sums all readings each time, so that no rounding errors add up."""
+    windows: Dict[int, Tuple[Deque[int], Deque[float]]] = {}
+
+    def take(event: StreamEvent) -> None:
+        key, value, time = event
+        if key not in windows:
+            windows[key] = (deque(), deque())
+        times, values = windows[key]
+        times.append(time)
+        values.append(value)
+        while time - times[0] >= TEN:
+            times.popleft()
+            values.popleft()
+        emit(key, len(values), fsum(values) / len(values))
 
     return take
 
@@ -122,9 +153,9 @@ def bytewax(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     from bytewax.dataflow import Dataflow
     from bytewax.testing import TestingSource, run_main
 
-    if work == "sliding":
+    if work in ("sliding", "exact"):
         keyed = [(str(event[0]), event) for event in events]
-        step: Callable[[Any, StreamEvent], Tuple[Any, Any]] = _slide
+        step: Callable[[Any, StreamEvent], Tuple[Any, Any]] = _slide if work == "sliding" else _slide_exactly
     elif work in ("keyed", "absence"):
         keyed, step = [(str(event[1]), event) for event in events], _follow
     else:
@@ -153,6 +184,17 @@ def _slide(state: Any, event: StreamEvent) -> Tuple[Any, Any]:
     while time - window[0][0] >= TEN:
         total -= window.popleft()[1]
     return (window, total), ((key, len(window), total / len(window)),)
+
+
+def _slide_exactly(state: Any, event: StreamEvent) -> Tuple[Any, Any]:
+    key, value, time = event
+    times, values = state or (deque(), deque())
+    times.append(time)
+    values.append(value)
+    while time - times[0] >= TEN:
+        times.popleft()
+        values.popleft()
+    return (times, values), ((key, len(values), fsum(values) / len(values)),)
 
 
 def _nowhere() -> Any:

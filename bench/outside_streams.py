@@ -45,14 +45,20 @@ def sequences(events: int, undone: bool = False) -> List[StreamEvent]:
     return found[:events]
 
 
-def readings(events: int) -> List[StreamEvent]:
+def readings(events: int, rounded: bool = True) -> List[StreamEvent]:
     """Return readings of a hundred keys, a thousand a second: (key, value, time).
 
-    Sums of the values are exact in floats.
+    Args:
+        events: number of readings.
+        rounded: whether sums of the values are exact in floats.
     """
     chance = random.Random(12)
     return [
-        (chance.randrange(100), chance.randrange(1000) / 8, BEGIN + at * SECOND // 1000)
+        (
+            chance.randrange(100),
+            chance.randrange(1000) / 8 if rounded else chance.uniform(0, 125),
+            BEGIN + at * SECOND // 1000,
+        )
         for at in range(events)
     ]
 
@@ -75,6 +81,7 @@ STREAMS: Dict[str, Callable[[int], List[StreamEvent]]] = {
     "keyed": sequences,
     "absence": lambda events: sequences(events, undone=True),
     "sliding": readings,
+    "exact": lambda events: readings(events, rounded=False),
     "pairs": sides,
 }
 """Stream of each workload."""
