@@ -62,16 +62,18 @@ def firing_action(
         "firings.number += 1",
         "firings.last = end",
         # The firing is counted first: metrics must not depend on whether the event has listeners.
-        Block("if event_filter.plan is NOBODY:", ["return after"]),
+        "plan = event_filter.plan",
+        Block("if plan is NOBODY:", ["return after"]),
         *lines,
-        Block("try:", [f"return dispatch({event}, start, end, after)"]),
+        Block("try:", _dispatch_statements(event)),
         Block("except UsageError as error:", ["return failed(error, after)"]),
     ]
     names.values.update(
         firings=rule.firings,
         event_filter=event_filter,
-        dispatch=rule.network.dispatcher.dispatch,
+        dispatcher=rule.network.dispatcher,
         failed=failed,
+        RESTORE_CONTEXT=RESTORE_CONTEXT,
         NOBODY=NOBODY,
         UsageError=UsageError,
     )
@@ -86,6 +88,31 @@ def firing_action(
     source = source_of([Block("def made(term, values, start, end, after):", body)])
     action: EventAction = shared_function(source, names.values, "head of a rule")
     return action
+
+
+def _dispatch_statements(event: str) -> List[Statement]:
+    """Return statements that dispatch a derived event by ``plan``; without a call if it has one listener."""
+    return [
+        "context = dispatcher.current",
+        Block(
+            "if plan.__class__ is not tuple or len(plan) != 1 or context is None"
+            f" or context[{DEPTH}] >= dispatcher.at_once or start > end:",
+            [f"return dispatcher.dispatch({event}, start, end, after)"],
+        ),
+        f"dispatcher.current = [{event}, start, end, context, context[{DEPTH}] + 1, None, dispatcher.cause, None]",
+        "matcher, action = plan[0]",
+        f"values = matcher({event})",
+        Block(
+            "if values is not None:",
+            [
+                "following = (RESTORE_CONTEXT, dispatcher, context, after)",
+                f"frame = action({event}, values, start, end, following)",
+                Block("if frame is not following:", ["return frame"]),
+            ],
+        ),
+        "dispatcher.current = context",
+        "return after",
+    ]
 
 
 def goal_action(
