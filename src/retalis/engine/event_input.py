@@ -39,7 +39,7 @@ class EventInput:
         dispatcher: dispatches the events.
         clock: the clock of the engine.
         followed: the same clock if timestamps of events move it; None if only its owner moves it.
-        start_anew: called if time went back.
+        reset_program: called if time went back.
 
     Attributes:
         taken: number of events received.
@@ -52,12 +52,12 @@ class EventInput:
         dispatcher: Dispatcher,
         clock: Clock,
         followed: Optional[StreamClock],
-        start_anew: Callable[[], None],
+        reset_program: Callable[[], None],
     ):
         self._logic = logic
         self._clock = clock
         self.followed = followed
-        self._start_anew = start_anew
+        self._reset_program = reset_program
         self._serve = dispatcher.serve
         self.taken = 0
 
@@ -137,15 +137,15 @@ class EventInput:
         clock = self._clock
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
-            self._start_anew()
+            self._reset_program()
         # Only alarms up to the present moment run here. An alarm that becomes due meanwhile waits, so that events get
         # their turn even if alarms set new alarms.
         until = clock.reached()
         while True:
-            due = clock.due(until)
-            if due is None:
+            due_alarm = clock.due(until)
+            if due_alarm is None:
                 return
-            instant, alarm = due
+            instant, alarm = due_alarm
             # Goals of the alarm see its own instant as the present time, even if the clock has moved further.
             clock.ringing = instant
             try:
@@ -180,7 +180,7 @@ Subscribe = Callable[[TopicRequest], object]
 """A function that subscribes to a topic and makes its messages events; it must not wait for the engine."""
 
 
-def by_name(topic: str) -> str:
+def strip_slashes(topic: str) -> str:
     """Return the name of a topic without leading slashes."""
     return topic.lstrip("/")
 
@@ -202,7 +202,7 @@ class InputTopics:
         self._slots = slots
         self._reports = reports
         self._subscribe: Subscribe = self._warn_unsubscribed
-        self._plain: Callable[[str], str] = by_name
+        self._plain: Callable[[str], str] = strip_slashes
         self._subscribed: Dict[str, TopicRequest] = {}
         self._requests: List[TopicRequest] = []
         for arity in (2, 3):
@@ -213,7 +213,7 @@ class InputTopics:
         subscribe: Subscribe,
         topics: Topics = Topics(),  # noqa: B008 - immutable
         direct: Iterable[TopicType] = (),
-        plain: Callable[[str], str] = by_name,
+        plain: Callable[[str], str] = strip_slashes,
     ) -> None:
         """Set the function that subscribes from now on.
 
@@ -243,9 +243,9 @@ class InputTopics:
         """Return the topics that goals have asked for; see `restore`."""
         return list(self._requests)
 
-    def restore(self, asked: Iterable[TopicRequest]) -> None:
+    def restore(self, requests: Iterable[TopicRequest]) -> None:
         """Restore topics that goals have asked for; they are subscribed by `begin`."""
-        for request in asked:
+        for request in requests:
             self._subscribed[self._plain(request.topic)] = request
             self._requests.append(request)
 
@@ -330,7 +330,7 @@ def _get_text(term: Term) -> str:
 MAX_EVENT_TEXT_CHARACTERS = 10_000_000
 """Maximum length of an event as text. Parsing is not subject to the resource limits of goals, so it has this one."""
 
-Take = Callable[[Term, Optional[int], Optional[int], Optional[bool]], None]
+DispatchEvent = Callable[[Term, Optional[int], Optional[int], Optional[bool]], None]
 
 
 class TextInput:
@@ -338,7 +338,7 @@ class TextInput:
 
     Args:
         operators: operators of the texts.
-        take: dispatches an event with its interval and whether it is known to be ground.
+        dispatch: dispatches an event with its interval and whether it is known to be ground.
         call: calls a goal once; None if only events are accepted.
         reports: receives warnings about rejected texts.
         declared: declarations that events must match.
@@ -347,13 +347,13 @@ class TextInput:
     def __init__(
         self,
         operators: Operators,
-        take: Take,
+        dispatch: DispatchEvent,
         call: Optional[Callable[[Term], bool]],
         reports: Reports,
         declared: EventTypes,
     ):
         self._reader = InputReader(operators)
-        self._take = take
+        self._dispatch = dispatch
         self._call = call
         self._reports = reports
         self._declared = declared
@@ -375,7 +375,7 @@ class TextInput:
             if refusal_reason:
                 self._refuse(f"{beginning(text)}: {refusal_reason}")
             else:
-                self._take(*event)
+                self._dispatch(*event)
         elif self._call is not None:
             self._take_goal(text, self._call)
         else:

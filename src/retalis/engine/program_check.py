@@ -23,7 +23,7 @@ from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Term
 from .engine import Engine
 from .engine_settings import Settings
-from .event_input import by_name
+from .event_input import strip_slashes
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 
@@ -85,7 +85,7 @@ def check_program(
     # The computer's clock, as in a node, so that goals which need the time succeed.
     engine = Engine(Clock(time.time_ns), settings, collector, definitions)
     engine.logic.output = engine.logic.error_output = lambda text: None
-    direct_types = direct_topics(direct, topics, by_name)
+    direct_types = direct_topics(direct, topics, strip_slashes)
     engine.input_topics.begin(lambda topic: None, topics, direct_types)
     try:
         engine.load_program(folder)

@@ -31,7 +31,7 @@ from typing import (
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.event_input import TopicRequest, by_name
+from ..engine.event_input import TopicRequest, strip_slashes
 from ..engine.runtime.clock import StreamClock
 from ..engine.runtime.clock_skew import ClockSkewMonitor, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
@@ -142,19 +142,19 @@ class Playback:
         topic_file = read_topics(folder / TOPICS)
         topics = tuple(TopicType(topic.topic, plain_type(topic.type)) for topic in topics)
         self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
-        self._direct = direct_topics(direct, self._topics, by_name)
+        self._direct = direct_topics(direct, self._topics, strip_slashes)
         # If a topic has several types, the last one counts: direct topics precede pub_sub.xml, as in a node.
         self._subscriptions = [*topic_file.subscribed, *self._direct, *topics]
         direct_is_listed = isinstance(direct, tuple)
-        named_topics = {by_name(topic) for topic, _ in self._topics.subscribed}
+        named_topics = {strip_slashes(topic) for topic, _ in self._topics.subscribed}
         self._default_topics = frozenset(
-            () if direct_is_listed else {by_name(topic) for topic, _ in self._direct} - named_topics
+            () if direct_is_listed else {strip_slashes(topic) for topic, _ in self._direct} - named_topics
         )
-        self._subscribed_types = {by_name(topic): type_name for topic, type_name in self._subscriptions}
-        self._published_types = {by_name(topic): type_name for topic, type_name in topic_file.published}
-        self._event_names = {by_name(topic): event for topic, event in topic_file.events}
+        self._subscribed_types = {strip_slashes(topic): type_name for topic, type_name in self._subscriptions}
+        self._published_types = {strip_slashes(topic): type_name for topic, type_name in topic_file.published}
+        self._event_names = {strip_slashes(topic): event for topic, event in topic_file.events}
         self._new_topics: Set[str] = set()
-        self._latched_topics = {by_name(topic) for topic in topic_file.latched}
+        self._latched_topics = {strip_slashes(topic) for topic in topic_file.latched}
         # Registered before the program is loaded, because its goals may publish.
         self.engine.on_output(self._collect_output)
         self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
@@ -189,7 +189,9 @@ class Playback:
             log.warning("%s", warning)
         # The warnings above cover outputs without a type.
         self._topics_warned.update(self.engine.output_topics())
-        topic_names = {topic.name for topic in bag.topics if by_name(topic.name) in self._subscribed_types}
+        topic_names = {
+            topic.name for topic in bag.topics if strip_slashes(topic.name) in self._subscribed_types
+        }
         self._new_topics.clear()
         # By identity, because hashing a topic would hash all its fields for every message.
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
@@ -218,7 +220,7 @@ class Playback:
         >>> Playback(folder, report=print).is_latched("echo")
         False
         """
-        return by_name(topic) in self._latched_topics
+        return strip_slashes(topic) in self._latched_topics
 
     def _decode_messages(
         self,
@@ -271,8 +273,8 @@ class Playback:
 
     def _read_new_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
-        joining_topics = {topic.name for topic in bag.topics if by_name(topic.name) in self._new_topics}
-        names = [topic for topic, _ in self._subscriptions if by_name(topic) in self._new_topics]
+        joining_topics = {topic.name for topic in bag.topics if strip_slashes(topic.name) in self._new_topics}
+        names = [topic for topic, _ in self._subscriptions if strip_slashes(topic) in self._new_topics]
         self._new_topics.clear()
         self._prepare_topics(bag, names)
         decoders.update(
@@ -282,7 +284,7 @@ class Playback:
 
     def _subscribe(self, request: TopicRequest) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
-        name = by_name(request.topic)
+        name = strip_slashes(request.topic)
         self._subscriptions.append(TopicType(request.topic, request.kind))
         self._subscribed_types[name] = request.kind
         self._event_names[name] = request.event
@@ -332,12 +334,12 @@ class Playback:
                 another type.
         """
         requested = list(requested)
-        names = set(map(by_name, requested))
-        available = {by_name(topic.name) for topic in bag.topics}
+        names = set(map(strip_slashes, requested))
+        available = {strip_slashes(topic.name) for topic in bag.topics}
         missing = [
             topic
             for topic in requested
-            if by_name(topic) not in available and by_name(topic) not in by_default
+            if strip_slashes(topic) not in available and strip_slashes(topic) not in by_default
         ]
         if missing:
             log.warning(
@@ -348,10 +350,10 @@ class Playback:
             )
         dropped: Dict[Tuple[str, bool], int] = Counter()
         for topic in bag.topics:
-            problem = self._prepare_topic(topic) if by_name(topic.name) in names else None
+            problem = self._prepare_topic(topic) if strip_slashes(topic.name) in names else None
             if problem is not None:
                 text = f"topic {topic.name}: {problem}"
-                dropped[text, by_name(topic.name) in by_default] += topic.messages
+                dropped[text, strip_slashes(topic.name) in by_default] += topic.messages
         for (text, is_default), number in dropped.items():
             text = f"{text}; {counted(number, 'message')} dropped"
             if is_default:
@@ -361,14 +363,14 @@ class Playback:
 
     def _prepare_topic(self, topic: Topic) -> Optional[MessageError]:
         """Store the decoder of a connection with the type that the program requests, or return the error."""
-        type_name = self._subscribed_types[by_name(topic.name)]
+        type_name = self._subscribed_types[strip_slashes(topic.name)]
         try:
             learned = self.definitions.learn(
                 type_name,
                 topic.type,
                 topic.definition,
                 topic.md5sum,
-                self._event_names.get(by_name(topic.name), ""),
+                self._event_names.get(strip_slashes(topic.name), ""),
             )
         except MessageError as error:
             self._decoders[topic] = None
@@ -384,7 +386,7 @@ class Playback:
         return None
 
     def _collect_output(self, term: Term, topic: str, name: Term) -> None:
-        type_name = self._published_types.get(by_name(topic))
+        type_name = self._published_types.get(strip_slashes(topic))
         definition = data = None
         try:
             if type_name is None and topic not in self._topics_warned:
