@@ -9,6 +9,7 @@ markup of MyST in the pages:
 
 import os
 import re
+import sys
 import zlib
 from pathlib import Path
 from typing import Any, List, Optional
@@ -22,13 +23,20 @@ from sphinx.util import logging
 
 DOCS = Path(__file__).resolve().parent
 
+sys.path.insert(0, str(DOCS.parent / "src"))
+
 project = "retalis"
 author = "retalis contributors"
 release = version = str(ElementTree.parse(DOCS.parent / "package.xml").getroot().findtext("version"))
 
-extensions = ["myst_parser", "sphinx_copybutton"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 exclude_patterns = ["_build"]
 nitpicky = True
+# Annotations name types of Python and of private modules, which have no page.
+nitpick_ignore_regex = [("py:.*", ".*")]
+autodoc_member_order = "bysource"
+# The section Attributes of a docstring describes the attributes; each has no entry of its own.
+napoleon_use_ivar = True
 
 myst_heading_anchors = 4
 
@@ -119,6 +127,22 @@ class DownloadOtherFiles(SphinxTransform):
                 link.replace_self(addnodes.download_reference("", "", *link.children, reftarget=path))
 
 
+def skip_field(
+    app: Sphinx, kind: str, name: str, member: object, skip: bool, options: object
+) -> Optional[bool]:
+    """Return True for a field of a named tuple, whose class describes it, and None for any other member.
+
+    Args:
+        app: Running Sphinx.
+        kind: Kind of the object that has the member.
+        name: Name of the member.
+        member: The member.
+        skip: Whether Sphinx would leave it out.
+        options: Options of the directive.
+    """
+    return True if str(getattr(member, "__doc__", "")).startswith("Alias for field number") else None
+
+
 def check_site(app: Sphinx, error: Optional[Exception]) -> None:
     """Warn if the site needs the network, or is too large for the wheel.
 
@@ -140,6 +164,7 @@ def check_site(app: Sphinx, error: Optional[Exception]) -> None:
 def setup(app: Sphinx) -> None:
     """Register the additions of this file with Sphinx."""
     app.connect("source-read", add_contents)
+    app.connect("autodoc-skip-member", skip_field)
     app.connect("build-finished", check_site)
     app.add_transform(DownloadOtherFiles)
     for language in OWN_LANGUAGES:

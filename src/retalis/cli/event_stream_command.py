@@ -84,7 +84,7 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
 
 
 def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
-    """Return the event of a line that contains nothing else, or None.
+    """Return the event of a line that contains only an event, or None.
 
     This is the usual case, and much faster than the full parser. Text that the two parsers read differently is left
     to the full parser.

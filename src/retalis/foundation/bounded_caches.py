@@ -1,6 +1,6 @@
 """Caches with limits for the number of entries and for their total size in bytes.
 
-A cache is a dictionary, so that a hit costs one lookup and nothing else. It has no eviction order: when a limit is
+A cache is a dictionary, so that a hit costs only one lookup. It has no eviction order: when a limit is
 exceeded, all entries are dropped. That needs no lock and no bookkeeping on hits; entries that are used often are
 computed again at once, and threads that race compute the same entry twice at worst.
 """

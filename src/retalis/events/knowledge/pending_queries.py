@@ -11,7 +11,7 @@ event costs one comparison for any number of pending queries. When the memory re
 registered with the next memory that is behind, or called if there is none. Queries that become ready with one event
 are called in order of their registration.
 
-If a rule makes the synchronized event and nothing else listens to it, the event is not created: conditions, query
+If a rule makes the synchronized event and it has no other listener, the event is not created: conditions, query
 and event are compiled for the variables of the rule (`compile_conditions`, `compile_query`).
 """
 

@@ -9,7 +9,7 @@ and its texts are always parsed.
 A template must never give another term than the parser. This holds because
 
 * a number is split out only if it is a whole argument or item: after an opening bracket, comma or bar, and before a
-  comma, bar or closing bracket. Its sign belongs to it there, and nothing else in the text depends on its value;
+  comma, bar or closing bracket. Its sign belongs to it there, and no other part of the text depends on its value;
 * a quoted atom is treated alike (`_ALONE`): as an operand of an operator, its name could matter;
 * numbers, quoted atoms and double-quoted atoms leave different skeletons, and a builder checks their counts.
 

@@ -75,7 +75,7 @@ _SAFE_BITS = 4096
 """Bits of an integer that `Decimal` converts quickly."""
 
 _MAX_DIGITS = 315_653
-"""Digits of the longest number that is read: as many as the largest integer of arithmetic has."""
+"""Digits of the longest number that is read: those of the largest integer of arithmetic."""
 
 _SAFE_MAX = 10**_SAFE_DIGITS
 _SAFE_MIN = -_SAFE_MAX

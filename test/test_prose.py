@@ -1,0 +1,106 @@
+"""Wording of pages, docstrings and messages: the rules of style that a program can check, and lengths of pages.
+
+`PAGES_TO_REWRITE` and `MAX_WORDS` are bounds that only become smaller.
+"""
+
+import ast
+import re
+
+import pytest
+from source import NODES, ROOT
+
+pytestmark = pytest.mark.docs
+
+DOCS = ROOT / "docs"
+PAGES = {
+    page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8")
+    for page in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+    if DOCS / "_build" not in page.parents
+}
+CODE = re.compile(r"^```.*?^```|<!--.*?-->|`[^`\n]*`", re.DOTALL | re.MULTILINE)
+
+MAX_WORDS_OF_PAGE = 3_000
+MAX_WORDS = 56_000
+"""Words of all pages together; to become 45,000."""
+
+UNBOUNDED = "docs/reference/predicates.md"
+"""The page that is searched and not read: its words do not count."""
+
+PAGES_TO_REWRITE = {
+    "docs/explanation/compatibility.md": 3_200,
+    "docs/explanation/performance.md": 3_600,
+    "docs/explanation/security.md": 3_200,
+}
+"""Pages that are still too long, and their bounds."""
+
+OPENING = re.compile(r"(?:What|Who|Whom|Whose|Where|How|When|Which|Whether|For how long)\b")
+"""Words with which a docstring does not begin."""
+
+BANNED = re.compile(
+    r"\b(?:nothing else|hardly meant|(?:to )?be rid of|thereof|(?:tells?|told) of|"
+    r"is let go|as many as)\b",
+    re.IGNORECASE,
+)
+"""Phrases for which the style has plain words."""
+
+BANNED_IN_PAGES = {
+    "docs/explanation/performance.md": 1,
+    "docs/explanation/reliability.md": 1,
+    "docs/explanation/security.md": 1,
+    "docs/reference/nodes.md": 1,
+    "docs/reference/predicates.md": 1,
+    "docs/reference/state-files.md": 1,
+}
+"""Pages that are still to be rewritten, and how often they have a banned phrase."""
+
+
+def words(text):
+    """Return the words of a page without its code blocks and comments."""
+    return re.sub(r"^```.*?^```|<!--.*?-->", "", text, flags=re.DOTALL | re.MULTILINE).split()
+
+
+@pytest.mark.parametrize("page", sorted(set(PAGES) - {UNBOUNDED}))
+def test_a_page_is_short(page):
+    assert len(words(PAGES[page])) <= PAGES_TO_REWRITE.get(page, MAX_WORDS_OF_PAGE)
+
+
+def test_all_pages_together_are_short():
+    assert sum(len(words(text)) for page, text in PAGES.items() if page != UNBOUNDED) <= MAX_WORDS
+
+
+def test_bounds_of_long_pages_are_needed():
+    assert [page for page in PAGES_TO_REWRITE if len(words(PAGES.get(page, ""))) <= MAX_WORDS_OF_PAGE] == []
+
+
+@pytest.mark.parametrize("page", sorted(PAGES))
+def test_a_page_has_no_banned_phrase(page):
+    phrases = BANNED.findall(CODE.sub("", PAGES[page]))
+    assert len(phrases) <= BANNED_IN_PAGES.get(page, 0), phrases
+
+
+def docstrings():
+    """Yield the file and line, and the docstring, of each module, class and function."""
+    for path, nodes in NODES.items():
+        for node in nodes:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)):
+                text = ast.get_docstring(node)
+                if text:
+                    yield f"{path}:{getattr(node, 'lineno', 1)}", text
+
+
+def test_no_docstring_begins_with_a_question_word():
+    assert [place for place, text in docstrings() if OPENING.match(text)] == []
+
+
+def test_docstrings_have_no_banned_phrase():
+    assert [place for place, text in docstrings() if BANNED.search(text)] == []
+
+
+def test_messages_and_help_have_no_banned_phrase():
+    texts = (
+        (f"{path}:{node.lineno}", node.value)
+        for path, nodes in NODES.items()
+        for node in nodes
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
+    )
+    assert [place for place, text in texts if BANNED.search(text)] == []
