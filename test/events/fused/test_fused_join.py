@@ -111,7 +111,7 @@ def known(engine, rule):
     """Return what a rule knows, as it is compared."""
     waiting = [
         (*shown(engine, (functor("values", len(one.values)), *one.values), one.start, one.end), order, place)
-        for one, place, order in rule.state().arrivals
+        for one, place, order in zip(*rule.state().arrivals)
     ]
     return (
         waiting,
