@@ -28,7 +28,7 @@ from fuzz.mutate import changed_bytes  # noqa: E402
 from harness import Collector, open_the_way, service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros.connection_limits import HANDSHAKE_SECONDS, REPORT_SECONDS  # noqa: E402
+from retalis.ros.connection_limits import HANDSHAKE_TIMEOUT_SECONDS, REPORT_DELAY_SECONDS  # noqa: E402
 
 HOST = "127.0.0.1"
 NODES = {"/retalis": "/retalisOutputEvents", "/retalis_ros_interface": "/retalisInputEvents"}
@@ -317,7 +317,9 @@ class Attacks(unittest.TestCase):
                         self.assertLess(now, then + LATER)
                     if port == node.tcpros:
                         for sock in idle:
-                            sock.settimeout(max(0.1, began + HANDSHAKE_SECONDS + ANSWERED - time.monotonic()))
+                            sock.settimeout(
+                                max(0.1, began + HANDSHAKE_TIMEOUT_SECONDS + ANSWERED - time.monotonic())
+                            )
                             self.assertEqual(sock.recv(1), b"")
                 finally:
                     for sock in idle:
@@ -330,7 +332,7 @@ class Attacks(unittest.TestCase):
             )
             lines = [one.msg for one in self.log.messages if one.msg.startswith(place)]
             # One line in an interval, however many connections were closed; a busy machine takes longer.
-            self.assertLess(len(lines), 4 + (time.monotonic() - self.began) / REPORT_SECONDS, lines)
+            self.assertLess(len(lines), 4 + (time.monotonic() - self.began) / REPORT_DELAY_SECONDS, lines)
 
     def test_slow_clients_take_a_bounded_part_of_the_node(self):
         clients = [
