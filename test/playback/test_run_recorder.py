@@ -26,6 +26,6 @@ def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
     engine, told, waiting = Engine(), [], Waiting()
     playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
     recorder = RunRecorder(playback, told.append)
-    monkeypatch.setattr(engine.knowledge, "waiting", waiting)
+    monkeypatch.setattr(engine.knowledge, "pending_queries", waiting)
     recorder.update_waits()
     assert waiting.looked_at == MAX_RECORDED_QUERIES

@@ -206,7 +206,7 @@ def test_depth_is_no_matter(goal):
 
 
 def test_a_deterministic_loop_does_not_fill_the_trail(monkeypatch):
-    monkeypatch.setattr(machine, "SEEN_AT", 20_000)  # as in CPython
+    monkeypatch.setattr(machine, "MIN_SHARING_CHECK_OBJECTS", 20_000)  # as in CPython
     logic = prolog(DEEP)
     highest = 0
     sliced = logic.machine.budget.count_slice

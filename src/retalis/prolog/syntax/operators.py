@@ -295,9 +295,9 @@ class Operators:
 
         >>> operators = Operators.prolog()
         >>> operators.add(700, "xfx", "near")
-        >>> operators.add(0, "fy", "spy")
+        >>> operators.add(0, "fx", "dynamic")
         >>> sorted(operators.changes())
-        [(0, 'fy', 'spy'), (700, 'xfx', 'near')]
+        [(0, 'fx', 'dynamic'), (700, 'xfx', 'near')]
         """
         standard = standard_operators()
         changes = []
