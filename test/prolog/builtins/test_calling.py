@@ -19,6 +19,10 @@ def logic():
         ("call_with_inference_limit(member(_, [1,2]), 10000, R)", ["true", "!"]),
         ("call_with_inference_limit(count(100), 10000, R)", ["!"]),
         ("call_with_inference_limit(count(100000), 10000, R)", ["inference_limit_exceeded"]),
+        (
+            "length(L, 50000), maplist(=(a), L), call_with_inference_limit(meta_predicate(L), 10000, R)",
+            ["inference_limit_exceeded"],
+        ),
         ("call_with_inference_limit(fail, 10000, R)", []),
         ("call_with_inference_limit(throw(x), 10000, R)", ["x"]),
         (

@@ -7,6 +7,7 @@ predicate, which the tables call, and the predicate itself returns the answers o
 
 from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
 
+from ...foundation.cancellation import BULK, check_limits
 from ..compiler.clause_nodes import CONTROL
 from ..compiler.predicate_code import key_of
 from ..database.clause_index import NEVER, Clause, may_match
@@ -250,7 +251,12 @@ def declared(term: Term) -> Iterator[Term]:
 def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
     """Yield the items of a declaration, each with its options after ``as``."""
     stack: List[Tuple[Term, Values]] = [(term, ())]
+    visited = 0
     while stack:
+        # A list of a million names is one inference.
+        visited += 1
+        if visited % len(BULK) == 0:
+            check_limits()
         item, options = stack.pop()
         item = deref(item)
         if item.__class__ is tuple and item[0] is COMMA:
