@@ -29,8 +29,8 @@ from retalis.events.program.topic_configuration import read_topics, topic_type
 from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
+from retalis.messages.event_text_writer import text_writer
 from retalis.messages.ros2_to_ros1 import ros2_type
-from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq

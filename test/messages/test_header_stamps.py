@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, Operators
+from retalis.messages.event_text_writer import text_writer
 from retalis.messages.header_stamps import frame_text, stamp_reader, watched
-from retalis.messages.text_decoder import text_writer
 from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from messages.wire import CODES, messages, serialize, to_term
 from retalis import Definitions, Operators
 from retalis.messages import encoder
-from retalis.messages.text_decoder import text_writer
+from retalis.messages.event_text_writer import text_writer
 from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.term_reader import read_term

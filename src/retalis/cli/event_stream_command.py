@@ -359,7 +359,7 @@ class Session:
         return after
 
     def _call_reporting_errors(self, function: Callable[..., object], *arguments: object) -> None:
-        """Call ``work`` with the arguments, and report its errors."""
+        """Call ``function`` with the arguments, and report its errors."""
         try:
             function(*arguments)
         except ProgramErrors as errors:

@@ -175,9 +175,11 @@ def _describe_states(old: Deployment, new: Deployment) -> List[str]:
 
 
 def _describe_predicates(old: Clauses, new: Clauses) -> List[str]:
-    old_keys = {predicate: [clause_key(clause) for clause in keys] for predicate, keys in old.items() if keys}
+    old_keys = {
+        predicate: [clause_key(clause) for clause in clauses] for predicate, clauses in old.items() if clauses
+    }
     new_keys: Dict[Hashable, List[Hashable]] = {
-        predicate: [clause_key(clause) for clause in keys] for predicate, keys in new.items() if keys
+        predicate: [clause_key(clause) for clause in clauses] for predicate, clauses in new.items() if clauses
     }
     added = [
         f"predicate {predicate.functor}"

@@ -15,7 +15,7 @@ from ..events.dispatch.listeners import NOT_READ
 from ..events.program.topic_configuration import TOPICS, Topics, direct_topics, read_topics
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..messages.decoder import Decoder
-from ..messages.text_decoder import text_without, text_writer
+from ..messages.event_text_writer import text_without, text_writer
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref

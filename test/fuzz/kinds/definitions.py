@@ -1,7 +1,7 @@
 """Texts of message definitions."""
 
 from retalis import Definitions
-from retalis.messages.text_decoder import text_writer
+from retalis.messages.event_text_writer import text_writer
 from retalis.messages.type_registry import Installed
 
 from ..mutate import changed_text, soup, to_bytes, to_text

@@ -4,7 +4,7 @@ import random
 import struct
 
 from retalis import Definitions
-from retalis.messages.text_decoder import text_writer
+from retalis.messages.event_text_writer import text_writer
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 

@@ -8,7 +8,7 @@ import json
 import re
 
 from retalis import Definitions, atom, functor
-from retalis.messages.text_decoder import text_writer
+from retalis.messages.event_text_writer import text_writer
 from retalis.messages.type_definition import functor_name
 from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import EventReader

@@ -3,8 +3,8 @@
 import struct
 
 from retalis import Definitions
+from retalis.messages.event_text_writer import text_writer
 from retalis.messages.ros2_to_ros1 import ros2_type
-from retalis.messages.text_decoder import text_writer
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_text, soup, to_bytes, to_text

@@ -91,7 +91,7 @@ class EventProducers:
     def _add_goal_events(self, program: ProgramModel) -> None:
         hidden = False
         named_keys: Set[Functor] = set()
-        for subterm in program.calls():
+        for subterm in program.all_subterms():
             term = subterm.term
             if subterm.key is not None:
                 named_keys.add(subterm.key)
@@ -225,7 +225,7 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
         reported.add(key)
         place = rule.place_of(head) if deref(head).__class__ is tuple else rule.definition.place
         yield RuleError(_no_consumer_text(key, consumed, nearby), place)
-    for subterm in program.calls():
+    for subterm in program.all_subterms():
         term = subterm.term
         if makes_event(term) and term[0].name != "event":
             key = key_of(term[1])

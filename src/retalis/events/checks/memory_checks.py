@@ -50,7 +50,7 @@ def unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
     if any(not isinstance(name, Atom) for name in names):
         return
     reported = set(known_names)
-    for subterm in program.calls():
+    for subterm in program.all_subterms():
         for name in _memories_in(subterm):
             if name.name not in reported:
                 reported.add(name.name)
@@ -66,7 +66,7 @@ def wrong_records(program: ProgramModel) -> Iterator[RuleError]:
     # A memory whose name is known at run time only may have any records.
     if None in records:
         return
-    for subterm in program.calls():
+    for subterm in program.all_subterms():
         term: Any = subterm.term
         if term.__class__ is not tuple:
             continue

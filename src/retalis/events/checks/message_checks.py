@@ -107,7 +107,7 @@ def _event_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
         if head is not None:
             place = rule.definition.place if head.__class__ is Atom else rule.place_of(head)
             yield Subterm(head, wrapped(head), 1, everywhere(place)), ""
-    for subterm in program.calls():
+    for subterm in program.all_subterms():
         if subterm.term.__class__ is tuple and subterm.term[0] in NEW_EVENT:
             yield Subterm(deref(subterm.term[1]), subterm.term, 1, subterm.place_of), ""
 
@@ -366,7 +366,7 @@ def topics(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def _subscribe_goal_errors(program: ProgramModel) -> Iterator[RuleError]:
-    for subterm in program.calls():
+    for subterm in program.all_subterms():
         if subterm.key in SUBSCRIBE_TO:
             yield from _misspelt_type_errors(
                 program, getattr(deref(subterm.term[2]), "name", ""), subterm.place

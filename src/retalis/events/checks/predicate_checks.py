@@ -58,7 +58,7 @@ class _DefinablePredicates:
         self._logic = program.logic
         self.keys: Set[Functor] = {key for key in (key_of(clause.head) for clause in program.clauses) if key}
         self.anything = False
-        for subterm in program.calls():
+        for subterm in program.all_subterms():
             term = subterm.term
             if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
                 # Foreign libraries define predicates that are not listed in the program.
@@ -162,7 +162,7 @@ def retracted(program: ProgramModel) -> Iterator[RuleError]:
     defined = _DefinablePredicates(program)
     nearby = NearFunctors()
     reported: Set[Functor] = set()
-    for subterm in program.calls():
+    for subterm in program.all_subterms():
         term = subterm.term
         key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
         if key is None or key in reported or key in defined.keys or defined.anything:
@@ -211,7 +211,7 @@ def unknown_states(program: ProgramModel) -> Iterator[RuleError]:
     """Yield states that goals query but nothing declares."""
     declared_functors = [state.form.functor for state in program.states]
     nearby = NearFunctors()
-    for subterm in program.called():
+    for subterm in program.calls():
         key = queried_state(subterm.term)
         if key is None or key in declared_functors or not program.logic.is_of_system(subterm.term[0]):
             continue

@@ -448,7 +448,7 @@ class ProgramModel:
                 parent = _compound(part)
                 yield Subterm(deref(parent[1]), parent, 1, place_of), prefix
 
-    def called(self) -> Iterator[Subterm]:
+    def calls(self) -> Iterator[Subterm]:
         """Yield the calls in goals of files, bodies of clauses, and goals of rules."""
         goals = [
             (goal_or_clause.parent, goal_or_clause.number, goal_or_clause.place_of)
@@ -462,7 +462,7 @@ class ProgramModel:
             for call in calls(parent, number):
                 yield Subterm(call.term, call.parent, call.number, place_of)
 
-    def calls(self) -> Iterator[Subterm]:
+    def all_subterms(self) -> Iterator[Subterm]:
         """Yield all subterms of goals, clauses and rules."""
         for goal_or_clause in (*self.goals, *self.clauses):
             yield from subterms(goal_or_clause.parent, goal_or_clause.number, goal_or_clause.place_of)
@@ -472,7 +472,7 @@ class ProgramModel:
     def _collect_consumers(self, knowledge: KnowledgeBase) -> None:
         """Collect memories and subscriptions, from the files and from the loaded program."""
         seen: Set[Tuple[str, Any]] = set()
-        for subterm in self.calls():
+        for subterm in self.all_subterms():
             term = subterm.term
             if term.__class__ is not tuple or (term[0] not in MEMORIZE and term[0] is not SUBSCRIBE):
                 continue
@@ -497,7 +497,7 @@ class ProgramModel:
     def _collect_states(self, knowledge: KnowledgeBase) -> None:
         """Collect declared states, from the files and from the loaded program."""
         seen = set()
-        for subterm in self.calls():
+        for subterm in self.all_subterms():
             if declares_state(subterm.term):
                 try:
                     form = parse_state_declaration(subterm.term)

@@ -217,7 +217,7 @@ class _Instants:
             key = None if rule.definition.head is None else key_of(event_raised_by(rule.definition.head))
             if key is not None:
                 self._rules.setdefault(key, []).append(rule)
-        for subterm in program.calls():
+        for subterm in program.all_subterms():
             term = subterm.term
             if (
                 term.__class__ is tuple
@@ -502,7 +502,7 @@ def timers(program: ProgramModel) -> Iterator[RuleError]:
     """Yield goals that set a timer with an invalid schedule."""
     if not program.logic.is_of_system(TIMER):
         return
-    for subterm in program.called():
+    for subterm in program.calls():
         fault = schedule_error(subterm.term[2]) if subterm.key is TIMER else None
         if fault is not None:
             text = f"timer/2: {fault}, found {program.logic.brief(subterm.term[2], program.names)}"

@@ -330,7 +330,7 @@ def _created_events(program: ProgramModel) -> Set[Optional[Functor]]:
         head = event_raised_by(rule.definition.head)
         if head is not None:
             created.add(key_of(head))
-    for call in program.calls():
+    for call in program.all_subterms():
         if call.term.__class__ is tuple and call.term[0] in NEW_EVENT:
             created.add(key_of(call.term[1]))
     return created

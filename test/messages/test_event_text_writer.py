@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, atom
-from retalis.messages.text_decoder import text_without, text_writer
+from retalis.messages.event_text_writer import text_without, text_writer
 from retalis.messages.type_registry import Installed
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze
