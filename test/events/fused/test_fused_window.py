@@ -1,5 +1,7 @@
 """Fused windows compared with plain nodes, on random streams."""
 
+import sys
+
 import pytest
 from events.fused.fused_path_plugin import PATHS
 from hypothesis import example, given
@@ -110,6 +112,33 @@ def test_what_is_common_is_fused(monkeypatch):
     text = rule(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)"], True, "")
     found = run(text, [(atom("ab"[at % 2]), 0.5, at, 1, 0) for at in range(100)], 1000, 999)[0]
     assert len(found) == 200 and len(plainly) < 15  # what begins a group, and what asks how far time may go
+
+
+def test_an_element_does_not_get_the_match_of_the_one_that_it_replaces():
+    engine = Engine()
+    engine.load(rules="out(N) <- aggregate([count], a(X), [N], last(5)).")
+    engine.event("a(0)", 0)
+    engine.call("set_etalis_flag(revision_flag, on)")
+    engine.event("a(1)", 1)
+    engine.call("set_etalis_flag(revision_flag, off)")
+    # The element of a(1) leaves at 6.
+    for instant in range(2, 8):
+        engine.event(f"a({instant})", instant)
+    assert {element.match for element in window_of(engine.rules).stream.queue} == {None}
+    engine.call("set_etalis_flag(revision_flag, on)")
+    engine.event("a(8)", 8)
+    [explanation] = engine.query("justify_event(out(5), [4, 8], Why)")
+    assert "a(8)" in engine.show(explanation["Why"]) and "a(1)" not in engine.show(explanation["Why"])
+
+
+def test_the_first_event_of_a_key_is_processed_outside_of_exception_handlers():
+    engine = Engine()
+    engine.load(rules="out(K, N) <- aggregate([count], a(K), [N], last(5)).")
+    handled = []
+    engine.on_event(lambda term, start, end: handled.append(sys.exc_info()[0]))
+    engine.event("a(1)", 0)
+    engine.event("a(2)", 1)
+    assert handled == [None] * 4
 
 
 def test_a_power_of_two_beyond_floats_is_no_factor():

@@ -12,11 +12,17 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.terms.term_traversal import PLAIN, term_key
 from ...prolog.terms.types import EventAction
+from ..streams.accumulators import Lowest
 from ..streams.stream_operator import StreamElement
+from ..streams.windows import KeyedWindow
 
 _GENERAL_PATH = "return plain(term, values, start, end, after)"
 _METERED_STEPS = 2
 """Pattern work that the general path counts per element, without that of the derived event."""
+
+_NO_WINDOW = KeyedWindow(())
+_NO_WINDOW.starts = Lowest()
+"""Replacement for the window of a key without elements: one with heaps, for which `_NEEDS_GENERAL_PATH` is true."""
 
 
 class FusedWindow(NamedTuple):
@@ -171,6 +177,7 @@ def fused_window(
         "term_key": term_key,
         "heappush": heappush,
         "KeyError": KeyError,
+        "NO_WINDOW": _NO_WINDOW,
         "OverflowError": OverflowError,
     }
     metered = node.rule.meter is not None
@@ -198,7 +205,8 @@ def _window_source(window: FusedWindow, whole: bool, limited: bool, metered: boo
         "queue = stream.queue",
         "groups = stream.states",
         Block("try:", ["group = groups[key]"]),
-        Block("except KeyError:", [_GENERAL_PATH]),
+        # The general path must not run in the handler: errors of listeners would be logged with this one.
+        Block("except KeyError:", ["group = NO_WINDOW"]),
         Block(f"if {_NEEDS_GENERAL_PATH}:", [_GENERAL_PATH]),
         *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if metered else []),
         *(statement for measure in measures for statement in measure.check),
@@ -228,11 +236,12 @@ def _window_source(window: FusedWindow, whole: bool, limited: bool, metered: boo
             "if item is None:",
             [
                 "item = new(StreamElement)",
-                "item.match = None",
                 "item.gone = False",
                 "stream.number += 1",
             ],
         ),
+        # The element that left has a match if it entered while events were tracked.
+        "item.match = None",
         "item.start = start",
         "item.end = end",
         "item.by = by",
