@@ -357,11 +357,13 @@ class Engine:
 
         >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
         """
-        self._process(
-            term,
-            FloatSeconds(start) if start.__class__ is int else start,
-            FloatSeconds(end) if end.__class__ is int else end,
-        )
+        start_instant = FloatSeconds(start) if start.__class__ is int else start
+        # An event without duration has one object as start and end: matches and records of it take less memory.
+        if end is start:
+            end_instant = start_instant
+        else:
+            end_instant = FloatSeconds(end) if end.__class__ is int else end
+        self._process(term, start_instant, end_instant)
 
     def _process(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         self.executor.call(lambda: self._check_and_dispatch(term, start, end), (term,))

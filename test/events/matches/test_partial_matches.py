@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from retalis import Engine, atom
+from retalis import Engine, atom, functor
 from retalis.events.matches.partial_matches import (
     EventMatch,
     Identity,
@@ -90,3 +90,12 @@ def test_matches_that_wait_can_be_tracked_from_then_on():
         engine.event(event, instant)
     assert [event for event in events if event[0] == "c"] == ["c(1,1)", "c(1,2)", "c(2,1)"]
     assert not rule.waiting
+
+
+def test_the_match_of_an_event_at_one_instant_in_nanoseconds_is_short():
+    engine = Engine()
+    engine.load(rules="c(X, Y) <- a(X, Y) seq b(X).")
+    instant = 2 * 10**9
+    engine.event_at(functor("a", 2)(1, 2), instant, instant)
+    [match] = engine.rules.rules[0].arrivals
+    assert match.__class__ is EventMatch and match.start is match.end
