@@ -26,7 +26,7 @@ from .schema import wrong
 
 
 class MatchShape(NamedTuple):
-    """MatchShape of the matches of a node.
+    """Shape of the matches of a node.
 
     Attributes:
         node: the node.
@@ -58,7 +58,7 @@ class MatchShape(NamedTuple):
 
 
 class _NoMatches(NamedTuple):
-    """MatchShape for a buffer that takes no matches from a state."""
+    """Shape for a buffer into which no matches are restored."""
 
     width: int = 0
 

@@ -250,11 +250,7 @@ class GraphWriter:
         fields = FIELDS[kind][1]
         for field, form in fields.items():
             column: Any = self._columns.get((kind, field)) or list(map(attrgetter(field), objects))
-            if (
-                field == "end"
-                and "start" in fields
-                and all(map(is_, map(attrgetter("start"), objects), column))
-            ):
+            if field == "end" and "start" in fields and _are_starts(objects, column):
                 column = None
             elif form is _INSTANTS:
                 column = encode_instants(column)
@@ -281,14 +277,14 @@ class GraphWriter:
     def _to_parts(self, parts: Any) -> Any:
         if parts is None:
             return None
-        return [
-            self.number(part)
-            if part.__class__ in _KIND_BY_CLASS
-            else part
-            if part.__class__ is Found
-            else [part]
-            for part in parts
-        ]
+        return [self._to_part(part) for part in parts]
+
+    def _to_part(self, part: Any) -> Any:
+        """Return the encoding of a part of a match, see `_Form.PARTS`."""
+        if part.__class__ in _KIND_BY_CLASS:
+            return self.number(part)
+        # `Found` is a sequence of one item already. A branch becomes one: its number is no number of an object.
+        return part if part.__class__ is Found else [part]
 
 
 _NUMBER = optional(count)
@@ -617,6 +613,11 @@ class GraphReader:
                         raise UsageError(f"object {source}, of kind {kind}, contains itself")
                     if not progress[source]:
                         stack.append(source)
+
+
+def _are_starts(objects: Sequence[Any], ends: Sequence[Any]) -> bool:
+    """Return whether the ends are the starts of the objects, compared by identity as in `keep_records`."""
+    return all(map(is_, map(attrgetter("start"), objects), ends))
 
 
 def _finish_event_match(match: Any) -> None:

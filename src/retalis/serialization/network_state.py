@@ -1,8 +1,8 @@
 """Serialization of rules and their state: partial matches, tracked events, alarms, pending queries, and timers.
 
-Writing is simple: each rule and node returns its state as data, and `GraphWriter` turns objects into rows. Reading
-checks the data against the loaded program before anything is restored. `rule_state` checks that the nodes of a rule
-have the same types as when the state was written, and that each partial match fits the buffer that it is put into
+Each rule and node returns its state as data, and `GraphWriter` encodes the objects in it in columns. Reading checks
+the data against the loaded program before anything is restored. `rule_state` checks that the nodes of a rule have the
+same types as when the state was written, and that each partial match fits the buffer that it is put into
 (`match_checks`). `StreamCheck` checks the state of stream operators: windows, rate operators, absence timeouts and
 row patterns.
 """
@@ -64,7 +64,6 @@ from .schema import (
     text,
     wrong,
 )
-from .schema import named as named_check
 
 
 class StreamCheck:
@@ -432,7 +431,7 @@ def _alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
 
 
 def restore_matches(
-    rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, data: Any, named: Sequence[EventRule]
+    rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, data: Any, restored: Sequence[EventRule]
 ) -> None:
     """Restore matches, events, alarms and queries.
 
@@ -441,11 +440,11 @@ def restore_matches(
         knowledge: the knowledge base, with restored memories.
         clock: the clock of the engine.
         data: data from `keep_matches`.
-        named: rules from `restore_rules`.
+        restored: rules from `restore_rules`.
     """
     # All checks come first: invalid data must not leave rules and alarms half restored.
-    checked = _CheckedState(rules, knowledge, data, named)
-    for rule, state in zip(named, checked.states):
+    checked = _CheckedState(rules, knowledge, data, restored)
+    for rule, state in zip(restored, checked.states):
         rule.restore(state)
     rules.tracker.restore(checked.tracked)
     queries = knowledge.pending_queries
@@ -468,22 +467,22 @@ class _CheckedState:
         rules: the rule base of the program.
         knowledge: the knowledge base of the program, with restored memories.
         data: data from `keep_matches`.
-        named: rules from `restore_rules`.
+        restored: rules from `restore_rules`.
 
     Raises:
         UsageError: if the data does not fit the program, or cannot have been created by `keep_matches`.
     """
 
-    def __init__(self, rules: RuleBase, knowledge: KnowledgeBase, data: Any, named: Sequence[EventRule]):
-        self._graph = graph = GraphReader(data["objects"], named)
+    def __init__(self, rules: RuleBase, knowledge: KnowledgeBase, data: Any, restored: Sequence[EventRule]):
+        self._graph = graph = GraphReader(data["objects"], restored)
         active = rules.rules
         if len(items(data["states"])) != len(active):
             raise wrong(len(data["states"]), f"the states of {len(active)} rules")
-        self.states = [rule_state(graph, rule, state) for rule, state in zip(named, data["states"])]
-        check_stored_once(named, self.states)
+        self.states = [rule_state(graph, rule, state) for rule, state in zip(restored, data["states"])]
+        check_stored_once(restored, self.states)
         check_lineage(graph)
         event = graph.ref("event")
-        self.tracked = named_check("tracked", fixed(each(event), count, count))(data["tracked"])
+        self.tracked = named("tracked", fixed(each(event), count, count))(data["tracked"])
         self.alarms = each(self._alarm)(data["alarms"])
         self.order = count(data["order"])
         self.waiting = each(self._query(knowledge))(data["waiting"])

@@ -50,7 +50,7 @@ class MatchBuffer:
         forbids: whether the matches belong to a negated pattern; those are not skipped after a match.
         indices: time indices, by key.
         names: stored matches by identity, by key, for keys with more than a few matches.
-        on_mend: called after the buffer was repaired.
+        on_repair: called after the stored matches were linked again, or replaced.
     """
 
     forbids = False
@@ -65,7 +65,7 @@ class MatchBuffer:
         self.least_end: Optional[Callable[[int], int]] = None
         self.indices: Dict[Hashable, IntervalIndex] = {}
         self.names: Dict[Hashable, Dict[Hashable, PartialMatch]] = {}
-        self.on_mend: Callable[[], None] = lambda: None
+        self.on_repair: Callable[[], None] = lambda: None
 
     def key_of(self, match: PartialMatch) -> Hashable:
         """Return the key of a match; None if a shared value contains variables."""
@@ -158,7 +158,7 @@ class MatchBuffer:
             for match in full:
                 match.buffer = None
             self.put_back([full.get(match, match) for match in stored])
-            self.on_mend()
+            self.on_repair()
         return full
 
     def repair(self) -> List[PartialMatch]:
@@ -175,7 +175,7 @@ class MatchBuffer:
             matches += waiting
         self.indices = {}
         self.names = {}
-        self.on_mend()
+        self.on_repair()
         return sorted(matches, key=_order)
 
     def _link(self, key: Hashable, waiting: List[PartialMatch]) -> None:

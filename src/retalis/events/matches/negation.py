@@ -126,7 +126,7 @@ class NegationBuffer:
         self.buffer.forbids = True
         self.asked = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
         self.frontiers: Dict[Hashable, _Frontier] = {}
-        self.buffer.on_mend = self._drop_frontiers
+        self.buffer.on_repair = self._drop_frontiers
 
     def _drop_frontiers(self) -> None:
         """Drop the frontiers; each is built again at its next use."""

@@ -306,7 +306,7 @@ class RuleBase:
 
     def repair(self) -> None:
         """Restore consistency after an interrupt: each rule is in all indexes and listens, or neither."""
-        # The loader rolls an interrupted load back, which uses the table and changes it; so it is mended twice.
+        # The loader rolls an interrupted load back, which uses the table and changes it; so it is repaired twice.
         self._table.repair()
         self.loader.repair()
         self._table.repair()
