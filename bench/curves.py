@@ -155,12 +155,12 @@ LARGE = tuple(10**power for power in range(2, 7))
 QUERIES = tuple(10**power for power in range(1, 6))
 CURVES: Dict[str, Curve] = {
     "memories_unrelated": Curve(
-        "memories of events that never come",
+        "memories of events that never arrive",
         FEW,
         lambda size, runs: memories("a(X,Y,Z,W)", "a(X,Y,Z,W)", runs, size),
     ),
     "memories_other_constant": Curve(
-        "memories, each of a transform that never comes",
+        "memories, each of a transform that never arrives",
         FEW,
         lambda size, runs: memories("tf(parent#,Y,V,Q)", "tf(Y,V,Q)", runs, size),
     ),
@@ -182,15 +182,15 @@ CURVES: Dict[str, Curve] = {
         "an event while queries wait", QUERIES, lambda size, runs: waiting(size, runs, False)
     ),
     "queries_joining": Curve(
-        "a query that comes to wait with others", QUERIES, lambda size, runs: waiting(size, runs, True)
+        "a new query while others wait", QUERIES, lambda size, runs: waiting(size, runs, True)
     ),
     "rules": Curve(
-        "rules of which the same one matches always", THOUSAND, lambda size, runs: rules(size, runs, False)
+        "rules, of which always the same matches", THOUSAND, lambda size, runs: rules(size, runs, False)
     ),
     "rules_in_turn": Curve(
-        "rules of which one matches, each in turn", THOUSAND, lambda size, runs: rules(size, runs, True)
+        "rules, of which each matches in sequence", THOUSAND, lambda size, runs: rules(size, runs, True)
     ),
-    "subscriptions": Curve("subscriptions of which one matches", THOUSAND, subscriptions),
+    "subscriptions": Curve("subscriptions, of which one matches", THOUSAND, subscriptions),
 }
 
 

@@ -117,7 +117,7 @@ def curves(result: Dict[str, Any]) -> Iterator[str]:
     ]
     yield f"Microseconds at each N, and the exponent of the growth over the upper half. {machine(result)}"
     yield ""
-    yield from table(["what there are N of", "microseconds", "exponent"], rows)
+    yield from table(["N items", "microseconds", "exponent"], rows)
 
 
 def node(result: Dict[str, Any]) -> Iterator[str]:
