@@ -41,9 +41,9 @@ def test_workers_end_where_nobody_waits_for_them_any_more():
     script = (
         "import os, signal\n"
         "from worker_tasks import run_task\n"
-        "from retalis.playback.worker_pool import in_processes\n"
+        "from retalis.playback.worker_pool import run_in_processes\n"
         "if __name__ == '__main__':\n"
-        "    for number, process in in_processes(run_task, ['pid'] * 2, 1, '', print):\n"
+        "    for number, process in run_in_processes(run_task, ['pid'] * 2, 1, '', print):\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'test'}"}
