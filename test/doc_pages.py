@@ -78,6 +78,11 @@ class PageRun:
             lambda term, topic, name: self.outputs.append(f"{self.engine.show(term)} to {topic}\n")
         )
 
+    def check_fences(self, text):
+        """Run all fences of a text, and compare each with what happens."""
+        for fence in FENCE.finditer(text):
+            assert self.result(fence) == fence["text"]
+
     def result(self, fence):
         """Run a fence; return the text that the page should show in it."""
         kind, text, printed = fence["kind"], fence["text"], self.printed

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from doc_pages import FENCE, ROOT, PageRun
+from doc_pages import ROOT, PageRun
 
 pytestmark = [pytest.mark.docs, pytest.mark.slow]
 
@@ -17,8 +17,7 @@ def test_page_shows_what_happens(page, tmp_path, monkeypatch):
     run = PageRun(tmp_path)
     for section in re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
         run.start_section()
-        for fence in FENCE.finditer(section):
-            assert run.result(fence) == fence["text"]
+        run.check_fences(section)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

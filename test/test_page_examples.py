@@ -1,0 +1,23 @@
+"""Tutorials and pages that explain: their files, commands, goals and rules give what the page shows.
+
+A test with a master runs the tutorial about a live robot: ``test/ros/test_live_robot_tutorial.py``.
+"""
+
+import pytest
+from doc_pages import ROOT, PageRun
+
+pytestmark = [pytest.mark.docs, pytest.mark.slow]
+
+PAGES = [
+    *(ROOT / "docs" / "tutorials" / f"{name}.md" for name in ("first-rule", "robot-program", "nao")),
+    *(
+        ROOT / "docs" / "explanation" / f"{name}.md"
+        for name in ("how-it-works", "policies", "prolog-for-python")
+    ),
+]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_page_shows_what_happens(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    PageRun(tmp_path).check_fences(page.read_text(encoding="utf-8"))
