@@ -185,12 +185,12 @@ CURVES: Dict[str, Curve] = {
         "a new query while others wait", QUERIES, lambda size, runs: waiting(size, runs, True)
     ),
     "rules": Curve(
-        "rules, of which always the same matches", THOUSAND, lambda size, runs: rules(size, runs, False)
+        "rules; the same one always matches", THOUSAND, lambda size, runs: rules(size, runs, False)
     ),
     "rules_in_turn": Curve(
-        "rules, of which each matches in sequence", THOUSAND, lambda size, runs: rules(size, runs, True)
+        "rules; each matches in sequence", THOUSAND, lambda size, runs: rules(size, runs, True)
     ),
-    "subscriptions": Curve("subscriptions, of which one matches", THOUSAND, subscriptions),
+    "subscriptions": Curve("subscriptions; one matches", THOUSAND, subscriptions),
 }
 
 

@@ -170,7 +170,7 @@ def _is_simple(data: Any) -> bool:
     """Return whether data can be encoded inline: shallow, with little repeated use, and without formatted instants.
 
     Memories have thousands of records, so items are examined level by level with functions that are implemented in C.
-    Repeated use is estimated from the first `_SAMPLE` sequences of each level.
+    Repeated use is estimated from the first `_SHARING_SAMPLE` sequences of each level.
     """
     level: List[Any] = [[data]]
     max_items = _MAX_UNSHARED_ITEMS
