@@ -129,7 +129,7 @@ def test_the_wheel_has_the_package_and_the_example(built):
     assert "Typing :: Typed" in told.get_all("Classifier")
     page = told.get_payload() or told["Description"]
     assert re.findall(r"\]\((?!https?://)[^)]*\)", page) == []  # there are no files beside it
-    assert "*(Image: A map: the robot's way" in page and "Start at docs/index.md." in page
+    assert "*(Image: A map: the robot's path" in page and "Start at docs/index.md." in page
 
 
 def test_the_archive_and_the_wheel_have_the_documentation_site(built):
