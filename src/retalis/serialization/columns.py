@@ -8,7 +8,7 @@ Apache Parquet.
 """
 
 from itertools import chain, repeat
-from operator import itemgetter
+from operator import is_, itemgetter
 from struct import error as StructError
 from struct import pack, unpack
 from typing import Any, Dict, List, Optional, Sequence
@@ -170,12 +170,24 @@ def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
 # ---- instants ----------------------------------------------------------------------------------------
 
 
+def are_same_instants(first: Sequence[Any], second: Sequence[Any]) -> bool:
+    """Return whether two columns of instants are equal and print alike."""
+    # Stamps print their own terms, so equal times do not suffice.
+    return first == second and (
+        all(map(is_, first, second))
+        or (list(map(type, first)) == list(map(type, second)) and Stamp not in set(map(type, first)))
+    )
+
+
 def encode_instants(instants: Sequence[Any]) -> Any:
     """Return columns of instants: nanoseconds as 64-bit integers if they fit, forms, and the terms of stamps."""
-    are_plain = set(map(type, instants)) == {int}
-    # Integers, float seconds and stamps with their own text print differently.
-    forms = bytes(len(instants)) if are_plain else bytes([_FORMS[instant.__class__] for instant in instants])
-    stamps = [] if are_plain else [instant.term for instant in instants if instant.__class__ is Stamp]
+    classes = set(map(type, instants))
+    # Integers, float seconds and stamps with their own text print differently. Usually all instants are alike.
+    if len(classes) == 1:
+        forms = bytes([_FORMS[classes.pop()]]) * len(instants)
+    else:
+        forms = bytes(map(_FORMS.__getitem__, map(type, instants)))
+    stamps = [instant.term for instant in instants if instant.__class__ is Stamp] if 2 in forms else []
     try:
         return pack(f"{len(instants)}q", *instants), forms, stamps
     except StructError:

@@ -4,14 +4,14 @@ Records are encoded in columns, see `columns`: one each for terms, starts and en
 """
 
 from itertools import chain
-from operator import gt, is_, itemgetter
+from operator import gt, itemgetter
 from typing import Any, List, NamedTuple, Sequence, Tuple
 
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.memory import MemoryInstance
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Term
-from .columns import decode_instants, decode_terms, encode_instants, encode_terms
+from .columns import are_same_instants, decode_instants, decode_terms, encode_instants, encode_terms
 from .schema import Decoded, anything, boolean, count, fixed, named
 
 KeptRecords = Tuple[int, int, bool, Any, Any, Any]
@@ -61,15 +61,14 @@ def keep_records(new: NewRecords) -> KeptRecords:
     """Return the encoding of records."""
     parts = list(chain.from_iterable(new.records))
     terms, starts, ends = parts[0::3], parts[1::3], parts[2::3]
-    # Identity is enough: records of events without duration share one object for start and end.
-    starts_equal_ends = all(map(is_, starts, ends))
     return (
         new.first,
         new.late,
         new.open,
         encode_terms(terms),
         encode_instants(ends),
-        None if starts_equal_ends else encode_instants(starts),
+        # Most events have no duration.
+        None if are_same_instants(starts, ends) else encode_instants(starts),
     )
 
 
