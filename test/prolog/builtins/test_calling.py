@@ -23,6 +23,10 @@ def logic():
             "length(L, 50000), maplist(=(a), L), call_with_inference_limit(meta_predicate(L), 10000, R)",
             ["inference_limit_exceeded"],
         ),
+        (
+            "H is 1 << 1_000_000, call_with_inference_limit(randset(5, H, _), 50000, R)",
+            ["inference_limit_exceeded"],
+        ),
         ("call_with_inference_limit(fail, 10000, R)", []),
         ("call_with_inference_limit(throw(x), 10000, R)", ["x"]),
         (

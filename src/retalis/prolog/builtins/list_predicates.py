@@ -856,10 +856,18 @@ def random_float(machine: Machine, value: Term) -> bool:
     return unify(value, random.random() or 0.5, machine.trail)
 
 
+_RANDOM_BITS_PER_STEP = 64
+"""Bits of a random integer that are generated in the time of one inference, approximately."""
+
+
 @deterministic("random_between/3")
 def random_between(machine: Machine, low: Term, high: Term, value: Term) -> bool:
     """Unify with a random integer between two bounds, including both."""
     first, last = integer(low), integer(high)
+    # A number of a million digits takes a millisecond, as long as thousands of inferences.
+    bits = (last - first).bit_length()
+    if bits > len(BULK):
+        check_limits(bits // _RANDOM_BITS_PER_STEP, bits // 8)
     return first <= last and unify(value, random.randint(first, last), machine.trail)
 
 
