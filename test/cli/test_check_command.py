@@ -143,3 +143,10 @@ def test_a_file_of_rules_is_looked_at_alone(capsys, tmp_path):
         f"warning: {rules}:2:9: nothing makes hot/2: no topic, rule or goal; did you mean hot/1? [RT1201]\n"
         f"fire <- hot(_, _) seq smoke.\n        ^\n{rules}: no errors, 1 warning\n",
     )
+
+
+def test_goals_that_never_end_are_errors(capsys, folder):
+    (folder / "eventRules.txt").write_text(RULES + "forever :- forever.\n:- forever.\n")
+    status, text = checked(capsys, folder, "--max-seconds", "0.1")
+    assert status == 1
+    assert f"{folder}/eventRules.txt:4:4: this directive raises an error: Not enough resources: seconds" in text

@@ -12,8 +12,12 @@ from ..events.checks.check_registry import ERROR, INFO, Finding
 from ..foundation.errors import MessageError, counted, printable
 from ..messages.type_registry import Definitions, Installed
 from ..playback.bag_locations import open_bag
+from ..prolog.machine.resource_limits import Limits
 from .bag_run import add_chunk_limit
 from .command_options import add_direct, add_swi
+from .option_values import non_negative
+
+_DEFAULT_MAX_SECONDS = 60
 
 DESCRIPTION = """\
 Load a program's folder as a node does, without ROS, or a file of rules, and report errors and likely mistakes, each
@@ -59,6 +63,13 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="a package with a folder msg, that folder itself, or a folder of packages",
     )
     add_chunk_limit(parser)
+    add(
+        "--max-seconds",
+        type=non_negative(float),
+        default=_DEFAULT_MAX_SECONDS,
+        metavar="N",
+        help=f"seconds that each directive and goal of the program may take ({_DEFAULT_MAX_SECONDS}); 0 for no limit",
+    )
     parser.set_defaults(run=run)
 
 
@@ -68,9 +79,8 @@ def run(options: argparse.Namespace) -> int:
     # Before the check: rules with field names cannot be checked without the types.
     for path in options.bag:
         _add_types_of_bag(definitions, path, options.max_chunk_megabytes)
-    findings = check_program(
-        options.folder, definitions, options.direct, Settings(allow_swi=options.allow_swi)
-    )
+    settings = Settings(allow_swi=options.allow_swi, limits=Limits(options.max_seconds or None))
+    findings = check_program(options.folder, definitions, options.direct, settings)
     errors = sum(finding.severity == ERROR for finding in findings)
     infos = sum(finding.severity == INFO for finding in findings)
     warnings = len(findings) - errors - infos
