@@ -62,21 +62,6 @@ CASES: Dict[str, Case] = {
         ("", "%", "% retalis: ignore=", "% retalis: ignore=RT1001"),
         ("%", " ", "% ", ", RT1001", ",", "RT1001, "),
     ),
-    r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""': Case(
-        "search",
-        "a literal that is not closed: there is one at most, as the next one closes it",
-        ('_full_text = """', ""),
-        ("a", '"', '" ', "\\", '\\"', " ", "\n", '_full_text = """', '\n_full_text = """a'),
-    ),
-    (
-        r"\\(?:\n|[\\'"
-        + r'"abfnrtv]|[0-7]{1,3}|x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|N\{[A-Za-z0-9 -]+\})'
-    ): Case(
-        "search",
-        "a name that is not closed: it holds no backslash, with which the next one begins",
-        ("\\N{", "\\", ""),
-        ("A", "\\N{", "\\N{A", "\\", "\\x4", "\\u004", "0"),
-    ),
     (
         "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
         "\ufffe\uffff\ud800-\udfff\U000e0000-\U000e007f]|(?<![^\x00-\x7f])[\u200c\u200d]"

@@ -149,4 +149,6 @@ def test_goals_that_never_end_are_errors(capsys, folder):
     (folder / "eventRules.txt").write_text(RULES + "forever :- forever.\n:- forever.\n")
     status, text = checked(capsys, folder, "--max-seconds", "0.1")
     assert status == 1
-    assert f"{folder}/eventRules.txt:4:4: this directive raises an error: Not enough resources: seconds" in text
+    assert (
+        f"{folder}/eventRules.txt:4:4: this directive raises an error: Not enough resources: seconds" in text
+    )

@@ -1,12 +1,9 @@
-import gc
 import sys
-import time
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from retalis import Definitions, MessageError
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import GeneratedClass, Installed
 
 STAMPED = """Header header
 Inner inner
@@ -147,66 +144,105 @@ def test_the_usual_places(tmp_path, monkeypatch):
     assert registry.find("two/Type").fields[0].type == "int16"
 
 
-def test_generated_modules_are_read_and_not_run(tmp_path):
-    folder = tmp_path / "pkg" / "msg"
-    folder.mkdir(parents=True)
-    (folder / "_Type.py").write_text(f'raise SystemExit\nclass Type:\n  _full_text = """{STAMPED}"""\n')
-    (folder / "_Broken.py").write_text("class Type(:\n")
-    registry = Definitions(Installed([], [str(tmp_path)], rosbags=False))
+def generated_class(text, **changes):
+    """Return the attributes of the class that genpy would generate for ``pkg/Type``."""
+    definition = nothing_installed().add("pkg/Type", text)
+    generated = GeneratedClass(
+        text,
+        definition.md5sum,
+        tuple(slot.name for slot in definition.fields),
+        tuple(slot.describe() for slot in definition.fields),
+        "/somewhere/pkg/msg/_Type.py",
+    )
+    return generated._replace(**changes)
+
+
+def with_classes(tmp_path, inspect_class, packages=(), **options):
+    """Return the installed types where ``pkg/Type`` has a generated module."""
+    folder = tmp_path / "modules" / "pkg" / "msg"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "_Type.py").write_text("raise SystemExit\n")
+    return Installed(
+        packages, [str(tmp_path / "modules")], rosbags=False, inspect_class=inspect_class, **options
+    )
+
+
+def test_generated_classes_are_inspected_if_there_is_a_module(tmp_path):
+    asked = []
+
+    def inspect_class(name):
+        asked.append(name)
+        return generated_class(STAMPED)
+
+    installed = with_classes(tmp_path, inspect_class)
+    registry = Definitions(installed)
     assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
-    assert "pkg/Broken" not in registry
+    assert registry.installed_text("pkg/Type") == (STAMPED, "/somewhere/pkg/msg/_Type.py")
+    assert "pkg/Other" not in registry
+    assert "antigravity/Type" not in registry
+    assert set(asked) == {"pkg/Type"}
+    assert (installed.packages(), installed.types("pkg")) == (["pkg"], ["Type"])
     assert "pkg" not in sys.modules
 
 
-def generated(folder, name, literal):
-    """Write a module as genpy does."""
-    (folder / "pkg" / "msg").mkdir(parents=True, exist_ok=True)
-    fields = "".join(
-        f"    if self.x{number} is None:\n      self.x{number} = [0, (1, 2)]\n" for number in range(200)
-    )
-    source = f'class {name}:\n  _full_text = """{literal}"""\n  def __init__(self):\n{fields}'
-    (folder / "pkg" / "msg" / f"_{name}.py").write_text(source, encoding="utf-8")
+def test_generated_modules_are_of_no_use_without_ros(tmp_path):
+    installed = with_classes(tmp_path, None)
+    assert installed.text("pkg/Type") is None
+    assert (installed.packages(), installed.types("pkg")) == ([], [])
+
+
+def test_a_class_comes_before_files_except_those_of_extra_folders(tmp_path):
+    package(tmp_path / "files", "pkg", Type="int8 file\n")
+    package(tmp_path / "extra" / "nested", "pkg", Type="int8 extra\n")
+    files, extra = str(tmp_path / "files"), str(tmp_path / "extra")
+
+    def slot(*packages, **options):
+        installed = with_classes(
+            tmp_path, lambda name: generated_class("int8 generated\n"), packages, **options
+        )
+        return Definitions(installed).find("pkg/Type").fields[0].name
+
+    assert slot(files) == "generated"
+    assert slot(files, extra_folders=[extra]) == "extra"
+    assert slot(files, extra_folders=[str(tmp_path / "files" / "pkg")]) == "file"
+
+
+def test_a_class_that_cannot_be_imported_is_an_error_unless_a_file_defines_the_type(tmp_path):
+    def inspect_class(name):
+        raise MessageError(f"{name}: cannot be imported")
+
+    registry = Definitions(with_classes(tmp_path, inspect_class))
+    with pytest.raises(MessageError, match="pkg/Type: cannot be imported"):
+        registry.find("pkg/Type")
+    assert "pkg/Type" not in registry
+    package(tmp_path / "files", "pkg", Type="int8 file\n")
+    installed = with_classes(tmp_path, inspect_class, [str(tmp_path / "files")])
+    assert Definitions(installed).find("pkg/Type").fields[0].name == "file"
 
 
 @pytest.mark.parametrize(
-    ("literal", "text"),
+    ("changes", "problem"),
     [
-        ("int8 x\n", "int8 x\n"),
-        ('string A="b" ""c\n', 'string A="b" ""c\n'),
-        (r"# \"\"\" a \\ b \x41 \u00e9 \N{EURO SIGN}" + "\n", '# """ a \\ b A \xe9 \u20ac\n'),
-        (r"# \d \é" + "\n", "# \\d \\\xe9\n"),
-        ("int8 x \\\nint8 y\n", "int8 x int8 y\n"),
-        (r"# \U00110000", None),
+        ({"md5sum": "0" * 32}, "its checksum is 00000000000000000000000000000000, that of its definition is"),
+        ({"slots": ("x", "z")}, "its slots are not those of its definition"),
+        ({"slots": ("x",)}, "its slots are not those of its definition"),
+        ({"slot_types": ("int8", "uint8[4]")}, "its slots are not those of its definition"),
     ],
 )
-def test_literals_of_generated_modules_are_read_as_python_reads_them(tmp_path, literal, text):
-    generated(tmp_path, "Type", literal)
-    found = Installed([], [str(tmp_path)], rosbags=False).text("pkg/Type")
-    assert (found and found[0]) == text
+def test_a_class_must_match_its_own_definition(tmp_path, changes, problem):
+    generated = generated_class("int8 x\nuint8[3] y\n", **changes)
+    with pytest.raises(MessageError, match=problem) as caught:
+        Definitions(with_classes(tmp_path, lambda name: generated)).find("pkg/Type")
+    assert "/somewhere/pkg/msg/_Type.py: the generated class of pkg/Type" in caught.value.message
 
 
-def test_generated_modules_are_read_in_several_threads(tmp_path):
-    """Two threads that are in `ast.parse` at once fail, most often when a collection runs Python code in between."""
-    generated(tmp_path, "Type", "int8 x\n")
-    installed = Installed([], [str(tmp_path)], rosbags=False)
-    threshold, interval = gc.get_threshold(), sys.getswitchinterval()
-
-    def switch(phase, info):
-        time.sleep(0)
-
-    def read(number):
-        return {installed.text("pkg/Type")[0] for _ in range(100)}
-
-    gc.callbacks.append(switch)
-    gc.set_threshold(10, 2, 2)
-    sys.setswitchinterval(1e-6)
-    try:
-        with ThreadPoolExecutor(4) as threads:
-            assert list(threads.map(read, range(4))) == [{"int8 x\n"}] * 4
-    finally:
-        gc.callbacks.remove(switch)
-        gc.set_threshold(*threshold)
-        sys.setswitchinterval(interval)
+def test_slots_that_are_keywords_and_old_names_of_headers_match_their_class(tmp_path):
+    text = "roslib/Header header\nint8 lambda\nint8 from_\n" + STAMPED[STAMPED.index("=") :]
+    generated = generated_class(text)
+    changed = {"slots": ("header", "lambda_", "from_"), "slot_types": ("roslib/Header", "int8", "int8")}
+    for inspected in (generated, generated._replace(**changed)):
+        definition = Definitions(with_classes(tmp_path, lambda name, it=inspected: it)).find("pkg/Type")
+        assert [slot.name for slot in definition.fields] == ["header", "lambda", "from_"]
 
 
 def test_types_that_rosbags_brings():

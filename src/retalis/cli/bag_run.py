@@ -21,6 +21,7 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
 from .command_options import apply_folders, apply_limits
+from .installed_types import installed_definitions
 from .option_values import TIMES_RELATIVE, positive_integer
 from .output import Printer
 from .stderr_report import ProgressBar, Report, end_run_on_closed_pipe, show_progress
@@ -100,7 +101,15 @@ def create_playback(
     settings = settings._replace(max_gap=options.max_gap or None)
     limit = options.max_skew or None
     return Playback(
-        options.program, report, _parse_topics(options.topic), settings, limit, bag, state, options.direct
+        options.program,
+        report,
+        _parse_topics(options.topic),
+        settings,
+        limit,
+        bag,
+        state,
+        options.direct,
+        installed_definitions(),
     )
 
 

@@ -10,11 +10,12 @@ from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
 from ..events.checks.check_registry import ERROR, INFO, Finding
 from ..foundation.errors import MessageError, counted, printable
-from ..messages.type_registry import Definitions, Installed
+from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
 from .bag_run import add_chunk_limit
 from .command_options import add_direct, add_swi
+from .installed_types import installed_definitions
 from .option_values import non_negative
 
 _DEFAULT_MAX_SECONDS = 60
@@ -75,7 +76,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    definitions = Definitions(Installed(extra_folders=[_definitions_folder(path) for path in options.msg]))
+    definitions = installed_definitions([_definitions_folder(path) for path in options.msg])
     # Before the check: rules with field names cannot be checked without the types.
     for path in options.bag:
         _add_types_of_bag(definitions, path, options.max_chunk_megabytes)

@@ -27,6 +27,7 @@ from ..prolog.system.prolog_system import Tracer
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from .command_options import add_limits, apply_limits
+from .installed_types import installed_definitions
 from .node_commands import run_ros_command
 from .option_values import non_negative
 from .stderr_report import Report, end_run_on_closed_pipe
@@ -267,7 +268,10 @@ class Console:
     ):
         self.reports = Reports()
         self.engine = Engine(
-            Clock(time.time_ns), UNRESTRICTED if settings is None else settings, self.reports
+            Clock(time.time_ns),
+            UNRESTRICTED if settings is None else settings,
+            self.reports,
+            installed_definitions(),
         )
         self._rules = self.engine.rules
         # As in other top levels, singleton variables of loaded clauses are reported.

@@ -41,6 +41,7 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import rebuild, variables
 from ..prolog.terms.types import Frame, Term, deref
 from .command_options import add_folders, add_limits, apply_folders, apply_limits
+from .installed_types import installed_definitions
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .output import JSON_HELP, Printer
 from .stderr_report import Report, end_run_on_closed_pipe
@@ -241,7 +242,10 @@ class Session:
         self._clock = StreamClock(0)
         self.reports = Reports()
         self.engine = Engine(
-            self._clock, apply_limits(apply_folders(Settings(), options), options), self.reports
+            self._clock,
+            apply_limits(apply_folders(Settings(), options), options),
+            self.reports,
+            installed_definitions(),
         )
         # Registered before goals are called, because goals may cause events.
         self.engine.on_event(end_run_on_closed_pipe(printer.print_event))

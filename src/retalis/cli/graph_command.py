@@ -13,6 +13,7 @@ from ..foundation.errors import ProgramErrors, UsageError
 from ..messages.type_definition import functor_name
 from ..visualization.program_graph import PICTURE_SUFFIXES, GraphTopic, dot_text, draw_graph, program_graph
 from .command_options import add_limits, apply_limits
+from .installed_types import installed_definitions
 from .stderr_report import Report
 
 TEXT_SUFFIXES = ("dot", "gv")
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     folder = options.folder
     if not (folder / GOALS).is_file():
         raise UsageError(f"{folder.resolve()} is not a program: it has no file {GOALS}")
-    engine = Engine(settings=apply_limits(Settings(), options))
+    engine = Engine(settings=apply_limits(Settings(), options), definitions=installed_definitions())
     input_topics = engine.input_topics
     # Goals may subscribe topics during loading. They are recorded for the graph, and nothing is subscribed.
     input_topics.begin(lambda request: None)

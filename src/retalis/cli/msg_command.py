@@ -11,6 +11,7 @@ from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from .bag_run import add_chunk_limit
+from .installed_types import installed_definitions
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda definition, definitions: positional(definition),
@@ -45,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     # Functors in programs have `__0__` in place of the slash; both forms are accepted.
     type_name = plain_type(options.type.replace("__0__", "/"))
-    definitions = Definitions()
+    definitions = installed_definitions()
     fault = type_fault(type_name)
     if fault is not None:
         raise UsageError(f"{fault}{_suggest_type(definitions, type_name)}")

@@ -410,7 +410,8 @@ class _SlotSkipper:
         return count
 
 
-_HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
+HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
+"""Names by which definitions refer to `HEADER`."""
 
 MAX_SECTIONS = 1000
 
@@ -566,7 +567,7 @@ class _DefinitionReader:
     def _find_nested(self, type_name: str, position: int) -> Definition:
         # `Header` without a package always means std_msgs/Header, as in genmsg.
         try:
-            return self.find(HEADER if type_name in _HEADER_NAMES else type_name, self.package)
+            return self.find(HEADER if type_name in HEADER_NAMES else type_name, self.package)
         except MessageError as error:
             if error.place is not None:
                 raise

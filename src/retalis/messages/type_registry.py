@@ -1,51 +1,140 @@
 """Registry of message types: received definitions, and definitions that are installed on the system.
 
-`Installed` finds the text of a type in the file system without any part of ROS. `Definitions` resolves nested types,
-compiles decoders and encoders once per version of a type, and bounds the memory of types that publishers send.
+`Installed` finds the definition of a type in the classes that genpy has generated, in ``.msg`` files, and in the
+package ``rosbags``. `Definitions` resolves nested types, compiles decoders and encoders once per version of a type,
+and bounds the memory of types that publishers send.
+
+This package does not depend on ROS. Callers that do pass a function that inspects generated classes (see
+`ros.generated_classes`). The definition in such a class is compared with the other attributes of the class, so that
+this package and rospy cannot read the same bytes as different messages.
 """
 
-import codecs
 import os
-import re
 import sys
 from difflib import get_close_matches
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, beginning
 from ..foundation.ros_names import plain_type, type_fault
 from .decoder import Decoder
 from .encoder import Encoder
-from .type_definition import MAX_EMPTY_ELEMENTS, MAX_TYPE_DEPTH, Definition, parse, split_sections
+from .type_definition import (
+    HEADER,
+    HEADER_NAMES,
+    MAX_EMPTY_ELEMENTS,
+    MAX_TYPE_DEPTH,
+    Definition,
+    Field,
+    parse,
+    split_sections,
+)
 
 _ROS_FOLDER = "/opt/ros"
 _SHARE_FOLDERS = ("/usr/share", "/usr/local/share")
-_MODULE_FOLDERS = ("/usr/lib/python3/dist-packages",)
 _MAX_FOLDER_DEPTH = 4
 
-_FULL_TEXT = re.compile(r'^[ \t]*_full_text = """((?:[^"\\]|\\.|"(?!""))*)"""', re.MULTILINE | re.DOTALL)
-"""Definition in a module that genpy has generated: always a literal in three double quotes."""
 
-_ESCAPE = re.compile(
-    r"""\\(?:\n|[\\'"abfnrtv]|[0-7]{1,3}|x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|N\{[A-Za-z0-9 -]+\})"""
-)
-"""Escape sequences of Python literals; a backslash before any other character is literal."""
+class GeneratedClass(NamedTuple):
+    """Attributes of a message class that genpy has generated.
+
+    Attributes:
+        text: the definition with those of nested types (``_full_text``).
+        md5sum: the checksum (``_md5sum``).
+        slots: the names of the slots (``__slots__``).
+        slot_types: the types of the slots (``_slot_types``), for example ``geometry_msgs/Point[]``.
+        source: the file of the class's module.
+    """
+
+    text: str
+    md5sum: str
+    slots: Tuple[str, ...]
+    slot_types: Tuple[str, ...]
+    source: str
+
+    def check(self, definition: Definition) -> None:
+        """Compare the class with the definition that its text contains.
+
+        Raises:
+            MessageError: if they differ, so that rospy would read other messages than this package.
+        """
+        fields = definition.fields
+        slots = [_generated_name(slot, name) for slot, name in zip_longest(fields, self.slots)]
+        slot_types = [HEADER if slot_type in HEADER_NAMES else slot_type for slot_type in self.slot_types]
+        if self.md5sum != definition.md5sum:
+            problem = f"its checksum is {self.md5sum}, that of its definition is {definition.md5sum}"
+        elif slots != list(self.slots) or slot_types != [slot.describe() for slot in fields]:
+            problem = "its slots are not those of its definition"
+        else:
+            return
+        raise MessageError(
+            f"{self.source}: the generated class of {definition.name} does not match its own definition: {problem}; "
+            "build its package again"
+        )
+
+
+def _generated_name(slot: Optional[Field], generated_name: Optional[str]) -> Optional[str]:
+    """Return the expected name of a slot in a generated class: genpy appends "_" to the keywords of Python."""
+    if slot is None:
+        return None
+    return generated_name if generated_name == f"{slot.name}_" else slot.name
+
+
+InspectClass = Callable[[str], Optional[GeneratedClass]]
+"""Function that returns the attributes of the generated class of ``pkg/Type``, or None if there is none.
+
+It raises `MessageError` if the class cannot be imported.
+"""
+
+
+class InstalledType(NamedTuple):
+    """The definition of an installed type.
+
+    Attributes:
+        text: the definition; that of a generated class includes those of nested types.
+        source: file that contains it, or ``rosbags``.
+        generated: the generated class that the definition comes from, or None.
+    """
+
+    text: str
+    source: str
+    generated: Optional[GeneratedClass] = None
 
 
 class Installed:
     """Message definitions that are installed on the system.
 
-    They are searched in this order: ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``,
-    ``CMAKE_PREFIX_PATH``, ``/opt/ros`` and ``/usr/share``; generated Python modules ``pkg/msg/_Type.py`` on the
-    module path, which are read, not imported (Debian installs some types in this form only); the types of the package
-    ``rosbags``, if that is installed.
+    They are searched in this order:
+
+    1. ``msg/*.msg`` files in ``extra_folders``;
+    2. the classes that genpy has generated, which rospy uses, too;
+    3. ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``, ``CMAKE_PREFIX_PATH``, ``/opt/ros`` and
+       ``/usr/share``;
+    4. the types of the package ``rosbags``, if that is installed.
+
+    A class is inspected only if there is a file ``pkg/msg/_Type.py`` on the module path. Other nodes choose the names
+    of types, and must not make this process import modules that do not define messages.
 
     Args:
         packages: folders that contain packages, instead of the standard ones.
         modules: folders of Python modules, instead of the module path.
         rosbags: if ``rosbags`` is searched.
         extra_folders: folders that are searched first; each is a package or contains packages.
+        inspect_class: inspects generated classes; none are used by default.
     """
 
     def __init__(
@@ -54,71 +143,121 @@ class Installed:
         modules: Optional[Sequence[str]] = None,
         rosbags: bool = True,
         extra_folders: Sequence[str] = (),
+        inspect_class: Optional[InspectClass] = None,
     ):
-        standard_folders = _package_folders() if packages is None else packages
-        self._packages = list(dict.fromkeys([*extra_folders, *standard_folders]))
-        self._modules = list(dict.fromkeys([*sys.path, *_MODULE_FOLDERS] if modules is None else modules))
+        self._extra_folders = _PackageFolders(extra_folders)
+        self._folders = _PackageFolders(_standard_folders() if packages is None else packages)
+        self._inspect_class = inspect_class
+        # Without a function that imports them, generated modules are of no use.
+        module_folders = () if inspect_class is None else sys.path if modules is None else modules
+        self._module_folders = list(dict.fromkeys(module_folders))
         self._rosbags = rosbags
-        self._sources: Optional[Dict[str, str]] = None
 
     def types(self, package: str) -> List[str]:
         """Return the names of the types of a package in alphabetical order; empty for an unknown package."""
-        folders = [os.path.join(folder, package, "msg") for folder in (*self._packages, *self._modules)]
-        nested = self._source_packages().get(package)
+        folders = [*self._extra_folders.message_folders(package), *self._folders.message_folders(package)]
+        folders += [os.path.join(folder, package, "msg") for folder in self._module_folders]
         names = {name for folder in folders for name in _type_names(folder)}
-        if nested is not None:
-            names.update(_type_names(os.path.join(nested, "msg")))
         return sorted(names.union(_rosbags_types().get(package, ())) if self._rosbags else names)
 
     def packages(self) -> List[str]:
         """Return the names of the packages that have messages, in alphabetical order."""
-        names = set(self._source_packages())
-        for folder in self._packages:
+        names = {*self._extra_folders.packages(), *self._folders.packages()}
+        for folder in self._module_folders:
             names.update(_packages_with_messages(folder))
         return sorted(names.union(_rosbags_types()) if self._rosbags else names)
 
     def text(self, name: str) -> Optional[Tuple[str, str]]:
-        """Return the text of a type and its source, or None if the type is not installed."""
+        """Return the text of a type and its source, or None if the type is not installed.
+
+        Raises:
+            MessageError: if only a generated class defines the type, and it cannot be imported.
+        """
+        installed_type = self.find(name)
+        return None if installed_type is None else (installed_type.text, installed_type.source)
+
+    def find(self, name: str) -> Optional[InstalledType]:
+        """Return the definition of a type, or None if the type is not installed.
+
+        Raises:
+            MessageError: if only a generated class defines the type, and it cannot be imported.
+        """
         package, _, type_name = name.partition("/")
         if type_fault(name) is not None:
             return None
-        for path in self._message_files(package, type_name):
-            if os.path.isfile(path):
-                return Path(path).read_text(encoding="utf-8", errors="replace"), path
-        return self._module_text(package, type_name) or (
-            _rosbags_text(package, type_name) if self._rosbags else None
-        )
+        import_error: Optional[MessageError] = None
+        installed_type = self._extra_folders.read(package, type_name)
+        if installed_type is None:
+            try:
+                installed_type = self._inspect(package, type_name)
+            except MessageError as error:
+                # Messages can be decoded without the class, so another definition of the type is searched first.
+                import_error = error
+        if installed_type is None:
+            installed_type = self._folders.read(package, type_name)
+        if installed_type is None and self._rosbags:
+            installed_type = _rosbags_type(package, type_name)
+        if installed_type is None and import_error is not None:
+            raise import_error
+        return installed_type
 
-    def _message_files(self, package: str, type_name: str) -> Iterator[str]:
-        for folder in self._packages:
-            yield os.path.join(folder, package, "msg", type_name + ".msg")
-            # A folder may be the package itself, as entries of ROS_PACKAGE_PATH often are.
+    def _inspect(self, package: str, type_name: str) -> Optional[InstalledType]:
+        if self._inspect_class is None:
+            return None
+        module = os.path.join(package, "msg", f"_{type_name}.py")
+        if not any(os.path.isfile(os.path.join(folder, module)) for folder in self._module_folders):
+            return None
+        generated = self._inspect_class(f"{package}/{type_name}")
+        return None if generated is None else InstalledType(generated.text, generated.source, generated)
+
+
+class _PackageFolders:
+    """Folders that contain packages with ``.msg`` files.
+
+    A folder may contain packages, contain them in nested folders (the ``src`` of a workspace), or be a package.
+    """
+
+    def __init__(self, folders: Sequence[str]):
+        self._folders = list(dict.fromkeys(folders))
+        self._nested_packages: Optional[Dict[str, str]] = None
+
+    def packages(self) -> Set[str]:
+        """Return the names of the packages that have messages."""
+        names = set(self._find_nested_packages())
+        for folder in self._folders:
+            names.update(_packages_with_messages(folder))
+        return names
+
+    def message_folders(self, package: str) -> Iterator[str]:
+        """Yield the paths that the ``msg`` folder of a package can have."""
+        for folder in self._folders:
+            yield os.path.join(folder, package, "msg")
+            # Entries of ROS_PACKAGE_PATH often are packages.
             if os.path.basename(folder.rstrip("/")) == package:
-                yield os.path.join(folder, "msg", type_name + ".msg")
-        nested = self._source_packages().get(package)
+                yield os.path.join(folder, "msg")
+        nested = self._find_nested_packages().get(package)
         if nested is not None:
-            yield os.path.join(nested, "msg", type_name + ".msg")
+            yield os.path.join(nested, "msg")
 
-    def _source_packages(self) -> Dict[str, str]:
-        """Return the packages in nested folders, for example in a workspace's ``src``."""
-        if self._sources is None:
-            sources: Dict[str, str] = {}
-            for folder in self._packages:
+    def read(self, package: str, type_name: str) -> Optional[InstalledType]:
+        """Return the definition of a type, or None if no folder contains it."""
+        for folder in self.message_folders(package):
+            path = os.path.join(folder, f"{type_name}.msg")
+            if os.path.isfile(path):
+                return InstalledType(Path(path).read_text(encoding="utf-8", errors="replace"), path)
+        return None
+
+    def _find_nested_packages(self) -> Dict[str, str]:
+        """Return the folders of the packages that are nested in other folders, by package."""
+        if self._nested_packages is None:
+            packages: Dict[str, str] = {}
+            for folder in self._folders:
                 # Install spaces are flat; searching them recursively would read thousands of folders.
                 if os.path.basename(folder.rstrip("/")) != "share":
-                    _find_packages(folder, _MAX_FOLDER_DEPTH, sources)
+                    _find_packages(folder, _MAX_FOLDER_DEPTH, packages)
             # Assigned last: another thread must not search in an incomplete dictionary.
-            self._sources = sources
-        return self._sources
-
-    def _module_text(self, package: str, type_name: str) -> Optional[Tuple[str, str]]:
-        for folder in self._modules:
-            path = os.path.join(folder, package, "msg", f"_{type_name}.py")
-            if os.path.isfile(path):
-                text = _full_text(path)
-                if text is not None:
-                    return text, path
-        return None
+            self._nested_packages = packages
+        return self._nested_packages
 
 
 def _type_names(folder: str) -> Iterator[str]:
@@ -160,7 +299,8 @@ def _rosbags_types() -> Dict[str, List[str]]:
     return types
 
 
-def _package_folders() -> List[str]:
+def _standard_folders() -> List[str]:
+    """Return the folders of packages that the environment names, and those of installations."""
     folders = [path for path in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if path]
     for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
@@ -194,26 +334,8 @@ def _find_packages(folder: str, depth: int, packages: Dict[str, str]) -> None:
                 _find_packages(entry.path, depth - 1, packages)
 
 
-def _full_text(path: str) -> Optional[str]:
-    """Return the definition in a generated Python module (``_full_text``) without executing the module.
-
-    The file is scanned instead of parsed with `ast.parse`: CPython counts the depth of syntax trees per interpreter,
-    so two threads that parse at the same time make each other fail, and every connection has a thread.
-    """
-    try:
-        source = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return None
-    literal = _FULL_TEXT.search(source)
-    if literal is None:
-        return None
-    try:
-        return _ESCAPE.sub(lambda escape: codecs.decode(escape[0], "unicode_escape"), literal[1])
-    except ValueError:  # an escape of a character that does not exist
-        return None
-
-
-def _rosbags_text(package: str, type_name: str) -> Optional[Tuple[str, str]]:
+def _rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
+    """Return the definition that the package ``rosbags`` has of a type, or None."""
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - slow, and an optional package
     except ImportError:
@@ -228,7 +350,7 @@ def _rosbags_text(package: str, type_name: str) -> Optional[Tuple[str, str]]:
         if type(error).__name__ != "TypesysError":
             raise
         return None
-    return text, "rosbags"
+    return InstalledType(text, "rosbags")
 
 
 _ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
@@ -320,7 +442,7 @@ class Definitions:
         # Publishers of one topic send the same text with each connection.
         definition = self._by_text.get((name, text))
         if definition is None:
-            definition = _Resolver(self, split_sections(name, text)).resolve(name)
+            definition = _Resolver(self, self._installed, split_sections(name, text)).resolve(name)
             self._by_text.store(
                 (name, text), definition, 2 * len(text) + _BYTES_PER_SLOT * definition.measure.slots
             )
@@ -407,7 +529,7 @@ class Definitions:
         name = plain_type(name)
         definition = self._added.get(name) or self._resolved.get(name)
         if definition is None:
-            definition = self._resolved[name] = _Resolver(self, {}).resolve(name)
+            definition = self._resolved[name] = _Resolver(self, self._installed, {}).resolve(name)
         return definition
 
     def __contains__(self, name: object) -> bool:
@@ -531,9 +653,14 @@ class _Resolver:
     """Resolver of a type and its nested types, first from the sections of one text, then from the registry."""
 
     def __init__(
-        self, registry: Definitions, sections: Dict[str, str], in_progress: Optional[Set[str]] = None
+        self,
+        registry: Definitions,
+        installed: Installed,
+        sections: Dict[str, str],
+        in_progress: Optional[Set[str]] = None,
     ):
         self.registry = registry
+        self.installed = installed
         self.sections = sections
         self.resolved: Dict[str, Definition] = {}
         self.in_progress: Set[str] = set() if in_progress is None else in_progress
@@ -561,14 +688,9 @@ class _Resolver:
         text = self.sections.get(name)
         if text is not None:
             return parse(name, text, self._nested)
-        installed = self.registry.installed_text(name)
-        if installed is not None:
-            text, source = installed
-            sections = split_sections(name, text)
-            # A generated module contains the nested definitions as well, which take precedence within it.
-            if len(sections) > 1:
-                return _Resolver(self.registry, sections, self.in_progress).read(name)
-            return parse(name, text, self._nested, source)
+        installed_type = self.installed.find(name)
+        if installed_type is not None:
+            return self.read_installed(name, installed_type)
         # Nested types of received definitions come last: another publisher must not replace an installed type.
         known = self.registry.known(name)
         if known is not None:
@@ -580,6 +702,17 @@ class _Resolver:
         raise MessageError(
             f"no definition of the message type {beginning(name)} is installed or has been received"
         )
+
+    def read_installed(self, name: str, installed_type: InstalledType) -> Definition:
+        sections = split_sections(name, installed_type.text)
+        # The text of a generated class contains the nested definitions as well, which take precedence within it.
+        if len(sections) > 1:
+            definition = _Resolver(self.registry, self.installed, sections, self.in_progress).read(name)
+        else:
+            definition = parse(name, installed_type.text, self._nested, installed_type.source)
+        if installed_type.generated is not None:
+            installed_type.generated.check(definition)
+        return definition
 
     def _nested(self, written_name: str, package: str) -> Definition:
         for name in _candidates(written_name, package, self.sections):

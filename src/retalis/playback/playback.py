@@ -105,6 +105,7 @@ class Playback:
         state: state of an engine with this program (`Engine.snapshot`) to continue from; a new engine by default.
         direct: value of the node's parameter ``~direct``: topics that are subscribed without the program naming them;
             by default ``tf`` and ``ar_pose_marker``, unless the program names them.
+        definitions: the known message types, to which those of bags are added; the installed types by default.
 
     Raises:
         UsageError: if a file of the program cannot be read, or the state is invalid.
@@ -120,6 +121,7 @@ class Playback:
         bag: Optional[Bag] = None,
         state: Optional[bytes] = None,
         direct: DirectTopics = AUTO,
+        definitions: Optional[Definitions] = None,
     ):
         self._folder = folder = Path(program)
         self.clock = StreamClock(0)
@@ -127,7 +129,7 @@ class Playback:
         # A bag can contain a million messages with the same problem.
         self._reports.once = True
         self._skew_monitor = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
-        self.definitions = Definitions()
+        self.definitions = Definitions() if definitions is None else definitions
         self._on_error = report
         self._register_types(bag.topics if bag is not None else ())
         if state is None:

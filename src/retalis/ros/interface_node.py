@@ -21,6 +21,7 @@ from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref
 from .diagnostics import Diagnostics, InputRole, NodeHealth, program_health
 from .dynamic_subscriptions import SubscriptionReceiver
+from .generated_classes import installed_types
 from .internal_topics import INPUT, OUTPUT
 from .latched_inputs import LatchedConnection
 from .node_lifecycle import run_node
@@ -67,7 +68,7 @@ class InterfaceNode:
             self._handler_factory,
             parameters.queue,
             reports,
-            Definitions(bare=parameters.max_empty_elements),
+            Definitions(installed_types(), parameters.max_empty_elements),
             self._flush_after,
             max_delay=MAX_DELAY_SECONDS,
             skew=skew,

@@ -33,7 +33,7 @@ from ..explanation.explain import record_origins
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..messages.decoder import Decoder
 from ..messages.type_definition import functor_name
-from ..messages.type_registry import Definitions, Installed
+from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.types import CompoundTerm, Term, atom
 from .diagnostics import (
@@ -46,6 +46,7 @@ from .diagnostics import (
     program_health,
 )
 from .dynamic_subscriptions import DynamicSubscriptions, subscribable_name
+from .generated_classes import installed_types
 from .internal_topics import INPUT, OUTPUT, UntypedTopicWarnings, resolve
 from .latched_inputs import LatchedConnection, LatchedInputs
 from .node_dashboard import NodeDashboard
@@ -250,7 +251,7 @@ class RetalisNode:
         self._program_warnings: List[str] = []
         self._reports = Reports()
         self._time = SimulatedTime(self._reports)
-        definitions = Definitions(bare=parameters.max_empty_elements)
+        definitions = Definitions(installed_types(), parameters.max_empty_elements)
         checkpoint_file = CheckpointFile(parameters, self._reports)
         self.engine = checkpoint_file.engine(lambda: RosClock(self._time.epochs), definitions)
         print_goal_output(self.engine.logic)
@@ -409,7 +410,7 @@ class RetalisNode:
         """Log probable mistakes in the loaded program."""
         self._untyped_topics.mark_reported(self.engine.output_topics())
         # Separate definitions, which are freed afterwards: the checks load types that the node does not need.
-        definitions = Definitions(Installed(rosbags=False))
+        definitions = Definitions(installed_types(rosbags=False))
         direct = direct_topics(self._parameters.direct, topics, rospy.resolve_name)
         for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
             self._program_warnings.append(warning.brief())
@@ -424,7 +425,7 @@ class RetalisNode:
 
     def _missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
-        definitions = Definitions(Installed(rosbags=False))
+        definitions = Definitions(installed_types(rosbags=False))
         return explain_missing_source(self.engine, pattern, definitions, topics, direct)
 
     def _type_mismatch(
@@ -440,7 +441,7 @@ class RetalisNode:
             return ""
         # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
         type_definitions = (
-            definitions if definitions.known(message_type) else Definitions(Installed(rosbags=False))
+            definitions if definitions.known(message_type) else Definitions(installed_types(rosbags=False))
         )
         return explain_unsendable(goal, topic, message_type, type_definitions)
 

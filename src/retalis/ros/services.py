@@ -34,6 +34,7 @@ from ..prolog.terms.list_terms import conjuncts, make_list
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
+from .generated_classes import installed_types
 from .internal_topics import UntypedTopicWarnings, resolve
 from .ros_interface import RosInterface
 from .ros_log import log_counts
@@ -274,7 +275,7 @@ class InterfaceServices:
             # Rejects invalid names before any lookup.
             topic_type(topic, message_type)
             is_known = self._interface.outputs.knows(message_type)
-            suggestion = "" if is_known else Definitions().misspelt(message_type)
+            suggestion = "" if is_known else Definitions(installed_types()).misspelt(message_type)
             # An unknown type is not an error: a publisher's connection header contains its definition.
             if suggestion and not _is_published(topic, message_type):
                 raise UsageError(

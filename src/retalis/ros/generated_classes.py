@@ -1,0 +1,66 @@
+"""Inspection of the message classes that genpy has generated.
+
+rospy publishes and subscribes with these classes. Their attributes, not the text of their modules, are therefore the
+definition of an installed type in a node and in commands on a machine with ROS. The first type of a package imports
+all classes of the package.
+"""
+
+import sys
+from importlib import import_module
+from typing import Any
+
+from roslib.message import get_message_class
+
+from ..foundation.errors import MessageError, shortened
+from ..messages.type_registry import GeneratedClass, Installed
+
+
+def installed_types(rosbags: bool = True) -> Installed:
+    """Return the installed types, with those that only exist as generated classes.
+
+    Args:
+        rosbags: whether types that only the package ``rosbags`` has are included.
+    """
+    return Installed(rosbags=rosbags, inspect_class=inspect_class)
+
+
+def inspect_class(name: str) -> GeneratedClass:
+    """Return the attributes of the generated class of a message type; the implementation of `InspectClass`.
+
+    Args:
+        name: ``pkg/Type``.
+
+    Raises:
+        MessageError: if the class cannot be imported.
+    """
+    try:
+        message_class: Any = get_message_class(name)
+    except Exception as error:  # a module raises anything, for example SyntaxError if it is for Python 2
+        raise _import_error(name, error) from error
+    if message_class is None:
+        raise _import_error(name, _find_import_error(name))
+    module = sys.modules[message_class.__module__]
+    return GeneratedClass(
+        message_class._full_text,
+        message_class._md5sum,
+        tuple(message_class.__slots__),
+        tuple(message_class._slot_types),
+        str(module.__file__),
+    )
+
+
+def _find_import_error(name: str) -> Exception:
+    """Return the reason why roslib returned no class: it suppresses the errors of imports."""
+    package, _, type_name = name.partition("/")
+    try:
+        module = import_module(f"{package}.msg")
+    except ImportError as error:
+        return error
+    return ImportError(f"{module.__file__} has no class {type_name}")
+
+
+def _import_error(name: str, reason: Exception) -> MessageError:
+    return MessageError(
+        f"{name}: the generated Python class of this message type cannot be imported: {shortened(str(reason))}: "
+        "build its package, with all packages that it depends on, for this Python"
+    )
