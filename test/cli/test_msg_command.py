@@ -18,10 +18,26 @@ def bag(tmp_path):
 
 
 PRINTED = {
-    "term": "only_in_bags__0__Point(\n    X,  % x: float64\n    Y   % y: float64\n)\n",
-    "names": "only_in_bags__0__Point{\n    x: X,  % float64\n    y: Y   % float64\n}\n",
+    "term": """\
+only_in_bags__0__Point(  % 16 bytes
+    X,                   % x: float64, 8 bytes
+    Y                    % y: float64, 8 bytes
+)
+""",
+    "names": """\
+only_in_bags__0__Point{  % 16 bytes
+    x: X,                % float64, 8 bytes
+    y: Y                 % float64, 8 bytes
+}
+""",
     "zero": "only_in_bags__0__Point(0.0,0.0)\n",
 }
+
+STRING = """\
+std_msgs__0__String(  % 4 bytes or more
+    Data              % data: string, 4 bytes + text
+)
+"""
 
 
 def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
@@ -30,7 +46,7 @@ def test_a_type_of_a_bag_is_printed_in_each_format(bag, capsys):
         assert capsys.readouterr().out == text
     for name in ("std_msgs__0__String", "std_msgs/msg/String"):
         assert main(["msg", name]) == 0
-        assert capsys.readouterr().out == "std_msgs__0__String(\n    Data  % data: string\n)\n"
+        assert capsys.readouterr().out == STRING
 
 
 def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
@@ -41,7 +57,9 @@ def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
         )
         writer.write(connection, 1, bytes([0, 1, 0, 0, 0, 0, 0, 0]))
     assert main(["msg", "my_msgs/msg/Solid", "--bag", str(tmp_path / "two")]) == 0
-    assert capsys.readouterr().out == "my_msgs__0__Solid(\n    Sizes  % sizes: float64[]\n)\n"
+    assert capsys.readouterr().out == (
+        "my_msgs__0__Solid(  % 4 bytes or more\n    Sizes           % sizes: float64[], 4 bytes + 8 per element\n)\n"
+    )
 
 
 def test_a_type_that_there_is_not_is_an_error_in_one_line(bag, capsys):

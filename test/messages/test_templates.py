@@ -100,36 +100,36 @@ time stamp
 string frame_id
 """
 
-PRINTED = """odd_msgs__0__Odd(
-    std_msgs__0__Header(       % header: std_msgs/Header
-        Seq,                   % seq: uint32
-        [Sec, NSec],           % stamp: time
-        FrameId                % frame_id: string
+PRINTED = """odd_msgs__0__Odd(              % 68 bytes or more
+    std_msgs__0__Header(       % header: std_msgs/Header, 16 bytes or more
+        Seq,                   % seq: uint32, 4 bytes
+        [Sec, NSec],           % stamp: time, 8 bytes
+        FrameId                % frame_id: string, 4 bytes + text
     ),
-    [ThenSec, ThenNSec],       % then: time
-    Spans,                     % spans: duration[]
-    odd_msgs__0__Part(         % first: odd_msgs/Part
-        FirstSeq,              % seq: string
-        odd_msgs__0__Nothing,  % nothing: odd_msgs/Nothing
-        Inner                  % inner: odd_msgs/Inner[2]
+    [ThenSec, ThenNSec],       % then: time, 8 bytes
+    Spans,                     % spans: duration[], 4 bytes + 8 per element
+    odd_msgs__0__Part(         % first: odd_msgs/Part, 20 bytes or more
+        FirstSeq,              % seq: string, 4 bytes + text
+        odd_msgs__0__Nothing,  % nothing: odd_msgs/Nothing, 0 bytes
+        Inner                  % inner: odd_msgs/Inner[2], 16 bytes
     ),
-    Others,                    % others: odd_msgs/Part[]
-    Bytes,                     % bytes: uint8[4]
-    AB,                        % aB: string
-    AB_2,                      % a_b: string
-    Seq_2                      % seq: string
+    Others,                    % others: odd_msgs/Part[], 4 bytes + 20 or more per element
+    Bytes,                     % bytes: uint8[4], 4 bytes
+    AB,                        % aB: string, 4 bytes + text
+    AB_2,                      % a_b: string, 4 bytes + text
+    Seq_2                      % seq: string, 4 bytes + text
 )
 
 % odd_msgs/Part, an element:
-% odd_msgs__0__Part(
-%     Seq,                   % seq: string
-%     odd_msgs__0__Nothing,  % nothing: odd_msgs/Nothing
-%     Inner                  % inner: odd_msgs/Inner[2]
+% odd_msgs__0__Part(         % 20 bytes or more
+%     Seq,                   % seq: string, 4 bytes + text
+%     odd_msgs__0__Nothing,  % nothing: odd_msgs/Nothing, 0 bytes
+%     Inner                  % inner: odd_msgs/Inner[2], 16 bytes
 % )
 
 % odd_msgs/Inner, an element:
-% odd_msgs__0__Inner(
-%     X  % x: float64
+% odd_msgs__0__Inner(  % 8 bytes
+%     X                % x: float64, 8 bytes
 % )
 
 % constants of odd_msgs/Odd:
@@ -142,3 +142,18 @@ def test_what_is_alike_has_variables_of_its_own():
     odd = DEFINITIONS.add("odd_msgs/Odd", ODD.replace("string _Odd\n", ""))
     assert positional(odd) == PRINTED
     check(odd)
+
+
+def test_sizes_of_slots():
+    text = "bool a\nfloat64[9] b\nstring[3] c\nfloat32[] d\nstring[] e\nuint8[] f\nbyte[1] g\n"
+    template = by_names(DEFINITIONS.add("odd_msgs/Sizes", text))
+    assert [line.rpartition("% ")[2] for line in template.splitlines()[:-1]] == [
+        "98 bytes or more",
+        "bool, 1 byte",
+        "float64[9], 72 bytes",
+        "string[3], 12 bytes or more",
+        "float32[], 4 bytes + 4 per element",
+        "string[], 4 bytes + 4 or more per element",
+        "uint8[], 4 bytes + 1 per element",
+        "byte[1], 1 byte",
+    ]

@@ -17,7 +17,17 @@ from ..prolog.syntax.message_fields import Meant, MessageSlot, NamedForm
 from ..prolog.syntax.term_writer import write_term
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import atom
-from .type_definition import TIMES, Definition, Field, functor_name, type_name
+from .type_definition import (
+    TIMES,
+    VARIABLE_LENGTH,
+    Definition,
+    Field,
+    Measure,
+    functor_name,
+    measure_of,
+    measure_of_slots,
+    type_name,
+)
 from .type_registry import Definitions
 
 _MAX_NAME_CHARACTERS = 200
@@ -157,13 +167,13 @@ class _TemplateLine(NamedTuple):
 
 
 def positional(definition: Definition) -> str:
-    """Return the term of a type with a variable for each slot, and the slots as comments.
+    """Return the term of a type with a variable for each slot, and the slots with their sizes as comments.
 
     >>> print(positional(Definitions().find("std_msgs/Header")), end="")
-    std_msgs__0__Header(
-        Seq,          % seq: uint32
-        [Sec, NSec],  % stamp: time
-        FrameId       % frame_id: string
+    std_msgs__0__Header(  % 16 bytes or more
+        Seq,              % seq: uint32, 4 bytes
+        [Sec, NSec],      % stamp: time, 8 bytes
+        FrameId           % frame_id: string, 4 bytes + text
     )
     """
     return _Template(named=False).text(definition)
@@ -173,10 +183,10 @@ def by_names(definition: Definition) -> str:
     """Return the same term with named slots; slots that do not matter can be deleted from it.
 
     >>> print(by_names(Definitions().find("std_msgs/Header")), end="")
-    std_msgs__0__Header{
-        seq: Seq,            % uint32
-        stamp: [Sec, NSec],  % time
-        frame_id: FrameId    % string
+    std_msgs__0__Header{     % 16 bytes or more
+        seq: Seq,            % uint32, 4 bytes
+        stamp: [Sec, NSec],  % time, 8 bytes
+        frame_id: FrameId    % string, 4 bytes + text
     }
     """
     return _Template(named=True).text(definition)
@@ -204,12 +214,13 @@ class _Template:
         self.used: Set[str] = set()
 
     def text(self, definition: Definition) -> str:
-        lines = list(self.message(definition, "", "", [], ""))
+        lines = list(self.message(definition, "", "", [], _size_text(definition.measure)))
         lines_shown = _align_comments(lines)
         elements = _element_types(definition)
         for element_type in elements.values():
             lines_shown += ["", f"% {element_type.name}, an element:"]
-            element_lines = list(_Template(self.named).message(element_type, "", "", [], ""))
+            size = _size_text(element_type.measure)
+            element_lines = list(_Template(self.named).message(element_type, "", "", [], size))
             lines_shown += [f"% {line}" for line in _align_comments(element_lines)]
         for element_type in (definition, *definition.dependencies()):
             if element_type.constants:
@@ -246,7 +257,9 @@ class _Template:
 
     def slot(self, slot: Field, indent: str, outer_names: List[str], comma: str) -> Iterator[_TemplateLine]:
         prefix = f"{_slot_name(slot.name)}: " if self.named else ""
-        comment = slot.describe() if self.named else f"{slot.name}: {slot.describe()}"
+        comment = f"{slot.describe()}, {_slot_size_text(slot)}"
+        if not self.named:
+            comment = f"{slot.name}: {comment}"
         if slot.definition is not None and slot.length is None:
             yield from self.message(
                 slot.definition, indent, prefix, [*outer_names, slot.name], comment, comma
@@ -272,6 +285,23 @@ class _Template:
             variable = f"{stem}_{number}"
         self.used.add(variable)
         return variable
+
+
+def _size_text(measure: Measure) -> str:
+    """Return the size of a message: ``8 bytes`` if it is fixed, or the minimum: ``8 bytes or more``."""
+    size = counted(measure.min_size, "byte")
+    return size if measure.is_fixed_size else f"{size} or more"
+
+
+def _slot_size_text(slot: Field) -> str:
+    """Return the serialized size of a slot: fixed, or the minimum and that of each element."""
+    element = measure_of(slot)
+    if slot.length == VARIABLE_LENGTH:
+        element_size = f"{element.min_size}{'' if element.is_fixed_size else ' or more'}"
+        return f"4 bytes + {element_size} per element"
+    if slot.length is None and slot.type == "string":
+        return "4 bytes + text"
+    return _size_text(measure_of_slots([slot]))
 
 
 def _capitalised(name: str) -> str:
