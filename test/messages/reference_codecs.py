@@ -1,0 +1,382 @@
+"""Random messages of many types, decoded and encoded by this package and by genpy or rosbags.
+
+For each message of each type: the decoded term denotes the values that the reference has deserialized, and the bytes
+that are encoded from it, from a copy without lazy terms, and from the reference's values are those that the reference
+serializes.
+
+    PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 rosbags
+    PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 genpy  (in a shell that has sourced ROS)
+
+The types of genpy are those of the installed packages, and those of all stores of rosbags, from whose texts genpy
+generates classes. Three differences are known, and not tried: genpy replaces bytes that are no UTF-8 in a string; it
+carries nanoseconds over a second; and both references set a bit in signalling NaNs, which arrays keep here that no
+rule has read.
+"""
+
+import argparse
+import io
+import random
+import re
+import struct
+import sys
+import time
+from base64 import b64encode
+from pathlib import Path
+from typing import NamedTuple
+
+from messages.wire import CODES, serialize
+from retalis import Definitions, MessageError, atom, functor
+from retalis.messages.type_definition import VARIABLE_LENGTH
+from retalis.messages.type_registry import Installed
+from retalis.prolog.terms.types import CONS, NIL, deref
+
+TEXT_PIECES = (
+    "base_link", "Jürgen", "日本", "🤖", "'", '"', "\\", "\n", "\r", "\t", "\0", "\x1b", "\x7f", "\u0085", "\u2028",
+    "FFFFFFFFFF", "////", " ", "%", "é", "x" * 300, "ü" * 600,
+)  # fmt: skip
+BYTE_PIECES = (
+    b"", b"\0", b"\xff", b"abc", b"\t\n", b"FFFFFFFFFF", bytes(range(256)), b"x" * 1100, b"\x80" * 1500,
+)  # fmt: skip
+
+
+def floats(code, integer_code, *patterns):
+    return [struct.unpack(code, struct.pack(integer_code, bits))[0] for bits in patterns]
+
+
+SPECIAL_FLOATS = {
+    # Infinities, quiet NaNs, zeros, the smallest and the largest numbers.
+    "float32": floats(
+        "<f", "<I", 0x7F80 << 16, 0xFF80 << 16, 0x7FC0 << 16, (0xFFC0 << 16) + 1, 0, 1 << 31, 1, (0x7F80 << 16) - 1,
+        0x0080 << 16,
+    ),
+    "float64": floats(
+        "<d", "<Q", 0x7FF0 << 48, 0xFFF0 << 48, 0x7FF8 << 48, (0xFFF8 << 48) + 1, 0, 1 << 63, 1, (0x7FF0 << 48) - 1,
+        0x0010 << 48,
+    ),
+}  # fmt: skip
+LENGTHS = (0, 0, 1, 1, 2, 3, 4, 5, 8, 9, 17, 200)
+
+
+class RandomMessages:
+    """Random values of a type, in the form of `wire`; extreme values are frequent."""
+
+    def __init__(self, definition, seed):
+        self.definition = definition
+        self.random = random.Random(f"{definition.name} {definition.md5sum} {seed}")
+        self.budget = 0
+
+    def values(self):
+        """Return the values of the next message."""
+        self.budget = 3000
+        return self.message(self.definition)
+
+    def message(self, definition):
+        return [self.slot(slot) for slot in definition.fields]
+
+    def slot(self, slot):
+        if slot.length is None:
+            return self.single(slot)
+        if slot.type in ("uint8", "char"):
+            return self.blob(slot.length)
+        count = slot.length
+        if count == VARIABLE_LENGTH:
+            # Arrays in arrays would otherwise multiply to millions of elements.
+            slots = 1 if slot.definition is None else max(1, slot.definition.measure.slots)
+            count = min(self.random.choice(LENGTHS), max(0, self.budget // slots))
+            self.budget -= count * slots
+        return [self.single(slot) for _ in range(count)]
+
+    def blob(self, length):
+        if self.random.random() < 0.5:
+            data = self.random.choice(BYTE_PIECES)
+        else:
+            data = bytes(self.random.choices(range(32, 127), k=self.random.choice(LENGTHS)))
+        return (
+            data
+            if length == VARIABLE_LENGTH
+            else data[:length].ljust(length, self.random.choice((b" ", b"\0")))
+        )
+
+    def single(self, slot):
+        if slot.definition is not None:
+            return self.message(slot.definition)
+        return getattr(self, f"_{slot.type}", self._integer)(slot.type)
+
+    def _string(self, type_name):
+        return "".join(self.random.choices(TEXT_PIECES, k=self.random.choice((0, 1, 1, 2)))).encode()
+
+    def _bool(self, type_name):
+        return self.random.random() < 0.5
+
+    def _time(self, type_name):
+        return [self._integer("uint32"), self.random.choice((0, 999_999_999, self.random.randrange(10**9)))]
+
+    def _duration(self, type_name):
+        return [self._integer("int32"), self._time("time")[1]]
+
+    def _float32(self, type_name):
+        return self._float(type_name, "<f", "<I", 0x7F800000, 0x400000)
+
+    def _float64(self, type_name):
+        return self._float(type_name, "<d", "<Q", 0x7FF << 52, 1 << 51)
+
+    def _float(self, type_name, code, integer_code, exponent, quiet):
+        choice = self.random.random()
+        if choice < 0.2:
+            return self.random.choice(SPECIAL_FLOATS[type_name])
+        if choice < 0.6:
+            return struct.unpack(code, struct.pack(code, self.random.uniform(-1000, 1000)))[0]
+        bits = self.random.getrandbits(8 * struct.calcsize(code))
+        if bits & exponent == exponent and bits & (quiet - 1):
+            bits |= quiet
+        return struct.unpack(code, struct.pack(integer_code, bits))[0]
+
+    def _integer(self, type_name):
+        code = CODES[type_name]
+        bits = 8 * struct.calcsize(code)
+        low, high = (0, (1 << bits) - 1) if code.isupper() else (-(1 << (bits - 1)), (1 << (bits - 1)) - 1)
+        choice = self.random.random()
+        if choice < 0.3:
+            return self.random.choice((low, high, 0, 1, high - 1))
+        return (
+            self.random.randint(max(low, -100), min(high, 100))
+            if choice < 0.6
+            else self.random.randint(low, high)
+        )
+
+
+# ---- Values of terms, and terms of the references' values ----
+
+
+def plain(term):
+    """Return a term as nested tuples, lists and atoms, in which each float is its bits."""
+    term = deref(term)
+    if term.__class__ is float:
+        return ("float", struct.pack("<d", term))
+    if term.__class__ is not tuple:
+        return (term.__class__, term)
+    if term[0] is not CONS:
+        return (term[0], *map(plain, term[1:]))
+    items = []
+    while term is not NIL:
+        assert term[0] is CONS, term
+        items.append(plain(term[1]))
+        term = deref(term[2])
+    return items
+
+
+def without_lazy(term):
+    """Return a copy of a term without lazy terms."""
+    term = deref(term)
+    if term.__class__ is not tuple:
+        return term
+    if term[0] is not CONS:
+        return (term[0], *map(without_lazy, term[1:]))
+    items = []
+    while term is not NIL:
+        items.append(without_lazy(term[1]))
+        term = deref(term[2])
+    return prolog_list(items)
+
+
+def prolog_list(items):
+    term = NIL
+    for item in reversed(items):
+        term = (CONS, item, term)
+    return term
+
+
+CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+
+
+def text_atom(text):
+    """Return the atom of a string, as `docs/reference/messages.md` defines it."""
+    is_text = CONTROL.search(text) is None and not text.startswith("FFFFFFFFFF")
+    return atom(f'"{text}"') if is_text else encoded_atom(text.encode())
+
+
+def blob_atom(data):
+    """Return the atom of a byte array."""
+    is_text = all(32 <= byte < 127 or 9 <= byte <= 13 for byte in data) and not data.startswith(b"FFFFFFFFFF")
+    return atom(f'"{data.decode("ascii")}"') if is_text else encoded_atom(data)
+
+
+def encoded_atom(data):
+    digits = b64encode(data).decode()
+    lines = [digits[start : start + 76] + "////" for start in range(0, len(digits), 76)]
+    return atom(f'"FFFFFFFFFF{"".join(lines)}"')
+
+
+def term_of(definition, message):
+    """Return the term of a deserialized message of a reference."""
+    name = definition.name.replace("/", "__0__")
+    if not definition.fields:
+        return atom(name)
+    values = [_attribute(message, slot.name) for slot in definition.fields]
+    arguments = [_slot_term(slot, value) for slot, value in zip(definition.fields, values)]
+    return functor(name, len(arguments))(*arguments)
+
+
+def _attribute(message, name):
+    # Both references append "_" to the keywords of Python.
+    return getattr(message, name) if hasattr(message, name) else getattr(message, f"{name}_")
+
+
+def _slot_term(slot, value):
+    if slot.length is None:
+        return _single_term(slot, value)
+    if slot.type in ("uint8", "char"):
+        return blob_atom(value if isinstance(value, bytes) else bytes(bytearray(value)))
+    return prolog_list([_single_term(slot, item) for item in getattr(value, "tolist", lambda: value)()])
+
+
+def _single_term(slot, value):
+    if slot.definition is not None:
+        return term_of(slot.definition, value)
+    if slot.type == "string":
+        return text_atom(value if isinstance(value, str) else value.decode())
+    if slot.type in ("time", "duration"):
+        if hasattr(value, "secs"):
+            return prolog_list([value.secs, value.nsecs])
+        # The seconds of rosbags are those of ROS 2, with a sign.
+        return prolog_list([value.sec % 2**32 if slot.type == "time" else value.sec, value.nanosec])
+    if slot.type == "bool":
+        return atom("true" if value else "false")
+    if slot.type in ("float32", "float64"):
+        return float(value)
+    # rosbags has no signed bytes.
+    return int(value) - 256 if slot.type == "byte" and value > 127 else int(value)
+
+
+# ---- The references ----
+
+
+class Reference(NamedTuple):
+    """A type with functions of a reference.
+
+    Attributes:
+        definition: the type as this package has read it.
+        deserialize: from bytes to a message of the reference.
+        serialize: from such a message to bytes.
+        md5sum: the reference's checksum, or "".
+    """
+
+    definition: object
+    deserialize: object
+    serialize: object
+    md5sum: str = ""
+
+
+def rosbags_types():
+    """Yield each type of the stores of rosbags once, with its name there, its store and its definition."""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - takes a second
+
+    seen = set()
+    for name in Stores:
+        store = get_typestore(name)
+        for type_name in sorted(store.types):
+            text = store.generate_msgdef(type_name, ros_version=1)[0]
+            # Bounds and wide strings are of ROS 2; the form in ROS 1 is the same without bounds.
+            if (type_name, text) in seen or "wstring" in text:
+                continue
+            seen.add((type_name, text))
+            text = re.sub(r"<=[0-9]+", "", text).replace("octet", "byte")
+            package, _, last = type_name.split("/")
+            yield (
+                type_name,
+                store,
+                Definitions(Installed([], [], rosbags=False)).add(f"{package}/{last}", text),
+            )
+
+
+def rosbags_references():
+    """Yield the types of all stores of rosbags."""
+    for type_name, store, definition in rosbags_types():
+        yield Reference(
+            definition,
+            lambda data, store=store, name=type_name: store.deserialize_ros1(data, name),
+            lambda message, store=store, name=type_name: bytes(store.serialize_ros1(message, name)),
+        )
+
+
+def installed_names():
+    """Return the names of the types that have a generated class on the module path."""
+    paths = [path for folder in sys.path for path in Path(folder or ".").glob("*/msg/_*.py")]
+    names = {f"{path.parts[-3]}/{path.stem[1:]}" for path in paths if not path.stem.startswith("__")}
+    return sorted(names)
+
+
+def genpy_references(with_stores=True):
+    """Yield the installed types, then those of the stores of rosbags, from which genpy generates classes."""
+    from genpy.dynamic import generate_dynamic  # noqa: PLC0415 - needs ROS
+    from roslib.message import get_message_class  # noqa: PLC0415
+
+    from retalis.ros.generated_classes import installed_types  # noqa: PLC0415
+
+    registry = Definitions(installed_types(rosbags=False))
+    for name in installed_names():
+        yield _genpy_reference(registry.find(name), get_message_class(name))
+    for _, _, definition in rosbags_types() if with_stores else ():
+        classes = generate_dynamic(definition.name, definition.full_text)
+        yield _genpy_reference(definition, classes[definition.name])
+
+
+def _genpy_reference(definition, message_class):
+    def write(message):
+        buffer = io.BytesIO()
+        message.serialize(buffer)
+        return buffer.getvalue()
+
+    return Reference(definition, lambda data: message_class().deserialize(data), write, message_class._md5sum)
+
+
+# ---- The comparison ----
+
+
+def check(reference, messages, seed=0):
+    """Compare a type with its reference for a number of random messages."""
+    definition = reference.definition
+    registry = Definitions(Installed([], [], rosbags=False))
+    decode, encode = registry.decoder(definition).decode, registry.encoder(definition).encode
+    if reference.md5sum:
+        assert definition.md5sum == reference.md5sum, definition.name
+    source = RandomMessages(definition, seed)
+    for number in range(messages):
+        data = serialize(definition, source.values())
+        message = reference.deserialize(data)
+        expected = reference.serialize(message)
+        where = f"{definition.name}, seed {seed}, message {number}"
+        assert expected == data, f"{where}: the reference does not write what it has read"
+        assert encode(decode(data)) == data, f"{where}: lazy terms"
+        term = decode(data)
+        expected_term = term_of(definition, message)
+        assert plain(term) == plain(expected_term), f"{where}: term"
+        assert encode(term) == data, f"{where}: lazy terms that were read"
+        assert encode(without_lazy(term)) == data, f"{where}: terms without lazy terms"
+        assert encode(expected_term) == data, f"{where}: the terms of the reference's values"
+
+
+def main():
+    """Compare all types; print a line for each difference, and the number of types and messages."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("reference", choices=("genpy", "rosbags"))
+    parser.add_argument("--messages", type=int, default=1000, help="messages of each type (1000)")
+    parser.add_argument("--seed", default="0")
+    options = parser.parse_args()
+    references = genpy_references() if options.reference == "genpy" else rosbags_references()
+    start, types, failed = time.time(), 0, 0
+    for reference in references:
+        types += 1
+        try:
+            check(reference, options.messages, options.seed)
+        except (AssertionError, MessageError) as error:
+            failed += 1
+            print(str(error)[:2000], flush=True)
+    print(
+        f"{types} types, {options.messages} messages each, {failed} types differ, {time.time() - start:.0f} s"
+    )
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
