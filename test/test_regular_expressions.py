@@ -132,7 +132,7 @@ CASES: Dict[str, Case] = {
     r"([^/]+)/(?:msg|action)/([^/]+)": Case(
         "match", "each part once", ("", "a/", "a/msg/"), ("a", "/", "a/msg/", "/msg", "msg")
     ),
-    # messages/field_values.py
+    # prolog/terms/byte_texts.py
     "[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]": Case(
         "search", "one look at each character", ("",), ("a", "\n", "ü")
     ),
@@ -233,7 +233,7 @@ CASES: Dict[str, Case] = {
         ("", ","),
         (",", "-", "1", ",1", ",-1", "e"),
     ),
-    # messages/field_values.py
+    # prolog/terms/byte_texts.py
     r"[ -~\t\n\r\v\f]*\Z": Case(
         "match", "bytes that cannot be shown at the end: all once more", ("",), ("a", "\n")
     ),

@@ -8,7 +8,6 @@ from source import NODES, TREES
 from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, TextCache
 
 DECORATED = {
-    ("messages/field_values.py", "array_maker"): "one entry for each of the 13 number types",
     ("explanation/why_not.py", "_spans"): "one entry for each operator",
     (
         "events/matches/interval_index.py",

@@ -23,12 +23,11 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple, Union
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError
+from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS, decoder_of_code
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
 from .field_values import (
     CACHE_BYTES_PER_CHARACTER,
-    MAX_EAGER_ELEMENTS,
-    array_maker,
     blob_term,
     cache_text,
     cached_texts,
@@ -255,7 +254,7 @@ def _compile_records(slot: Field) -> Callable[[bytes], Term]:
 
 def _array_decoder(slot: Field) -> Callable[[bytes], Term]:
     if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
-        return array_maker(PRIMITIVES[slot.type])
+        return decoder_of_code(PRIMITIVES[slot.type])
     return _compile_records(slot)
 
 

@@ -17,8 +17,10 @@ from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
 from ..foundation.cpython_and_pypy import text_size
 from ..foundation.errors import MessageError
+from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS, decoder_of_code
+from ..prolog.terms.byte_texts import text_bytes
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
-from .field_values import MAX_EAGER_ELEMENTS, array_maker, raw_bytes, text_bytes
+from .field_values import raw_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field
 from .validating_encoder import ValidatingEncoder
 
@@ -216,13 +218,13 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
 
 def _number_packer(slot: Field) -> Callable[[Term], bytes]:
     code, length = PRIMITIVES[slot.type], slot.length
-    make = array_maker(code)
+    make = decoder_of_code(code)
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:
-        # An array that was not decoded still has the bytes of the message, which are copied. The same `make`
-        # guarantees the same element type.
-        if term.__class__ is Lazy and term.make is make and term.made is None:
+        # An array term has the bytes of the numbers, which are copied. The same `make` guarantees the same element
+        # type.
+        if term.__class__ is Lazy and term.make is make:
             encoded_bytes = bytes(term.source)
             count = len(encoded_bytes) // size
         else:

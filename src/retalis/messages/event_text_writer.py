@@ -13,9 +13,9 @@ from typing import AbstractSet, Any, Callable, List, NamedTuple, Optional
 
 from ..foundation import codegen
 from ..prolog.syntax.event_text import to_text
+from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.types import Lazy, Term, atom
 from .decoder import Decoder, FrameSource, StampWatch, UnsupportedLayout
-from .field_values import MAX_EAGER_ELEMENTS
 from .type_definition import PRIMITIVES, TIMES, Definition, Field
 
 _VALUE_DELIMITER = "\0"

@@ -14,10 +14,10 @@ from typing import Any, Callable, Dict, List, Optional
 
 from ..foundation.errors import MessageError, counted
 from ..prolog.terms import timestamps
+from ..prolog.terms.byte_texts import text_bytes
 from ..prolog.terms.list_terms import list_items, make_list
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor
 from ..prolog.terms.types import String as PrologString
-from .field_values import text_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
 
 _BOOL_ATOMS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}

@@ -3,6 +3,7 @@
 from . import (
     all_solutions,  # noqa: F401  (imported for what they register)
     argument_checks,  # noqa: F401  (imported for what they register)
+    array_predicates,  # noqa: F401  (imported for what they register)
     association_lists,  # noqa: F401  (imported for what they register)
     atoms_and_strings,  # noqa: F401  (imported for what they register)
     builtin_registry,  # noqa: F401  (imported for what they register)

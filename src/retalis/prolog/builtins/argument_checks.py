@@ -4,14 +4,20 @@ Each function dereferences an argument and returns its value as a Python object.
 ISO 13211-1 prescribes: an instantiation error for an unbound argument, a type or domain error for a wrong one.
 """
 
-from typing import List, Optional
+from typing import TYPE_CHECKING, List, Optional
 
-from ...foundation.cancellation import watched
+from ...foundation.cancellation import check_limits, watched
+from ...foundation.errors import MessageError
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
 from ..machine.machine import Machine
+from ..terms.array_terms import array_view
+from ..terms.byte_texts import text_bytes
 from ..terms.list_terms import list_parts
 from ..terms.types import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor
+
+if TYPE_CHECKING:
+    from ..terms.array_terms import Array
 
 
 def is_iso(machine: Machine) -> bool:
@@ -146,3 +152,64 @@ def option_values(term: Term) -> List[Term]:
         if option.__class__ is Var:
             raise instantiation_error()
     return options
+
+
+_NUMBER_CLASSES = {int, float}
+
+
+def array_of(term: Term) -> "Array":
+    """Return the numbers of an array term, a list of numbers or a byte array as a one-dimensional array.
+
+    An array term is not decoded: the result is a read-only view of its bytes. A list becomes an array of ``int64`` if
+    it contains only integers of 64 bits, and of ``float64`` otherwise. The atom of a byte array becomes ``uint8``.
+
+    Raises:
+        PrologError: an instantiation error for an unbound variable, a partial list or an unbound item; a type error
+            for any other term, which says the position of an item that is not a number.
+    """
+    array = array_view(term)
+    if array is not None:
+        return array
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    value = deref(term)
+    if value.__class__ is Atom and value is not NIL:
+        return np.frombuffer(_bytes_of(value), "u1")
+    values, tail = list_parts(value)
+    if tail.__class__ is Var:
+        raise instantiation_error()
+    if tail is not NIL:
+        raise type_error("list", term)
+    if not {item.__class__ for item in values} <= _NUMBER_CLASSES:
+        values = [_item(item, position) for position, item in enumerate(watched(values))]
+    check_limits(size=8 * len(values))
+    if all(item.__class__ is int for item in values):
+        try:
+            return np.array(values, "i8")
+        except OverflowError:
+            pass
+    return np.array(values, "f8")
+
+
+def _item(item: Term, position: int) -> Number:
+    """Return the item of a list of numbers at a position, which is counted from 0."""
+    value = deref(item)
+    if value.__class__ is int or value.__class__ is float:
+        return value
+    if value.__class__ is Var:
+        raise instantiation_error()
+    raise type_error("number", value, f"item {position} of a list of numbers, counted from 0")
+
+
+def _bytes_of(value: Atom) -> bytes:
+    """Return the bytes that the atom of a byte array stands for."""
+    # Other atoms are names, such as a misspelt list.
+    raw = None
+    if len(value.name) >= 2 and value.name[0] == value.name[-1] == '"':  # noqa: PLR2004
+        try:
+            raw = text_bytes(value)
+        except MessageError as error:
+            raise type_error("list", value, error.message) from None
+    if raw is None:
+        raise type_error("list", value)
+    return raw

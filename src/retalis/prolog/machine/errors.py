@@ -154,9 +154,9 @@ def instantiation_error() -> PrologError:
     return error(_INSTANTIATION_ERROR)
 
 
-def type_error(type_name: str, culprit: Term) -> PrologError:
+def type_error(type_name: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for a term of the wrong type."""
-    return error((_TYPE_ERROR, atom(type_name), culprit))
+    return error((_TYPE_ERROR, atom(type_name), culprit), _because(reason))
 
 
 def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:

@@ -158,6 +158,28 @@ class Var:
         return f"Var(_G{serial(self)})" if self.ref is None else f"Var({self.ref!r})"
 
 
+class ArrayDecoder:
+    """The ``make`` of an array term, see `array_terms`: a function, and the type of the numbers that it reads.
+
+    Attributes:
+        dtype: numpy's name of the type, such as ``"<f4"``.
+        decode: returns the list, or the atom, that the bytes stand for.
+    """
+
+    __slots__ = ("dtype", "decode")
+
+    def __init__(self, dtype: str, decode: "Callable[[bytes], Term]"):
+        self.dtype = dtype
+        self.decode = decode
+
+    def __call__(self, source: bytes) -> "Term":
+        """Return the list, or the atom, of the bytes."""
+        return self.decode(source)
+
+    def __repr__(self) -> str:
+        return f"ArrayDecoder({self.dtype!r})"
+
+
 class Lazy:
     """A term that is built on first access, once; its functor is known in advance.
 
@@ -165,6 +187,7 @@ class Lazy:
         functor: the `Functor` of the term. It has the empty name and arity 0 if the term will be an atom whose name
             is not known yet.
         make: builds the term from ``source``.
+        source: None once the term has been built, except in an array term, which keeps its bytes.
     """
 
     __slots__ = ("functor", "make", "source", "made")
@@ -183,8 +206,10 @@ class Lazy:
             # `made` before it clears `source`. In the other order this thread could call `make(None)`.
             source, decoded = self.source, self.made
             if decoded is None:
-                decoded = self.made = self.make(source)
-                self.source = None
+                make = self.make
+                decoded = self.made = make(source)
+                if make.__class__ is not ArrayDecoder:
+                    self.source = None
         return decoded
 
     def __repr__(self) -> str:

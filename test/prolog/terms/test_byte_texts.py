@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis import MessageError, String, atom
-from retalis.messages.field_values import blob_atom, text_atom, text_bytes
+from retalis.prolog.terms.byte_texts import blob_atom, text_atom, text_bytes
 from retalis.prolog.terms.types import NIL
 
 

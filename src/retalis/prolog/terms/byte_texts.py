@@ -1,0 +1,100 @@
+"""Texts and byte arrays of messages as atoms, and the bytes that such an atom stands for.
+
+Strings and byte arrays become atoms: ``'"text"'``, or base64 for bytes that are not text. A ``string`` is text if it
+is valid UTF-8 and has no control characters (Unicode category Cc: U+0000 to U+001F, U+007F to U+009F) except tab,
+line feed and carriage return. A ``uint8[]`` is text only if all its bytes are printable ASCII (or tab and the ASCII
+line ends), because its bytes need not have an encoding. Text that begins with the marker of the base64 form is
+encoded, so that decoding is unambiguous.
+"""
+
+import re
+from base64 import b64decode, b64encode
+from binascii import Error as Base64Error
+from typing import Optional
+
+from ...foundation.errors import MessageError
+from .types import NIL, Atom, String, Term, atom
+
+BASE64_MARK = "FFFFFFFFFF"
+"""Prefix of the base64 form; text that begins with it is itself written as base64."""
+
+_BASE64_MARK_BYTES = BASE64_MARK.encode()
+
+_BASE64_LINE_LENGTH, _BASE64_LINE_END = 76, "////"
+_ASCII = re.compile(rb"[ -~\t\n\r\v\f]*\Z")
+_CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+
+
+def text_atom(data: bytes) -> Atom:
+    """Return the atom of a message's string."""
+    if data.startswith(_BASE64_MARK_BYTES):
+        return _base64_atom(data)
+    try:
+        text = str(data, "utf-8")
+    except UnicodeDecodeError:
+        return _base64_atom(data)
+    return _base64_atom(data) if _CONTROL.search(text) else atom('"' + text + '"')
+
+
+def blob_atom(data: bytes) -> Atom:
+    """Return the atom of a message's byte array."""
+    if _ASCII.match(data) and not data.startswith(_BASE64_MARK_BYTES):
+        return atom('"' + str(data, "ascii") + '"')
+    return _base64_atom(data)
+
+
+def text_bytes(term: Term) -> Optional[bytes]:
+    """Return the bytes that a term denotes in a string slot, or None if it does not denote a string.
+
+    Accepted are the atoms of `text_atom` and `blob_atom`, other atoms (their name is the text), and Prolog strings.
+    ``term`` is dereferenced.
+
+    Raises:
+        MessageError: for malformed base64, and for text that cannot be encoded (an unpaired surrogate).
+    """
+    if term.__class__ is Atom:
+        # The empty list is an atom in Prolog, but never a string.
+        if term is NIL:
+            return None
+        name = term.name
+        if len(name) >= 2 and name[0] == '"' and name[-1] == '"':
+            name = name[1:-1]
+    elif term.__class__ is String:
+        name = term.text
+    else:
+        return None
+    if name.startswith(BASE64_MARK):
+        return _decode_base64(name[len(BASE64_MARK) :])
+    try:
+        return name.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError as error:
+        raise MessageError(
+            f"expected bytes as text, got the code point {ord(name[error.start]):#x}"
+        ) from None
+
+
+def _base64_atom(data: bytes) -> Atom:
+    text = str(b64encode(data), "ascii")
+    lines = "".join(
+        text[start : start + _BASE64_LINE_LENGTH] + _BASE64_LINE_END
+        for start in range(0, len(text), _BASE64_LINE_LENGTH)
+    )
+    return atom(f'"{BASE64_MARK}{lines}"')
+
+
+def _decode_base64(text: str) -> bytes:
+    """Decode the lines of the base64 form.
+
+    Lines are split by position, because the characters of a line end are also in the base64 alphabet.
+    """
+    # `/` is a base64 digit, so searching for the line end could find data.
+    step = _BASE64_LINE_LENGTH + len(_BASE64_LINE_END)
+    lines = [text[start : start + step] for start in range(0, len(text), step)]
+    if any(not line.endswith(_BASE64_LINE_END) for line in lines):
+        raise MessageError(
+            f"expected base64 in lines of {_BASE64_LINE_LENGTH} characters, each followed by {_BASE64_LINE_END}"
+        )
+    try:
+        return b64decode("".join(line[: -len(_BASE64_LINE_END)] for line in lines), validate=True)
+    except (Base64Error, ValueError) as error:
+        raise MessageError(f"expected base64 after {BASE64_MARK}: {error}") from None

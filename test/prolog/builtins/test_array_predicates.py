@@ -1,0 +1,99 @@
+"""Predicates on arrays against numpy, for array terms and for lists."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from prolog.support import prolog
+
+from retalis import PrologError, Var, atom, deref, functor, make_list
+from retalis.prolog.terms.array_terms import array_term
+
+LOGIC = prolog()
+
+NUMBERS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=40)
+
+
+def value_of(name, *arguments, after=()):
+    """Return the value of the argument between two groups of arguments, None for failure."""
+    result = Var()
+    goal = functor(name, len(arguments) + 1 + len(after))(*arguments, result, *after)
+    for _ in LOGIC.solutions(goal):
+        return deref(result)
+    return None
+
+
+def both(numbers, dtype="f4"):
+    """Return an array term and the list that it stands for."""
+    array = np.array(numbers, dtype)
+    return [array_term(array), make_list(array.tolist())]
+
+
+@given(NUMBERS)
+def test_extremes_and_means_are_numpys(numbers):
+    array = np.array(numbers, "f4")
+    for term in both(numbers):
+        assert value_of("array_min", term) == array.min()
+        assert value_of("array_max", term) == array.max()
+        assert value_of("array_mean", term) == pytest.approx(array.mean(dtype="f8"))
+
+
+@given(NUMBERS, st.integers(0, 100) | st.floats(0, 100))
+def test_percentiles_are_numpys(numbers, percent):
+    expected = np.percentile(np.array(numbers, "f8"), percent)
+    for term in both(numbers):
+        assert value_of("array_percentile", term, percent) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8", "i4", "u1"])
+def test_numbers_have_the_class_of_the_items_of_the_list(dtype):
+    for term in both(range(10), dtype):
+        least = value_of("array_min", term)
+        assert least.__class__ is (float if dtype[0] == "f" else int)
+
+
+@pytest.mark.parametrize("name", ["array_min", "array_max", "array_mean"])
+def test_empty_arrays_fail(name):
+    assert value_of(name, make_list([])) is None
+    assert value_of(name, atom('""')) is None
+
+
+def test_the_percentile_of_an_empty_array_fails():
+    assert value_of("array_percentile", make_list([]), 50) is None
+
+
+@pytest.mark.parametrize("numbers", [[math.nan] * 9, [1.0, math.nan, 2.0, 3.0, math.inf]])
+def test_nan_is_undefined(numbers):
+    for term in both(numbers):
+        for name, more in [
+            ("array_min", ()),
+            ("array_max", ()),
+            ("array_mean", ()),
+            ("array_percentile", (5,)),
+        ]:
+            with pytest.raises(PrologError, match="undefined"):
+                value_of(name, term, *more)
+
+
+def test_infinity_is_a_value():
+    for term in both([1.0, math.inf, math.inf, 2.0, 3.0]):
+        assert value_of("array_max", term) == math.inf
+        assert value_of("array_percentile", term, 90) == math.inf
+        assert value_of("array_percentile", term, 50) == 3
+        with pytest.raises(PrologError, match="float_overflow"):
+            value_of("array_mean", term)
+
+
+@pytest.mark.parametrize("percent", [-1, 100.5, math.nan])
+def test_percentages_are_checked(percent):
+    with pytest.raises(PrologError, match="percentage"):
+        value_of("array_percentile", make_list([1]), percent)
+
+
+def test_array_terms_are_not_decoded():
+    term = array_term(np.arange(20.0))
+    value_of("array_min", term)
+    value_of("array_percentile", term, 5)
+    assert term.made is None
