@@ -23,7 +23,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple, Union
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError
-from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS, decoder_of_code
+from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Lazy, Term, atom, functor
 from .field_values import (
@@ -31,6 +31,7 @@ from .field_values import (
     blob_term,
     cache_text,
     cached_texts,
+    number_decoder,
     read_text,
     read_texts,
     record_maker,
@@ -253,9 +254,7 @@ def _compile_records(slot: Field) -> Callable[[bytes], Term]:
 
 
 def _array_decoder(slot: Field) -> Callable[[bytes], Term]:
-    if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
-        return decoder_of_code(PRIMITIVES[slot.type])
-    return _compile_records(slot)
+    return number_decoder(slot) or _compile_records(slot)
 
 
 CACHED_VALUE_BYTES = 400

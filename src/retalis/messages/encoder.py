@@ -17,10 +17,10 @@ from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
 from ..foundation.cpython_and_pypy import text_size
 from ..foundation.errors import MessageError
-from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS, decoder_of_code
+from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.byte_texts import text_bytes
-from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Lazy, Term, atom, functor
-from .field_values import raw_bytes
+from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, ArrayDecoder, Atom, Lazy, Term, atom, functor
+from .field_values import number_decoder, raw_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field
 from .validating_encoder import ValidatingEncoder
 
@@ -196,8 +196,9 @@ def _compile_encode(definition: Definition) -> Callable[..., bytes]:
 
 def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     """Return the function that packs an array's list, preceded by its length if that is variable."""
-    if slot.definition is None and slot.type in PRIMITIVES and slot.type != "bool":
-        return _number_packer(slot)
+    make = number_decoder(slot)
+    if make is not None:
+        return _number_packer(slot, make)
     code = _EncoderSource()
     code.single(slot._replace(length=None), "term")
     lines = ["def encode(term):", *("  " + line for line in code.body())]
@@ -216,9 +217,8 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     return encode
 
 
-def _number_packer(slot: Field) -> Callable[[Term], bytes]:
+def _number_packer(slot: Field, make: ArrayDecoder) -> Callable[[Term], bytes]:
     code, length = PRIMITIVES[slot.type], slot.length
-    make = decoder_of_code(code)
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:

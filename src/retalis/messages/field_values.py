@@ -10,9 +10,10 @@ from typing import Callable, Dict, List, Optional, Tuple, TypeVar
 
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
-from ..prolog.terms.array_terms import BLOB, LAZY_STRING_FUNCTOR
+from ..prolog.terms.array_terms import BLOB, LAZY_STRING_FUNCTOR, decoder_of_code
 from ..prolog.terms.byte_texts import blob_atom, text_atom
-from ..prolog.terms.types import CONS, NIL, Lazy, Term
+from ..prolog.terms.types import CONS, NIL, ArrayDecoder, Lazy, Term
+from .type_definition import PRIMITIVES, Field
 
 MAX_EAGER_BYTES = 1024
 """Strings longer than this many bytes become lazy terms."""
@@ -84,6 +85,13 @@ def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
         terms.append(text_term(raw))
         offset += 4 + size
     return tuple(terms) if offset == len(key) and number else None
+
+
+def number_decoder(slot: Field) -> Optional[ArrayDecoder]:
+    """Return the decoder of the array terms that have the bytes of a slot; None if its elements are no numbers."""
+    if slot.definition is not None or slot.type == "bool" or slot.type not in PRIMITIVES:
+        return None
+    return decoder_of_code(PRIMITIVES[slot.type])
 
 
 MakeList = Callable[[bytes], Term]

@@ -14,10 +14,24 @@ from typing import Any, Callable, Dict, List, Optional
 
 from ..foundation.errors import MessageError, counted
 from ..prolog.terms import timestamps
+from ..prolog.terms.array_terms import BLOB, element_count, lazy_array
 from ..prolog.terms.byte_texts import text_bytes
 from ..prolog.terms.list_terms import list_items, make_list
-from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, Functor, Term, Var, atom, deref, functor
+from ..prolog.terms.types import (
+    CONS,
+    FALSE,
+    NIL,
+    TRUE,
+    Atom,
+    Functor,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+)
 from ..prolog.terms.types import String as PrologString
+from .field_values import number_decoder
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
 
 _BOOL_ATOMS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
@@ -90,6 +104,15 @@ def _encode_slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> Non
             chunks.append(pack("<I", len(raw)))
         chunks.append(raw)
         return
+    array = lazy_array(term)
+    if array is not None and array.make is number_decoder(slot):
+        # The array has the bytes of the slot.
+        count = element_count(array)
+        _check_length(slot, count, path)
+        if slot.length == VARIABLE_LENGTH:
+            chunks.append(pack("<I", count))
+        chunks.append(bytes(array.source))
+        return
     items = _get_items(slot, term, path)
     if slot.length == VARIABLE_LENGTH:
         chunks.append(pack("<I", len(items)))
@@ -115,6 +138,10 @@ def _check_length(slot: Field, count: int, path: str) -> None:
 
 def _get_bytes(slot: Field, term: Term, path: str) -> bytes:
     """Return the bytes of a byte array, which may be a string or a list of numbers."""
+    array = lazy_array(term)
+    if array is not None and array.make in (BLOB, number_decoder(slot)):
+        _check_length(slot, len(array.source), path)
+        return bytes(array.source)
     value = deref(term)
     # An empty list is an empty byte array; any other atom would be its text.
     if value.__class__ is tuple or value is NIL:

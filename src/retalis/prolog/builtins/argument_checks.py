@@ -11,7 +11,7 @@ from ...foundation.errors import MessageError
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
 from ..machine.machine import Machine
-from ..terms.array_terms import array_view
+from ..terms.array_terms import lazy_array, view
 from ..terms.byte_texts import text_bytes
 from ..terms.list_terms import list_parts
 from ..terms.types import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor
@@ -160,16 +160,17 @@ _NUMBER_CLASSES = {int, float}
 def array_of(term: Term) -> "Array":
     """Return the numbers of an array term, a list of numbers or a byte array as a one-dimensional array.
 
-    An array term is not decoded: the result is a read-only view of its bytes. A list becomes an array of ``int64`` if
-    it contains only integers of 64 bits, and of ``float64`` otherwise. The atom of a byte array becomes ``uint8``.
+    An array term is not decoded: the result is a read-only view of its bytes. A list becomes an array of ``int64`` or
+    ``uint64`` if it contains only such integers, and of ``float64`` otherwise. The atom of a byte array becomes
+    ``uint8``.
 
     Raises:
         PrologError: an instantiation error for an unbound variable, a partial list or an unbound item; a type error
             for any other term, which says the position of an item that is not a number.
     """
-    array = array_view(term)
-    if array is not None:
-        return array
+    lazy = lazy_array(term)
+    if lazy is not None:
+        return view(lazy)
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
     value = deref(term)
@@ -184,10 +185,11 @@ def array_of(term: Term) -> "Array":
         values = [_item(item, position) for position, item in enumerate(watched(values))]
     check_limits(size=8 * len(values))
     if all(item.__class__ is int for item in values):
-        try:
-            return np.array(values, "i8")
-        except OverflowError:
-            pass
+        for dtype in ("i8", "u8"):
+            try:
+                return np.array(values, dtype)
+            except OverflowError:
+                pass
     return np.array(values, "f8")
 
 

@@ -1,23 +1,38 @@
 """Predicates on arrays of numbers, which are computed by numpy.
 
 An array is an array term (see `array_terms`), such as the value of a numeric array slot of a message, a list of
-numbers, or the atom of a byte array. Array terms are read from their bytes; no list is built.
+numbers, or the atom of a byte array. Array terms are read from their bytes; no list is built. Elements are counted
+from 0.
+
+An element has the value that it has as an item of the list: results are integers or doubles, and floats of 32 bits
+are compared and added as doubles. numpy would compare them with numbers that are rounded to 32 bits.
+
+A predicate that selects or combines elements fails for an empty array, or if its options leave no element, like
+``min_list/2``. nan has no order, so it is an evaluation error unless an option leaves it out. Infinity is a value,
+but no result of arithmetic, as in ``is/2``.
 """
 
-from typing import TYPE_CHECKING, Optional
+import operator
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Union
 
 from ...foundation.cancellation import check_limits
-from ..machine.arithmetic import Number
-from ..machine.errors import domain_error, evaluation_error
-from ..terms.types import Term
-from .argument_checks import array_of, number
-from .builtin_registry import function
+from ..machine.arithmetic import Number, evaluate
+from ..machine.errors import domain_error, evaluation_error, instantiation_error
+from ..machine.machine import Machine
+from ..terms.array_terms import array_term, element, lazy_array
+from ..terms.list_terms import make_list
+from ..terms.types import CONS, Atom, Functor, Term, Var, atom, deref, functor
+from ..terms.unification import unify
+from .argument_checks import array_of, natural, number, option_values
+from .builtin_registry import deterministic, function
 
 if TYPE_CHECKING:
     from ..terms.array_terms import Array
 
 _ELEMENTS_PER_INFERENCE = 64
 """Elements that numpy processes in about the time of an inference."""
+
+_LEAST_INTEGER, _GREATEST_INTEGER = -(1 << 63), (1 << 63) - 1
 
 
 def _numbers(term: Term) -> "Array":
@@ -33,60 +48,420 @@ def _numbers(term: Term) -> "Array":
 
 
 def _ordered(value: Number) -> Number:
-    """Return a result that depends on the order of the elements, which nan does not have."""
+    """Return a result that depends on the order of the elements; raise an error if one of them is nan."""
     if value != value:
         raise evaluation_error("undefined")
     return value
 
 
-@function("array_min/2")
-def array_min(array: Term) -> Optional[Term]:
-    """Return the smallest element; fail for an empty array."""
-    values = _numbers(array)
-    return _ordered(values.min().item()) if len(values) else None
+def _finite(value: float) -> float:
+    """Return a result of arithmetic; raise an error if it is not finite."""
+    if value - value != 0:
+        raise evaluation_error("undefined" if value != value else "float_overflow")
+    return value
 
 
-@function("array_max/2")
-def array_max(array: Term) -> Optional[Term]:
-    """Return the largest element; fail for an empty array."""
-    values = _numbers(array)
-    return _ordered(values.max().item()) if len(values) else None
+# Reductions of an array with elements to a number.
 
 
-@function("array_mean/2")
-def array_mean(array: Term) -> Optional[Term]:
-    """Return the arithmetic mean as a float; fail for an empty array."""
-    values = _numbers(array)
-    if not len(values):
-        return None
-    mean: float = values.mean(dtype="f8").item()
-    if mean - mean != 0:
-        raise evaluation_error("undefined" if mean != mean else "float_overflow")
-    return mean
+def _minimum(values: "Array") -> Number:
+    return _ordered(values.min().item())
 
 
-@function("array_percentile/3")
-def array_percentile(array: Term, percent: Term) -> Optional[Term]:
-    """Return a percentile, interpolated linearly between two elements as a float; fail for an empty array."""
-    values = _numbers(array)
-    share = number(percent)
-    if not 0 <= share <= 100:  # noqa: PLR2004
-        raise domain_error("percentage", share)
-    return _percentile(values, share) if len(values) else None
+def _maximum(values: "Array") -> Number:
+    return _ordered(values.max().item())
+
+
+def _position_of_minimum(values: "Array") -> Number:
+    # The position of a nan, if there is one.
+    position = int(values.argmin())
+    _ordered(values[position].item())
+    return position
+
+
+def _position_of_maximum(values: "Array") -> Number:
+    position = int(values.argmax())
+    _ordered(values[position].item())
+    return position
+
+
+def _sum(values: "Array") -> Number:
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    if values.dtype.kind != "f":
+        # Integers of 32 bits cannot exceed 64 bits: that would take more elements than a message can have.
+        return int(values.sum(dtype="i8")) if values.dtype.itemsize < 8 else sum(values.tolist())  # noqa: PLR2004
+    with np.errstate(all="ignore"):
+        return _finite(values.sum(dtype="f8").item())
+
+
+def _mean(values: "Array") -> Number:
+    return _sum(values) / len(values)
+
+
+def _deviation(values: "Array") -> Number:
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    with np.errstate(all="ignore"):
+        return _finite(values.std(dtype="f8").item())
+
+
+def _median(values: "Array") -> Number:
+    return _percentile(values, 50)
 
 
 def _percentile(values: "Array", share: Number) -> float:
-    """Return the element at a share of the sorted elements, in percent; see ``numpy.percentile``."""
-    # numpy's function handles axes and weights, and takes several times as long for a short array.
-    position = (len(values) - 1) * share / 100
+    """Return the element at a share of the sorted elements, in percent, interpolated linearly between two."""
+    # `numpy.percentile` handles axes and weights, and takes several times as long for an array of this size.
+    last = len(values) - 1
+    position = last * share / 100
     low = int(position)
     fraction = position - low
-    last = len(values) - 1
     high = min(low + 1, last)
-    # nan is sorted to the end, where it is found without another pass.
     parted = values.copy()
+    # nan is sorted to the end, where it is found without another pass.
     parted.partition((low, high, last) if high < last else (low, last))
     _ordered(parted[last].item())
     lower, upper = float(parted[low]), float(parted[high])
     # Between equal infinities the difference is nan.
     return lower if not fraction or lower == upper else lower + (upper - lower) * fraction
+
+
+_REDUCTIONS: Dict[str, Callable[["Array"], Number]] = {
+    "array_min": _minimum,
+    "array_max": _maximum,
+    "array_sum": _sum,
+    "array_mean": _mean,
+    "array_median": _median,
+    "array_std": _deviation,
+    "array_argmin": _position_of_minimum,
+    "array_argmax": _position_of_maximum,
+}
+"""Reductions by the name of their predicates."""
+
+_OF_NONE = {"array_sum": 0}
+"""Results for an array without elements; the other predicates fail."""
+
+_POSITIONS = ("array_argmin", "array_argmax")
+"""Predicates whose result is the position of an element."""
+
+
+class _Selection(NamedTuple):
+    """Elements of an array that options select.
+
+    Attributes:
+        values: the elements.
+        mask: for each element of the array whether it is selected; None for all.
+        counts: terms that are unified with the number of elements that were left out.
+        left_out: that number.
+    """
+
+    values: "Array"
+    mask: "Optional[Array]"
+    counts: List[Term]
+    left_out: int
+
+
+_SKIP, _SKIPPED, _WITHIN = functor("skip", 1), functor("skipped", 1), functor("within", 2)
+_NAN, _INF, _FINITE = atom("nan"), atom("inf"), atom("finite")
+
+
+def _selected(array: Term, options: Term) -> _Selection:
+    """Return the elements that options select.
+
+    ``skip(nan)`` and ``skip(inf)`` leave out these values, ``within(Low, High)`` those outside of two bounds and nan;
+    ``skipped(Count)`` receives the number of elements that were left out.
+
+    Raises:
+        PrologError: an error for a term that is not an array, and for malformed or unknown options.
+    """
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    values = _numbers(array)
+    masks: List[Array] = []
+    counts: List[Term] = []
+    option: Any
+    for option in option_values(options):
+        key: Optional[Functor] = option[0] if option.__class__ is tuple else None
+        if key is _SKIPPED:
+            counts.append(option[1])
+        elif key is _WITHIN:
+            masks += [_compared(values, ">=", number(option[1])), _compared(values, "=<", number(option[2]))]
+        elif key is _SKIP and deref(option[1]) in (_NAN, _INF):
+            masks.append(~np.isnan(values) if deref(option[1]) is _NAN else ~np.isinf(values))
+        else:
+            raise domain_error("array_option", option)
+    if not masks:
+        return _Selection(values, None, counts, 0)
+    mask = np.logical_and.reduce(masks)
+    selected = values[mask]
+    return _Selection(selected, mask, counts, len(values) - len(selected))
+
+
+def _define_reduction(name: str, reduce: Callable[["Array"], Number]) -> None:
+    """Define a reduction as a predicate of two arguments, and of three with options."""
+
+    def reduced(array: Term) -> Optional[Term]:
+        values = _numbers(array)
+        return reduce(values) if len(values) else _OF_NONE.get(name)
+
+    def reduced_with_options(machine: Machine, array: Term, result: Term, options: Term) -> bool:
+        selection = _selected(array, options)
+        value = reduce(selection.values) if len(selection.values) else _OF_NONE.get(name)
+        if value is not None and name in _POSITIONS and selection.mask is not None:
+            value = int(selection.mask.nonzero()[0][int(value)])
+        return _unify_selected(machine, selection, result, value)
+
+    function(f"{name}/2")(reduced)
+    deterministic(f"{name}/3")(reduced_with_options)
+
+
+def _unify_selected(machine: Machine, selection: _Selection, result: Term, value: Optional[Number]) -> bool:
+    """Unify the result, and the number of elements that were left out."""
+    return (
+        value is not None
+        and unify(result, value, machine.trail)
+        and all(unify(count, selection.left_out, machine.trail) for count in selection.counts)
+    )
+
+
+for _name, _reduce in _REDUCTIONS.items():
+    _define_reduction(_name, _reduce)
+
+
+def _percentage(term: Term) -> Number:
+    share = number(term)
+    if not 0 <= share <= 100:  # noqa: PLR2004
+        raise domain_error("percentage", share)
+    return share
+
+
+@function("array_percentile/3")
+def array_percentile(array: Term, percent: Term) -> Optional[Term]:
+    """Return a percentile, interpolated linearly between two elements as a float; fail for an empty array."""
+    values, share = _numbers(array), _percentage(percent)
+    return _percentile(values, share) if len(values) else None
+
+
+@deterministic("array_percentile/4")
+def array_percentile_with_options(
+    machine: Machine, array: Term, percent: Term, result: Term, options: Term
+) -> bool:
+    """Unify with a percentile of the elements that options select."""
+    selection, share = _selected(array, options), _percentage(percent)
+    value = _percentile(selection.values, share) if len(selection.values) else None
+    return _unify_selected(machine, selection, result, value)
+
+
+# Conditions on elements
+
+_COMPARISONS: Dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "=<": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "=:=": operator.eq,
+    "=\\=": operator.ne,
+}
+_COMPARING = {functor(name, 1): name for name in _COMPARISONS}
+_BETWEEN = functor("between", 2)
+
+_Operand = Union[Number, "Array"]
+
+
+def _operand(term: Term) -> _Operand:
+    """Return the array that a term is, or the value of an arithmetic expression."""
+    if lazy_array(term) is None:
+        value = deref(term)
+        if value.__class__ is int or value.__class__ is float:
+            return value
+        if value.__class__ is tuple and value[0] is not CONS:
+            return evaluate(value)
+    return _numbers(term)
+
+
+def _check_lengths(left: "Array", right: "Array", term: Term) -> None:
+    if len(left) != len(right):
+        reason = f"one array has {len(left)} elements, the other one {len(right)}"
+        raise domain_error("array_of_equal_length", term, reason)
+
+
+def _compared(values: "Array", name: str, operand: _Operand) -> "Array":
+    """Return for each element whether it compares so with a number, or with the element of another array."""
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    compare = _COMPARISONS[name]
+    with np.errstate(invalid="ignore"):
+        if operand.__class__ is int and values.dtype.kind != "f":
+            bounds = np.iinfo(values.dtype)
+            if not bounds.min <= operand <= bounds.max:
+                # All elements are less than the operand, or all are greater.
+                is_less = operand > bounds.max
+                return np.full(len(values), compare(0, 1) if is_less else compare(1, 0))
+            return compare(values, values.dtype.type(operand))  # type: ignore[no-any-return]
+        if operand.__class__ is int or operand.__class__ is float:
+            return compare(values.astype("f8"), _to_float(operand))  # type: ignore[no-any-return]
+        if values.dtype.kind == "f" or operand.dtype.kind == "f":  # type: ignore[union-attr]
+            return compare(values.astype("f8"), operand.astype("f8"))  # type: ignore[no-any-return, union-attr]
+        return compare(values, operand)  # type: ignore[no-any-return]
+
+
+def _to_float(value: Number) -> float:
+    """Return a number as a float, infinity for an integer that is larger than all floats."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
+
+
+def _matching(array: Term, condition: Term) -> "Array":
+    """Return for each element of an array whether it fulfils a condition.
+
+    A condition is a comparison without its left operand, such as ``<(0.5)``, whose operand is a number, an expression
+    or an array; ``between(Low, High)``; or one of the atoms ``nan``, ``inf`` and ``finite``.
+
+    Raises:
+        PrologError: an error for a term that is not an array, and for another condition.
+    """
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    values = _numbers(array)
+    condition = deref(condition)
+    if condition.__class__ is Var:
+        raise instantiation_error()
+    if condition.__class__ is tuple:
+        name = _COMPARING.get(condition[0])
+        if name is not None:
+            operand = _operand(condition[1])
+            if operand.__class__ is not int and operand.__class__ is not float:
+                _check_lengths(values, operand, condition[1])  # type: ignore[arg-type]
+            return _compared(values, name, operand)
+        if condition[0] is _BETWEEN:
+            low, high = number(condition[1]), number(condition[2])
+            return _compared(values, ">=", low) & _compared(values, "=<", high)
+    elif condition.__class__ is Atom:
+        test = {_NAN: np.isnan, _INF: np.isinf, _FINITE: np.isfinite}.get(condition)
+        if test is not None:
+            return test(values)
+    raise domain_error("array_condition", condition)
+
+
+@function("array_count/3")
+def array_count(array: Term, condition: Term) -> Term:
+    """Return the number of elements that fulfil a condition."""
+    return int(_matching(array, condition).sum())
+
+
+@function("array_where/3")
+def array_where(array: Term, condition: Term) -> Term:
+    """Return the positions of the elements that fulfil a condition."""
+    mask = _matching(array, condition)
+    check_limits(size=8 * len(mask))
+    return array_term(mask.nonzero()[0])
+
+
+# Elements and slices
+
+
+@function("array_get/3")
+def array_get(array: Term, position: Term) -> Optional[Term]:
+    """Return the element at a position; fail after the last one."""
+    index = natural(position)
+    lazy = lazy_array(array)
+    if lazy is not None:
+        return element(lazy, index)
+    values = array_of(array)
+    return values[index].item() if index < len(values) else None
+
+
+@function("array_slice/4")
+def array_slice(array: Term, start: Term, end: Term) -> Term:
+    """Return the elements from a position up to, but not including, another one; positions after the end are cut."""
+    first, last = natural(start), natural(end)
+    values = array_of(array)[first:last]
+    check_limits(size=values.nbytes)
+    return array_term(values)
+
+
+# Arithmetic
+
+
+def _elementwise(
+    apply: Callable[[Any, Any], Any], bound: Optional[Callable[[int, int], int]]
+) -> Callable[[Term, Term], Term]:
+    """Return a function of two operands, at least one of which is an array.
+
+    Args:
+        apply: the operation on numbers or arrays.
+        bound: returns a bound of the absolute result from those of integer operands; None if the result is always a
+            float.
+    """
+
+    def run(left: Term, right: Term) -> Term:
+        import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+        first, second = _operand(left), _operand(right)
+        sizes = [len(operand) for operand in (first, second) if isinstance(operand, np.ndarray)]
+        if not sizes:
+            array_of(left)  # raises the type error
+        if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+            _check_lengths(first, second, right)
+        check_limits(size=8 * sizes[0])
+        if bound is not None and _is_integral(first) and _is_integral(second):
+            if bound(_magnitude(first), _magnitude(second)) <= _GREATEST_INTEGER:
+                return array_term(apply(_wide(first), _wide(second)))
+            # Integers of any size, as the list would have them.
+            pairs = zip(_repeated(first, sizes[0]), _repeated(second, sizes[0]))
+            return make_list([apply(one, other) for one, other in pairs])
+        one, other = _double(first), _double(second)
+        with np.errstate(all="ignore"):
+            if apply is operator.truediv and not np.all(other):
+                raise evaluation_error("zero_divisor")
+            result = apply(one, other)
+            # nan and infinity stay what they are; arithmetic on finite numbers must not create them.
+            if (
+                not np.isfinite(result).all()
+                and ((np.isfinite(one) & np.isfinite(other)) & ~np.isfinite(result)).any()
+            ):
+                raise evaluation_error("float_overflow")
+        return array_term(result)
+
+    return run
+
+
+def _is_integral(operand: _Operand) -> bool:
+    return operand.__class__ is int or (operand.__class__ is not float and operand.dtype.kind != "f")  # type: ignore[union-attr]
+
+
+def _magnitude(operand: Any) -> int:
+    """Return the largest absolute value of an integer, or of an array of integers."""
+    if operand.__class__ is int:
+        return abs(operand)
+    return max(abs(int(operand.min())), abs(int(operand.max()))) if len(operand) else 0
+
+
+def _wide(operand: Any) -> Any:
+    return operand if operand.__class__ is int else operand.astype("i8")
+
+
+def _double(operand: Any) -> Any:
+    return float(operand) if operand.__class__ in (int, float) else operand.astype("f8")
+
+
+def _repeated(operand: Any, count: int) -> List[int]:
+    return [operand] * count if operand.__class__ is int else operand.tolist()
+
+
+def _add_bound(first: int, second: int) -> int:
+    return first + second
+
+
+def _product_bound(first: int, second: int) -> int:
+    # An operand is a 64-bit integer itself, also if the other one is 0.
+    return max(first * second, first, second)
+
+
+function("array_add/3")(_elementwise(operator.add, _add_bound))
+function("array_subtract/3")(_elementwise(operator.sub, _add_bound))
+function("array_multiply/3")(_elementwise(operator.mul, _product_bound))
+function("array_divide/3")(_elementwise(operator.truediv, None))

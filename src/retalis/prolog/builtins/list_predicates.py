@@ -58,6 +58,7 @@ from ..machine.errors import (
     type_error,
 )
 from ..machine.machine import LAST, RESUME, Code, Machine
+from ..terms.array_terms import element, element_count, list_array, view
 from ..terms.list_terms import list_items, list_parts, make_list
 from ..terms.term_traversal import LATE_ROUND, MAX_STEPS, ROUNDS, refuse_cycles
 from ..terms.types import (
@@ -84,6 +85,8 @@ from .builtin_registry import Outcome, Solutions, control, deterministic, nondet
 
 if TYPE_CHECKING:
     from typing_extensions import TypeGuard
+
+    from ..terms.array_terms import Array
 
 Item = TypeVar("Item")
 
@@ -267,8 +270,13 @@ _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 @control("length/2")
 def length(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Relate a list with its length; a partial list is extended."""
-    values, tail = list_parts(args[0])
-    count = len(values)
+    array = None if args[0].__class__ is tuple else list_array(args[0])
+    tail: Term
+    if array is None:
+        values, tail = list_parts(args[0])
+        count = len(values)
+    else:
+        count, tail = element_count(array), NIL
     size = deref(args[1])
     if size.__class__ is not Var:
         natural(size)
@@ -538,12 +546,28 @@ def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
 
 
 def _fold_predicate(
-    name: str, step: Callable[[Term, Term], Term], start: Optional[int]
+    name: str,
+    step: Callable[[Term, Term], Term],
+    start: Optional[int],
+    fold_array: "Callable[[Array], Optional[Number]]",
 ) -> Callable[[Machine, Term, Term], bool]:
-    """Return a predicate that folds the numbers of a list, from ``start`` or, for None, from the first item."""
+    """Return a predicate that folds the numbers of a list.
+
+    Args:
+        name: name of the predicate.
+        step: folds one number.
+        start: value before the first number; None if that is the first number.
+        fold_array: returns the same value for an array, or None if the numbers have to be folded one by one.
+    """
     outer, inner = functor(name, 2), functor(name, 3)
 
     def run(machine: Machine, list_term: Term, result: Term) -> bool:
+        array = None if list_term.__class__ is tuple else list_array(list_term)
+        if array is not None:
+            check_limits(element_count(array) // _ELEMENTS_PER_INFERENCE)
+            folded = fold_array(view(array))
+            if folded is not None:
+                return unify(result, folded, machine.trail)
         values, tail = list_parts(list_term)
         value: Optional[Term] = start
         for item in watched(values):
@@ -561,9 +585,49 @@ def _extremum(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
     return lambda best, item: function(evaluate(best), evaluate(item))
 
 
-deterministic("sum_list/2", "sumlist/2", locked=False)(_fold_predicate("sum_list", add, 0))
-deterministic("max_list/2", locked=False)(_fold_predicate("max_list", _extremum(_MAX), None))
-deterministic("min_list/2", locked=False)(_fold_predicate("min_list", _extremum(_MIN), None))
+_ELEMENTS_PER_INFERENCE = 64
+"""Elements of an array that are folded in about the time of an inference."""
+
+
+def _array_sum(values: "Array") -> Optional[Number]:
+    """Return the sum of an array, added from left to right; None if it is not finite."""
+    if values.dtype.kind != "f":
+        # A sum of 64-bit integers can have more bits.
+        return int(values.sum(dtype="i8")) if values.dtype.itemsize < 8 else sum(values.tolist())  # noqa: PLR2004
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    # `numpy.sum` adds in pairs, which rounds differently.
+    with np.errstate(all="ignore"):
+        # The walk starts with the integer 0, which makes a sum of negative zeros positive.
+        total: float = np.add.accumulate(values, dtype="f8")[-1].item() + 0.0
+    # The walk finds out which number caused which error.
+    return total if total - total == 0 else None
+
+
+def _array_extremum(values: "Array", extremum: "Callable[[Array], Any]") -> Optional[Number]:
+    """Return the smallest or largest number of an array, without nan; None if all are nan."""
+    value: Number = extremum(values).item()
+    if value != value:
+        return None
+    # The walk returns the last one of equal numbers, and only zeros can differ.
+    return value or values[(values == 0).nonzero()[0][-1]].item()
+
+
+def _array_maximum(values: "Array") -> Optional[Number]:
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    return _array_extremum(values, np.fmax.reduce)
+
+
+def _array_minimum(values: "Array") -> Optional[Number]:
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    return _array_extremum(values, np.fmin.reduce)
+
+
+deterministic("sum_list/2", "sumlist/2", locked=False)(_fold_predicate("sum_list", add, 0, _array_sum))
+deterministic("max_list/2", locked=False)(_fold_predicate("max_list", _extremum(_MAX), None, _array_maximum))
+deterministic("min_list/2", locked=False)(_fold_predicate("min_list", _extremum(_MIN), None, _array_minimum))
 
 
 @deterministic("numlist/3", locked=False)
@@ -626,6 +690,10 @@ def _nth(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
 
 def _unify_item(machine: Machine, skipped: int, list_term: Term, item: Term) -> bool:
     """Unify the item after ``skipped`` others; a partial list is extended."""
+    array = None if list_term.__class__ is tuple else list_array(list_term)
+    if array is not None:
+        value = element(array, skipped)
+        return value is not None and unify(item, value, machine.trail)
     tail = deref(list_term)
     while skipped > 0 and tail.__class__ is tuple and tail[0] is CONS:
         skipped -= 1

@@ -98,8 +98,9 @@ def foreign(
     """Mark a function as a predicate; `Engine.add_foreign` or ``use_foreign/1`` defines it in a program.
 
     A parameter annotated with int, float, str, bool or list accepts only such values (float accepts integers as
-    well). One annotated with `Term` receives the term itself, which may be unbound; any other receives the term's
-    Python value (see `to_python`). The result becomes a term (see `to_term`); None means failure, except for a
+    well). One annotated with ``numpy.ndarray`` receives the numbers of an array, a list or a byte array as a
+    read-only array. One annotated with `Term` receives the term itself, which may be unbound; any other receives the
+    term's Python value (see `to_python`). The result becomes a term (see `to_term`); None means failure, except for a
     function without outputs. A generator yields one solution with each value. An exception becomes the error
     ``python_error(Kind, Message)``, unless it is a `PrologError`.
 

@@ -12,8 +12,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 
 from ...foundation.cancellation import BULK, check_limits
 from ...foundation.errors import TermTooLarge, UsageError
+from ..builtins.argument_checks import array_of
 from ..machine.errors import instantiation_error, type_error
 from ..syntax.term_writer import writeq
+from ..terms.array_terms import array_term
 from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import MAX_STEPS
 from ..terms.types import (
@@ -130,7 +132,8 @@ def to_term(value: object) -> Term:
     """Return a Python value as a term.
 
     The inverse of `to_python`: str becomes an atom (a `retalis.String` remains a string), a tuple or any other
-    iterable except str becomes a list, and a dict becomes a list of ``Key-Value``. Terms are returned unchanged.
+    iterable except str becomes a list, and a dict becomes a list of ``Key-Value``. A one-dimensional numpy array of
+    numbers becomes an array term, which is a list as well. Terms are returned unchanged.
 
     >>> Engine().show(to_term({"kitchen": [21.5, True]}))
     '[kitchen-[21.5,true]]'
@@ -163,6 +166,8 @@ def _to_compound(value: Any) -> Term:
     # Compound terms are tuples that begin with a functor; any other tuple is a list.
     if isinstance(value, tuple) and value and isinstance(value[0], Functor):
         return value
+    if _is_ndarray(value.__class__) and value.ndim == 1 and value.dtype.kind in "iuf":
+        return array_term(value)
     if isinstance(value, dict):
         return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
     try:
@@ -179,10 +184,18 @@ def _to_compound(value: Any) -> Term:
     return make_list(terms)
 
 
+def _is_ndarray(value_class: object) -> bool:
+    """Return whether a class is that of numpy's arrays; numpy is not imported for the answer."""
+    return getattr(value_class, "__name__", "") == "ndarray" and value_class.__module__ == "numpy"
+
+
 def reader_of(hint: object) -> Callable[[Term], object]:
     """Return the conversion of a term to the argument of a parameter with an annotation."""
     if hint in (Any, Term, Var):
         return deref
+    # `numpy.ndarray`, or `numpy.typing.NDArray` with a type of elements.
+    if _is_ndarray(getattr(hint, "__origin__", hint)):
+        return array_of
     return _READERS.get(hint, to_python)
 
 

@@ -2,13 +2,13 @@
 
 An array term is a `Lazy` term whose ``make`` is an `ArrayDecoder`. It is the list of its numbers, or the atom of its
 bytes (see `byte_texts`), for everything that looks at it as a term: the first access builds the list. Code that works
-on arrays reads the bytes instead, as a numpy array (`array_view`), and never builds the list. The bytes stay with the
+on arrays reads the bytes instead, as a numpy array (`view`), and never builds the list. The bytes stay with the
 term after the list has been built, so that this holds for each later access.
 
 numpy is imported by the first function that needs an array, because most programs do not use arrays.
 """
 
-from struct import calcsize, unpack
+from struct import Struct, calcsize, unpack
 from typing import TYPE_CHECKING, Any, Callable, Dict, Optional
 
 from .byte_texts import blob_atom
@@ -64,6 +64,8 @@ LIST_DECODERS: Dict[str, ArrayDecoder] = {
 }
 """Decoders of lists of numbers by data type. Two array terms of one data type have the same decoder."""
 
+_LAYOUTS = {dtype: Struct("<" + code) for dtype, code in CODES.items()}
+
 _DECODERS_OF_CODES = {code: LIST_DECODERS[dtype] for dtype, code in CODES.items()}
 
 
@@ -83,14 +85,29 @@ def lazy_array(term: Term) -> Optional[Lazy]:
     return term if term.__class__ is Lazy and term.make.__class__ is ArrayDecoder else None
 
 
-def array_view(term: Term) -> "Optional[Array]":
-    """Return the numbers of an array term as a read-only array of its bytes; None for other terms."""
+def list_array(term: Term) -> Optional[Lazy]:
+    """Return the array term that a term is, or is bound to, if it stands for a list; None for other terms."""
     lazy = lazy_array(term)
-    if lazy is None:
-        return None
+    return lazy if lazy is not None and lazy.functor is CONS else None
+
+
+def view(lazy: Lazy) -> "Array":
+    """Return the numbers of an array term as a read-only array of its bytes."""
     import numpy as np  # noqa: PLC0415 - see the module docstring
 
     return np.frombuffer(lazy.source, lazy.make.dtype)  # type: ignore[attr-defined]
+
+
+def element_count(lazy: Lazy) -> int:
+    """Return the number of elements of an array term."""
+    return len(lazy.source) // _LAYOUTS[lazy.make.dtype].size  # type: ignore[attr-defined]
+
+
+def element(lazy: Lazy, position: int) -> Optional[Term]:
+    """Return the element of an array term at a position of at least 0; None after the last one."""
+    layout = _LAYOUTS[lazy.make.dtype]  # type: ignore[attr-defined]
+    offset = position * layout.size
+    return layout.unpack_from(lazy.source, offset)[0] if offset < len(lazy.source) else None
 
 
 def array_term(array: "Array") -> Term:
