@@ -396,3 +396,15 @@ def test_a_header_with_a_number_of_many_digits_is_refused():
     header = b'{"format": %s}' % (b"9" * 4000)
     with pytest.raises(UsageError, match="its header is malformed"):
         unpack(b"retalis state\n%d\n%s" % (len(header), header))
+
+
+def test_an_output_without_elements_is_refused():
+    # A retraction runs the operator again, and identifies its outputs by their last elements.
+    state = state_of(
+        "p(N) <- aggregate(count, a(_), N, last(2, events)).",
+        ["a(1)", "a(2)"],
+        "set_etalis_flag(revision_flag, on)",
+    )
+    emitted = ["states", 0, 2, 1, 1, 2, 2, 0, 0]
+    refused(state, [*emitted, 0], [], "expected the elements of an output")
+    refused(state, emitted, [], "expected")

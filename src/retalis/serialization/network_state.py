@@ -319,10 +319,16 @@ def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
         channel, element, at = _received(value)
         return channel, stream.item(element, channel), at
 
+    def contributors(value: Decoded) -> Decoded:
+        # The last element identifies an output when the operator runs again.
+        if not items(value):
+            raise wrong(value, "the elements of an output")
+        return each(stream.item)(value)
+
     channel = integer(0, len(node.children) - 1)
     _received = fixed(channel, anything, instant)
-    output = fixed(each(stream.item), instant, instant, each(term, tuple), nothing)
-    emitted = fixed(lambda value: output(value) if items(value) else None, graph.ref("tracked match"))
+    output = fixed(contributors, instant, instant, each(term, tuple), nothing)
+    emitted = fixed(output, graph.ref("tracked match"))
 
     def base(value: Decoded) -> Decoded:
         return stream.known(value) if items(value) else ()
