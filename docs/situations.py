@@ -18,8 +18,7 @@ def page_text() -> str:
     lines = [
         "# I want ... take ...",
         "",
-        "For people who know the situation and not the operator: find it in words, and follow the link. "
-        "On the command line, `retalis help WORD` searches the same list.",
+        "For people who know the situation but not the operator. The command `retalis help WORD` searches this list.",
         "",
         f"<!-- The {count} situations are in src/retalis/cli/help_command.py; "
         "docs/situations.py writes this page. -->",

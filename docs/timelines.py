@@ -81,8 +81,15 @@ def lane_and_label(term: str) -> Tuple[str, str]:
 
     >>> lane_and_label("temperature(left,70)"), lane_and_label("order(1)"), lane_and_label("tick")
     (('temperature(left)', '70'), ('order', '1'), ('tick', ''))
+
+    A retraction has a lane for each event that is retracted:
+
+    >>> lane_and_label("rev(face(ann))")
+    ('rev(face(ann))', '')
     """
     name, _, rest = term.partition("(")
+    if name == "rev":
+        return term, ""
     first, comma, others = rest[:-1].partition(",")
     if re.fullmatch(r"[a-z]\w*", first):
         return f"{name}({first})", others

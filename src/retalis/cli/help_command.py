@@ -76,7 +76,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "not without between forbid negation confirm confirmation",
         ),
         Situation(
-            "match an event only if another never happened before",
+            "match an event only if another has never happened before",
             "P fnot R",
             "explore(Room) <- enters(Room) fnot mapped(Room).",
             f"{_LANGUAGE}/cnot.md",
@@ -113,7 +113,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "window duration seconds double click fast",
         ),
         Situation(
-            "match every event that waits, not only one",
+            "match all waiting events, not only one",
             "P forall_seq Q",
             "delivered(L) <- loaded(L) forall_seq arrived.",
             f"{_LANGUAGE}/seq.md",
@@ -134,7 +134,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "fifo queue first in out consumption policy order",
         ),
         Situation(
-            "let matches of a rule not overlap",
+            "emit only matches of a rule that do not overlap",
             "property(after_match, skip_past_last)",
             "once([property(after_match, skip_past_last)]) : alarm <- slip ntimes 3.",
             f"{_LANGUAGE}/after-match.md",
@@ -254,7 +254,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
         Situation(
             "collect recent values in a list",
             "aggregate(list(X), Q, L, W)",
-            "seen(L) <- aggregate(distinct(X), marker(X), L, last(10)).",
+            "seen(L) <- aggregate(list(X), marker(X), L, last(10)).",
             f"{_LANGUAGE}/windows.md",
             "distinct different unique set all buffer",
         ),
@@ -377,11 +377,11 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "delay disorder order network latency unordered",
         ),
         Situation(
-            "take back an event that was wrong",
+            "retract an event that was wrong",
             "rev(E)",
             ":- set_etalis_flag(revision_flag, on).",
             f"{_LANGUAGE}/revision.md",
-            "retract undo correct revise withdraw false",
+            "retract take back undo correct revise withdraw false",
         ),
     ),
     "Memory and poses": (
@@ -465,11 +465,11 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "slot named field struct message type nested",
         ),
         Situation(
-            "tell two topics of one type apart",
+            "distinguish two topics of one type",
             'event="NAME" in pub_sub.xml',
             "stuck <- bumper_left(true) seq bumper_right(true).",
             "reference/program-files.md",
-            "topic name same type rename distinguish",
+            "topic name same type rename distinguish tell apart",
         ),
         Situation(
             "publish a message",

@@ -138,7 +138,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.ACTION,
         1124,
         patterns=_GOAL,
-        rows=(OperatorEntry("`P do G`", "P; G is called once and must not fail", "that of P"),),
+        rows=(OperatorEntry("`P do G`", "P happened, and G, which is called once, succeeded", "that of P"),),
     ),
     EventOperator(
         "with",
@@ -146,10 +146,16 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1065,
         patterns=_GOAL,
         rows=(
-            OperatorEntry("`P with throttle(N)`", "P, at most one in N seconds", "that of P"),
-            OperatorEntry("`P with burst(N)`", "P, if no other ended in the N seconds before", "that of P"),
-            OperatorEntry("`P with debounce(N)`", "P, if no other follows for N seconds", "[s,e+N]"),
-            OperatorEntry("`P with change(X)`", "P, if X differs from that of the P before", "that of P"),
+            OperatorEntry("`P with throttle(N)`", "P happened, at most once in N seconds", "that of P"),
+            OperatorEntry(
+                "`P with burst(N)`", "P happened, and no other P ended in the N seconds before", "that of P"
+            ),
+            OperatorEntry(
+                "`P with debounce(N)`", "P happened, and no other P for N seconds after it", "[s,e+N]"
+            ),
+            OperatorEntry(
+                "`P with change(X)`", "P happened, and X differs from the X of the previous P", "that of P"
+            ),
         ),
     ),
     EventOperator(
@@ -157,7 +163,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.CONDITION,
         1060,
         patterns=_GOAL,
-        rows=(OperatorEntry("`P where G`", "P, and goal G has a solution", "that of P"),),
+        rows=(OperatorEntry("`P where G`", "P happened, and goal G has a solution", "that of P"),),
     ),
     EventOperator(
         "within",
@@ -166,7 +172,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         "xfy",
         patterns=_GOAL,
         functors=("within",),
-        rows=(OperatorEntry("`P within N`", "P took less than N seconds", "that of P"),),
+        rows=(OperatorEntry("`P within N`", "P happened and took less than N seconds", "that of P"),),
     ),
     EventOperator(
         "or",
@@ -174,7 +180,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1053,
         signs=("\\/",),
         names_events=False,
-        rows=(OperatorEntry("`P or Q`", "one of them happened", "its own"),),
+        rows=(OperatorEntry("`P or Q`", "P or Q happened", "that of P or Q"),),
     ),
     EventOperator(
         "check",
@@ -197,7 +203,11 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         names_events=False,
         names_facts=False,
         every=True,
-        rows=(OperatorEntry("`P event_multiply G`", "P, once for every solution of G", "that of P"),),
+        rows=(
+            OperatorEntry(
+                "`P event_multiply G`", "P happened; one match for each solution of G", "that of P"
+            ),
+        ),
     ),
     EventOperator(
         "par",
@@ -208,7 +218,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         wrong="no two of them overlap",
         rows=(
             OperatorEntry(
-                "`P par Q`", "they overlap by more than an instant", "from the first start to the last end"
+                "`P par Q`", "P and Q overlap by more than an instant", "from the first start to the last end"
             ),
         ),
     ),
@@ -219,7 +229,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         signs=("/\\",),
         names_events=False,
         rows=(
-            OperatorEntry("`P and Q`", "both happened, in any order", "from the first start to the last end"),
+            OperatorEntry(
+                "`P and Q`", "P and Q happened, in any order", "from the first start to the last end"
+            ),
         ),
     ),
     EventOperator(
@@ -230,8 +242,12 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         names_facts=False,
         between=True,
         rows=(
-            OperatorEntry("`(P seq Q) cnot R`", "P, then Q, and no R entirely between them", "[s1,e2]"),
-            OperatorEntry("`P cnot R`, `P fnot R`", "P, and no R ended before P started", "that of P"),
+            OperatorEntry(
+                "`(P seq Q) cnot R`", "P happened, then Q, and no R entirely between them", "[s1,e2]"
+            ),
+            OperatorEntry(
+                "`P cnot R`, `P fnot R`", "P happened, and no R ended before P started", "that of P"
+            ),
         ),
     ),
     EventOperator("fnot", OperatorKind.ABSENCE, 1031, names_events=False, names_facts=False),
@@ -266,7 +282,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         alone=False,
         everything=True,
         wrong="none of the first ended before one of the second started",
-        rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, for all waiting P at once", "each [s1,e2]"),),
+        rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
     ),
     EventOperator(
         "equals",
@@ -276,7 +292,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s1",
         end="e1",
         wrong="no two of them have the same interval",
-        rows=(OperatorEntry("`P equals Q`", "the same interval", "that"),),
+        rows=(OperatorEntry("`P equals Q`", "P and Q have the same interval", "that interval"),),
     ),
     EventOperator(
         "meets",
@@ -307,7 +323,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         end="e2",
         alone=False,
         wrong="none of the first starts with one of the second and ends before it",
-        rows=(OperatorEntry("`P starts Q`", "both start together and P ends first", "that of Q"),),
+        rows=(OperatorEntry("`P starts Q`", "P and Q start together, and P ends first", "that of Q"),),
     ),
     EventOperator(
         "finishes",
@@ -318,7 +334,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         end="e2",
         alone=False,
         wrong="none of the first ends with one of the second and starts after it",
-        rows=(OperatorEntry("`P finishes Q`", "both end together and P started later", "that of Q"),),
+        rows=(OperatorEntry("`P finishes Q`", "P and Q end together, and P started later", "that of Q"),),
     ),
     EventOperator(
         "ntimes",
@@ -327,7 +343,11 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         patterns=_GOAL,
         names_events=False,
         names_facts=False,
-        rows=(OperatorEntry("`Q ntimes N`", "Q, N times in sequence", "from the first to the last"),),
+        rows=(
+            OperatorEntry(
+                "`Q ntimes N`", "Q happened N times in sequence", "from the first start to the last end"
+            ),
+        ),
     ),
     EventOperator(
         "star_times",
@@ -338,7 +358,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         functors=("star_times",),
         names_events=False,
         rows=(
-            OperatorEntry("`P seq (Q star_times)`", "P, and again every later Q", "[s1, end of the last Q]"),
+            OperatorEntry(
+                "`P seq (Q star_times)`", "P happened, and again at each later Q", "[s1, end of the last Q]"
+            ),
         ),
     ),
     EventOperator(
@@ -351,7 +373,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         rows=(
             OperatorEntry(
                 "`P seq aggregate(K,Q,R)`",
-                "P, and again every later Q; R collects",
+                "as `star_times`; R is computed from the Q so far",
                 "[s1, end of the last Q]",
             ),
         ),
@@ -365,8 +387,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         rows=(
             OperatorEntry(
                 "`aggregate(K,Q,R,W)`",
-                "each Q, or the end of window W; R measures the Q in it",
-                "of these Q, or of the window",
+                "Q happened, or window W ended; R is computed from the Q in W",
+                "that of these Q, or of W",
             ),
         ),
     ),
@@ -376,7 +398,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         patterns=(True, False),
         form="absent(Pattern, Seconds)",
         rows=(
-            OperatorEntry("`P seq absent(Q,N)`", "N seconds after P ended, with no Q between", "[s1,e1+N]"),
+            OperatorEntry(
+                "`P seq absent(Q,N)`", "N seconds have passed since P ended, with no Q between", "[s1,e1+N]"
+            ),
         ),
     ),
 )
