@@ -12,6 +12,7 @@ Decoded data consists of numbers, strings, bytes, lists, and terms. A tuple is a
 that a `schema` need not inspect its arguments. All other sequences are lists, except keys of terms (`FlatKey`).
 """
 
+from functools import lru_cache
 from itertools import chain
 from typing import Any, Callable, Dict, List, Tuple
 
@@ -83,6 +84,12 @@ def _signed(number: int) -> bytes:
     return number.to_bytes(number.bit_length() // 8 + 1, "little", signed=True)
 
 
+@lru_cache(maxsize=1024)
+def _extension(code: int, number: int) -> Any:
+    """Return an extension type. Low numbers occur in every state, and msgpack checks each new object."""
+    return msgpack.ExtType(code, _index(number))
+
+
 # ---- encoding ----------------------------------------------------------------------------------------
 
 
@@ -100,16 +107,16 @@ class _SymbolTable(Dict[Any, Any]):
         # MessagePack looks up each value that it cannot encode; this is called on the first lookup only.
         value_class = value.__class__
         if value_class is Atom:
-            extension = msgpack.ExtType(_ATOM, _index(len(self.atoms)))
+            extension = _extension(_ATOM, len(self.atoms))
             self.atoms.append(value.name)
         elif value_class is Functor:
-            extension = msgpack.ExtType(_FUNCTOR, _index(len(self.names)))
+            extension = _extension(_FUNCTOR, len(self.names))
             self.names.append(value.name)
             self.arities.append(value.arity)
         elif value_class is Ref:
             extension = msgpack.ExtType(_REF, _index(value.number))
         elif value_class is Var and value.ref is None:
-            extension = msgpack.ExtType(_VARIABLE, _index(self._variables))
+            extension = _extension(_VARIABLE, self._variables)
             self._variables += 1
         elif value_class is String:
             return msgpack.ExtType(_STRING, value.text.encode("utf-8", "surrogatepass"))
