@@ -9,8 +9,7 @@ serializes.
 
 The types of genpy are those of the installed packages, and those of all stores of rosbags, from whose texts genpy
 generates classes. Three differences are known, and not tried: genpy replaces bytes that are no UTF-8 in a string; it
-carries nanoseconds over a second; and both references set a bit in signalling NaNs, which arrays keep here that no
-rule has read.
+carries nanoseconds over a second; and both references set a bit in signalling NaNs, which arrays keep here.
 """
 
 import argparse
@@ -56,6 +55,9 @@ SPECIAL_FLOATS = {
 }  # fmt: skip
 LENGTHS = (0, 0, 1, 1, 2, 3, 4, 5, 8, 9, 17, 200)
 
+BUDGETS = (*[20] * 12, *[200] * 3, 3000)
+"""Numbers of slots in the arrays of a message; large messages are rare, so that many can be tried."""
+
 
 class RandomMessages:
     """Random values of a type, in the form of `wire`; extreme values are frequent."""
@@ -67,7 +69,7 @@ class RandomMessages:
 
     def values(self):
         """Return the values of the next message."""
-        self.budget = 3000
+        self.budget = self.random.choice(BUDGETS)
         return self.message(self.definition)
 
     def message(self, definition):

@@ -1,3 +1,6 @@
+import re
+from keyword import iskeyword
+
 import pytest
 from reachability import reachable
 
@@ -235,7 +238,7 @@ def test_ever_new_definitions_do_not_pile_up():
     assert [number for number in range(1, 3000) if known.known(f"pkg/N{number}") is not None] == []
     for number in range(999):
         known.add(f"pkg/T{number}", "int8 x\n")
-    with pytest.raises(MessageError, match="pkg/More is refused: the definitions of 1000 message types"):
+    with pytest.raises(MessageError, match="pkg/More is not added: 1000 message types"):
         known.add("pkg/More", "int8 x\n")
     assert known.add("pkg/T5", "int8 x\n") is known.find("pkg/T5")
 
@@ -290,3 +293,71 @@ def test_what_messages_of_a_type_measure(text, measure):
     definitions = Definitions()
     definition = definitions.decoder(definitions.add("my_robot/Thing", text + more)).definition
     assert definition.measure == measure
+
+
+def slots_of_rosbags(text):
+    """Return the slots that rosbags reads from the definition of ``pkg/Type``; None if it rejects the text."""
+    from rosbags.interfaces import Nodetype  # noqa: PLC0415
+    from rosbags.typesys import TypesysError, get_types_from_msg  # noqa: PLC0415
+
+    try:
+        _, fields = get_types_from_msg(text, "pkg/msg/Type")["pkg/msg/Type"]
+    except TypesysError:
+        return None
+    slots = []
+    for name, (node, content) in fields:
+        length = None
+        if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            length = content[1] if node == Nodetype.ARRAY else VARIABLE_LENGTH
+            node, content = content[0]
+        slot_type = content[0] if node == Nodetype.BASE else content.replace("/msg/", "/")
+        # By its version: the names of bytes, and slots with the names of keywords.
+        slot_type = {"octet": "byte", "char": "uint8"}.get(slot_type, slot_type)
+        slot_type = re.sub("builtin_interfaces/(Time|Duration)", lambda match: match[1].lower(), slot_type)
+        slots.append((name[:-1] if name.endswith("_") and iskeyword(name[:-1]) else name, slot_type, length))
+    return slots
+
+
+def slots_of(definition):
+    return [
+        (slot.name, slot.type.replace("char", "uint8") if slot.definition is None else slot.type, slot.length)
+        for slot in definition.fields
+    ]
+
+
+def test_the_slots_of_all_usual_types_are_those_that_rosbags_reads():
+    pytest.importorskip("rosbags")
+    from messages.reference_codecs import rosbags_types  # noqa: PLC0415
+
+    types = 0
+    for _, _, definition in rosbags_types():
+        assert slots_of(definition) == slots_of_rosbags(definition.text), definition.name
+        types += 1
+    assert types > 200
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("int32 x 5", "expected 'type name'"),
+        ("string<=5 x", "expected 'type name'"),
+        ("int32[<=3] x", "expected 'type name'"),
+        ("uint8[-3] x", "expected 'type name'"),
+        ("uint8 X=256", "'256' is not a value of type uint8"),
+        ("int32 x\nint32 x", "x is defined twice"),
+    ],
+)
+def test_definitions_that_rosbags_accepts_and_ros_rejects(text, reason):
+    pytest.importorskip("rosbags")
+    assert reason in fault(text).message
+    assert slots_of_rosbags(text) is not None
+
+
+@pytest.mark.parametrize("text", ["float32 X=0.50", "int32 X=010"])
+def test_constants_whose_checksum_rosbags_cannot_know(text):
+    pytest.importorskip("rosbags")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, "pkg/msg/Type"))
+    assert store.generate_msgdef("pkg/msg/Type", ros_version=1)[1] != read(text).md5sum

@@ -93,7 +93,7 @@ def test_another_text_for_a_known_name_is_another_definition():
 def test_a_definition_that_is_not_that_of_the_messages():
     registry = nothing_installed()
     with pytest.raises(
-        MessageError, match="the definition of pkg/Type that came with the messages does not match theirs"
+        MessageError, match="the definition of pkg/Type does not match the messages: its checksum is"
     ):
         registry.add("pkg/Type", "", "123")
     assert "pkg/Type" not in registry

@@ -5,8 +5,8 @@ run of slots of fixed size with one `struct` call. It accepts only the forms tha
 atoms for strings, and lazy arrays, whose bytes are copied without decoding them.
 
 Any exception of the fast function leads to `ValidatingEncoder`, which accepts every allowed form (Prolog strings,
-byte lists, ``datime`` terms, ``inf``) and reports exactly what is wrong with others. Errors are therefore detailed
-without checks in the fast function.
+byte lists, ``datime`` terms, ``inf``) and reports the slot and the expected type for others. Errors are therefore
+detailed without checks in the fast function.
 """
 
 from struct import Struct, pack
@@ -37,8 +37,8 @@ class Encoder:
 
     Attributes:
         definition: the type.
-        encode: the function ``encode(term, topic="")`` from an event term to the bytes of a message. Raises
-            `MessageError`, which names the topic, the slot and what was expected, if the term is not such a message.
+        encode: the function ``encode(term, topic="")`` from an event term to the bytes of a message. It raises
+            `MessageError`, which names the topic, the slot and the expected type, if the term does not fit the type.
     """
 
     __slots__ = ("definition", "encode")
@@ -66,13 +66,23 @@ class _PackedTexts(Cache[Atom, bytes]):
 
 
 _packed_texts = _PackedTexts(2048, 1 << 20, 1024)
-# Unpacking a term of the wrong form raises any of these. They only select the slow encoder, which reports the real
-# problem.
+
+# Unpacking a term of an unexpected form raises one of these. They select the validating encoder, which raises the
+# error for the caller.
 _FALLBACK_ERRORS = (_UnusualForm, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
 class _EncoderSource:
-    """Generator of the encoding function of one message type."""
+    """Generator of the encoding function of one message type.
+
+    Attributes:
+        lines: the statements that unpack the term.
+        checks: conditions under which the term is not a message of the usual form.
+        chunks: expressions of the bytes of the message, in order.
+        format: `struct` codes of the current run of slots of fixed size.
+        values: variables of the values of the run.
+        names: the globals of the function.
+    """
 
     def __init__(self) -> None:
         self.lines: List[str] = []
@@ -94,7 +104,10 @@ class _EncoderSource:
         )
         self.names, self.name = bound_names.values, bound_names.name
 
+    # The following methods add the source that encodes a value, given the variable that contains its term.
+
     def message(self, definition: Definition, value: str) -> None:
+        """Add a message: unpack its slots, check its functor, and add the slots."""
         if not definition.fields:
             self.checks.append(f"{value} is not {self.name('A', atom(definition.functor_name))}")
             return
@@ -107,6 +120,7 @@ class _EncoderSource:
             self.slot(slot, part)
 
     def slot(self, slot: Field, value: str) -> None:
+        """Add a slot: a single value or an array."""
         if slot.length is None:
             self.single(slot, value)
         elif slot.is_bytes:
@@ -119,6 +133,7 @@ class _EncoderSource:
             self.chunk(f"{self.name('array', _array_packer(slot))}({value})")
 
     def single(self, slot: Field, value: str) -> None:
+        """Add a single value of a slot's type."""
         if slot.definition is not None:
             self.message(slot.definition, value)
         elif slot.type == "string":
@@ -146,6 +161,7 @@ class _EncoderSource:
         return items
 
     def blob(self, slot: Field, value: str) -> None:
+        """Add an array of bytes."""
         packed = f"(packed({value}) or read({value}))"
         if slot.length == VARIABLE_LENGTH:
             self.chunk(packed)
@@ -157,28 +173,33 @@ class _EncoderSource:
         self.chunk(encoded_bytes)
 
     def fixed(self, code: str, value: str) -> None:
+        """Add a value to the run, by its `struct` code."""
         self.format += code
         self.values.append(value)
 
     def flush(self) -> None:
+        """End the run: add the expression that packs it."""
         if self.format:
             packer = self.name("S", Struct("<" + self.format).pack)
             self.chunks.append(f"{packer}({', '.join(self.values)})")
             self.format, self.values = "", []
 
     def chunk(self, source: str) -> None:
+        """Add an expression of bytes."""
         self.flush()
         self.chunks.append(source)
 
     def result(self) -> str:
+        """Return the expression of the message's bytes."""
         self.flush()
         if len(self.chunks) == 1:
             return self.chunks[0]
         return f"join(({', '.join(self.chunks)}))" if self.chunks else "b''"
 
     def body(self) -> List[str]:
-        # All conditions are tested in one statement after unpacking: a term that fails any of them goes to the slow
-        # encoder.
+        """Return the statements of the function."""
+        # All conditions are tested in one statement after unpacking. If one of them is true, the validating encoder
+        # encodes the term.
         result = self.result()
         check = [f"if {' or '.join(self.checks)}: raise Unusual"] if self.checks else []
         return [*self.lines, *check, f"return {result}"]
@@ -222,8 +243,8 @@ def _number_packer(slot: Field, make: ArrayDecoder) -> Callable[[Term], bytes]:
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:
-        # An array term has the bytes of the numbers, which are copied. The same `make` guarantees the same element
-        # type.
+        # An array term has the bytes of the numbers, which are copied. An equal `make` means that the
+        # elements have the same type.
         if term.__class__ is Lazy and term.make is make:
             encoded_bytes = bytes(term.source)
             count = len(encoded_bytes) // size
@@ -241,10 +262,15 @@ def _number_packer(slot: Field, make: ArrayDecoder) -> Callable[[Term], bytes]:
 
 
 def _list_items(term: Term) -> List[Term]:
+    """Return the items of a list.
+
+    Raises:
+        ValueError, TypeError, _UnusualForm: if the term is not a list.
+    """
     if term.__class__ is Lazy:
         term = term.term()
     items = []
-    # An improper list fails to unpack or has another functor; both lead to `ValidatingEncoder`.
+    # An improper list cannot be unpacked, or has another functor.
     tail: Any = term
     while tail is not NIL:
         cons, item, tail = tail

@@ -69,7 +69,10 @@ def _normalized(name: str) -> str:
 
 
 MAX_ZERO_BYTES = 1 << 20
-"""Maximum size of the smallest message of a type whose slots are given by name: zeros are made for all of them."""
+"""Maximum size of the smallest message of a type whose slots are written by name.
+
+Each omitted slot is filled with a default value.
+"""
 
 
 class SlotNames:
@@ -79,7 +82,7 @@ class SlotNames:
         definitions: the known message types; the installed types by default.
 
     Attributes:
-        events: types of the events that have a name of their own in the program.
+        events: message types of the events that the program gives another name.
         forms: the slots that messages were written with.
     """
 
@@ -116,8 +119,8 @@ class SlotNames:
                 ) from error
             raise UsageError(
                 f"the slots of {message_type} are not known when this is read: {error.message}; install its package, "
-                "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: what only publishers "
-                "bring comes too late"
+                "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: a definition that publishers "
+                "send arrives too late"
             ) from error
         # Each omitted slot gets its zero value in the term, which must stay small.
         if definition.measure.min_size > MAX_ZERO_BYTES:
@@ -133,10 +136,10 @@ class SlotNames:
             self._installed = TypeNotations(
                 (functor_name(notation), notation) for notation in self.definitions.installed()
             )
-        own = TypeNotations((event, event) for event in self.events)
+        declared = TypeNotations((event, event) for event in self.events)
         added = TypeNotations((functor_name(notation), notation) for notation in self.definitions.added())
-        # The program's own names first: they are what its author most likely meant.
-        notations = (own, added, self._installed)
+        # Names that the program declares come first: they are most likely meant.
+        notations = (declared, added, self._installed)
         same_message = [match for notation in notations for match in notation.other_notations(name)]
         if same_message:
             return Meant(tuple(dict.fromkeys(same_message)), True)
@@ -144,8 +147,8 @@ class SlotNames:
         return Meant(tuple(dict.fromkeys(similar_names)))
 
     def _slots(self, definition: Definition) -> List[MessageSlot]:
-        # A message of zero bytes is the default value of every slot. It is copied because lazy terms would keep the
-        # decoder's functions, while a program's terms must be plain.
+        # A message of zero bytes contains the default value of every slot. It is copied, because terms of a program
+        # must not be lazy: they would refer to functions of the decoder.
         zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.min_size)))
         return [_slot(slot, zero[position]) for position, slot in enumerate(definition.fields, 1)]  # type: ignore[index]
 
@@ -214,6 +217,7 @@ class _Template:
         self.used: Set[str] = set()
 
     def text(self, definition: Definition) -> str:
+        """Return the term of a type, with those of the elements of arrays and the constants as comments."""
         lines = list(self.message(definition, "", "", [], _size_text(definition.measure)))
         lines_shown = _align_comments(lines)
         elements = _element_types(definition)
@@ -241,13 +245,23 @@ class _Template:
         comment: str,
         suffix: str = "",
     ) -> Iterator[_TemplateLine]:
-        """Yield the lines of a message between the texts ``before`` and ``end``; ``comment`` is its comment."""
+        """Yield the lines of a message.
+
+        Args:
+            definition: the type of the message.
+            indent: spaces before each line.
+            prefix: text before the first line's term.
+            outer_names: the names of the slots that contain the message, from the outermost.
+            comment: comment of the first line.
+            suffix: text after the last line.
+        """
         name = to_text(atom(definition.functor_name))
         if not definition.fields:
             yield _TemplateLine(f"{indent}{prefix}{name}{suffix}", comment)
             return
         opening, closing = ("{", "}") if self.named else ("(", ")")
-        if self.named and prefix:  # the type of the slot says which message it is
+        # The type of a slot determines the message, so that its name can be omitted.
+        if self.named and prefix:
             name = ""
         yield _TemplateLine(f"{indent}{prefix}{name}{opening}", comment)
         for position, slot in enumerate(definition.fields, 1):
@@ -256,6 +270,7 @@ class _Template:
         yield _TemplateLine(f"{indent}{closing}{suffix}")
 
     def slot(self, slot: Field, indent: str, outer_names: List[str], comma: str) -> Iterator[_TemplateLine]:
+        """Yield the lines of a slot; ``comma`` is the text after it."""
         prefix = f"{_slot_name(slot.name)}: " if self.named else ""
         comment = f"{slot.describe()}, {_slot_size_text(slot)}"
         if not self.named:
@@ -271,18 +286,18 @@ class _Template:
             yield _TemplateLine(f"{indent}{prefix}{self.variable(slot.name, outer_names)}{comma}", comment)
 
     def variable(self, name: str, outer_names: List[str]) -> str:
-        """Return a new variable for a slot, preceded by names of enclosing slots if the name is taken."""
+        """Return a new variable for a slot; it begins with the names of enclosing slots if the name is used."""
         for depth in range(len(outer_names), -1, -1):
             variable = "".join(map(_capitalised, [*outer_names[depth:], name]))
             if not variable[:1].isupper():
                 variable = f"V{variable}"
             if variable not in self.used:
                 break
-        number, stem = 1, variable
+        index, stem = 1, variable
         # Several slots can have the same full path of capitalised names, for example `a_b` and `aB`.
         while variable in self.used:
-            number += 1
-            variable = f"{stem}_{number}"
+            index += 1
+            variable = f"{stem}_{index}"
         self.used.add(variable)
         return variable
 

@@ -4,16 +4,19 @@ Definitions of ROS 2 extend those of ROS 1 (https://docs.ros.org/en/rolling/Conc
 bounds of strings and arrays (``string<=10[<=5] names``), default values (``int32 x 5``), quoted string constants,
 ``wstring``, and ``pkg/msg/Type`` for ``pkg/Type``. Bounds and default values do not change the bytes of a message, so
 they are omitted from the ROS 1 definition. A ``byte`` is an octet (``uint8``), a ``wstring`` a ``string`` in UTF-8.
+The lines are parsed here instead of with ``get_types_from_msg`` of rosbags: that does not know ``wstring``, rejects
+``wstring<=4``, gives errors no position, and in version 0.9.20 renames slots that are keywords of Python and rejects
+default values of strings without quotes. Definitions in IDL are parsed with rosbags (see `playback.rosbag2`).
 
-CDR (OMG, Common Object Request Broker Architecture, 9.3; in the plain form that ROS 2 uses) aligns each number to its
+CDR (OMG, Common Object Request Broker Architecture, 9.3; "plain CDR", which ROS 2 uses) aligns each number to its
 size, counted from the end of the four bytes that encode the byte order. A function is generated for each type and
 byte order: numbers between values of variable size are copied as a run by one `struct` format for each of the eight
 alignments at which the run can begin. Strings end in a zero byte, which their length includes; a type without slots
 has one byte; a header has no ``seq``, which becomes 0.
 
-A ``wstring`` is a count and that number of characters, without a zero at the end. Fast DDS and Cyclone DDS write
-characters in four bytes, other implementations in two, and the message does not encode the width. Four bytes are
-tried first, then two.
+A ``wstring`` is a count and as many characters, without a zero at the end. Fast DDS and Cyclone DDS write characters
+in four bytes, other implementations in two, and the message does not encode the width. Four bytes are tried first,
+then two.
 """
 
 import re
@@ -153,6 +156,12 @@ class _Ros2DefinitionReader:
     Args:
         name: ``pkg/Type``.
         texts: the definitions of all types in the same text.
+
+    Attributes:
+        lines: the lines of the definition in ROS 1 form.
+        wide_slots: names of the slots that are wide strings.
+        slot_types: message types of slots.
+        by_short_name: the types in ``texts`` by their names without package.
     """
 
     def __init__(self, name: str, texts: Dict[str, str]):
@@ -167,6 +176,7 @@ class _Ros2DefinitionReader:
             self.by_short_name.setdefault(other.rpartition("/")[2], []).append(other)
 
     def read(self) -> _Ros2Section:
+        """Return the definition in ROS 1 form."""
         text = self.texts[self.name]
         for offset, line in lines_with_offsets(text):
             content = line.strip()
@@ -228,9 +238,9 @@ class _Ros2DefinitionReader:
         if "/" in type_name:
             return type_name
         # Definitions in bags may name a type of another package without the package, if only one has that name.
-        own_name = f"{self.name.partition('/')[0]}/{type_name}"
+        local_name = f"{self.name.partition('/')[0]}/{type_name}"
         candidates = self.by_short_name.get(type_name, [])
-        return candidates[0] if own_name not in self.texts and len(candidates) == 1 else own_name
+        return candidates[0] if local_name not in self.texts and len(candidates) == 1 else local_name
 
 
 # ---- CDR ---------------------------------------------------------------------------------------------------
@@ -295,10 +305,10 @@ class _ConverterSource:
     def __init__(self, order: str, width: int, wide_slots: _WideSlots):
         self.order, self.width, self.wide_slots = order, width, wide_slots
         self.lines: List[str] = []
-        self.given = codegen.BoundNames(
+        self.bound_names = codegen.BoundNames(
             {
                 "StructError": StructError,
-                "number": Struct(f"{order}I").unpack_from,
+                "unpack_count": Struct(f"{order}I").unpack_from,
                 "pack": Struct("<I").pack,
                 "swapped": _swap_bytes,
                 "text": _string_converter(order),
@@ -318,11 +328,12 @@ class _ConverterSource:
             "  return offset",
         ]
         convert: _Converter = codegen.function(
-            lines, self.given.values, f"convert {definition.name}", "convert"
+            lines, self.bound_names.values, f"convert {definition.name}", "convert"
         )
         return convert
 
     def message(self, definition: Definition) -> None:
+        """Add a message."""
         fields = definition.fields
         if not fields:
             self.sizes.append(-1)
@@ -338,6 +349,7 @@ class _ConverterSource:
                 self.array(slot, is_wide, slot.length)
 
     def single(self, slot: Field, is_wide: bool) -> None:
+        """Add a slot with a single value."""
         if slot.definition is not None:
             self.message(slot.definition)
         elif slot.type == "string":
@@ -348,9 +360,11 @@ class _ConverterSource:
 
     @staticmethod
     def string(is_wide: bool) -> str:
+        """Return the statement that copies a string."""
         return f"offset = {'wide' if is_wide else 'text'}(data, offset, write)"
 
     def array(self, slot: Field, is_wide: bool, length: int) -> None:
+        """Add an array."""
         numbers = _number_sizes(slot)
         if numbers and 0 <= length <= _MAX_INLINE_NUMBERS:
             self.sizes += numbers * length
@@ -358,13 +372,14 @@ class _ConverterSource:
         self.flush()
         count = str(length)
         if length == VARIABLE_LENGTH:
-            count = "n"
+            count = "count"
             self.lines += [
                 "offset = offset + 3 & -4",
-                "n, = number(data, offset)",
+                "count, = unpack_count(data, offset)",
                 "offset += 4",
-                "write(pack(n))",
-                "if n > len(data) - offset: raise StructError",  # an element has a byte at least
+                "write(pack(count))",
+                # Each element has at least one byte in CDR.
+                "if count > len(data) - offset: raise StructError",
             ]
         if numbers:
             self.numbers(count, numbers)
@@ -372,7 +387,7 @@ class _ConverterSource:
             self.lines += [f"for _ in range({count}):", f"  {self.string(is_wide)}"]
         elif slot.definition is not None:
             element = _ConverterSource(self.order, self.width, self.wide_slots).compile(slot.definition)
-            name = self.given.name("element", element)
+            name = self.bound_names.name("element", element)
             self.lines += [f"for _ in range({count}):", f"  offset = {name}(data, offset, write)"]
 
     def numbers(self, count: str, sizes: List[int]) -> None:
@@ -396,8 +411,10 @@ class _ConverterSource:
             "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.sizes)
         )
         input_layouts = [Struct(self.order + _input_format(self.sizes, phase)) for phase in range(8)]
-        layouts = self.given.name("layouts", [(layout.unpack_from, layout.size) for layout in input_layouts])
-        pack = self.given.name("pack", output_layout.pack)
+        layouts = self.bound_names.name(
+            "layouts", [(layout.unpack_from, layout.size) for layout in input_layouts]
+        )
+        pack = self.bound_names.name("pack", output_layout.pack)
         self.lines += [
             f"read, size = {layouts}[offset & 7]",
             f"write({pack}(*read(data, offset)))",
@@ -440,6 +457,7 @@ def _input_format(sizes: List[int], phase: int) -> str:
 
 
 def _swap_bytes(data: bytes, size: int) -> bytes:
+    """Reverse the byte order of numbers of equal size."""
     numbers = array(_CODES[size] if size != 4 else "I", data)
     # `array` uses the machine's byte order, which is that of ROS 1 messages.
     numbers.byteswap()
@@ -447,11 +465,13 @@ def _swap_bytes(data: bytes, size: int) -> bytes:
 
 
 def _string_converter(order: str) -> _Converter:
-    number, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
+    """Return the function that copies a string."""
+    unpack_count, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
 
     def convert(data: bytes, offset: int, write: _Write) -> int:
         offset = offset + 3 & -4
-        end: int = offset + 4 + number(data, offset)[0]  # behind the data, too, where `to_ros1` finds it
+        # The end can be after the end of the data; `to_ros1` compares the final offset.
+        end: int = offset + 4 + unpack_count(data, offset)[0]
         raw = data[offset + 4 : end]
         if raw.endswith(b"\0"):
             raw = raw[:-1]
@@ -462,15 +482,16 @@ def _string_converter(order: str) -> _Converter:
 
 
 def _wide_string_converter(order: str, width: int) -> _Converter:
-    number, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
+    """Return the function that copies a wide string, with characters of ``width`` bytes, as UTF-8."""
+    unpack_count, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
     names = {"<": "le", ">": "be"}
     coding, units = f"utf-{8 * width}-{names[order]}", f"utf-16-{names[order]}"
 
     def convert(data: bytes, offset: int, write: _Write) -> int:
         offset = offset + 3 & -4
-        end: int = offset + 4 + width * number(data, offset)[0]
+        end: int = offset + 4 + width * unpack_count(data, offset)[0]
         text = data[offset + 4 : end].decode(coding, "surrogatepass")
-        # In four bytes, too, there are units of UTF-16: pairs of surrogates make a character.
+        # Characters of four bytes are code units of UTF-16, too: a surrogate pair is one character.
         raw = (
             text.encode(units, "surrogatepass")
             .decode(units, "surrogatepass")

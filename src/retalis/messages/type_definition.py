@@ -6,7 +6,19 @@ A definition is the text of a ``.msg`` file, optionally followed by those of nes
 limits on both are checked while a definition is parsed, because definitions come from publishers and are not trusted.
 
 The MD5 sum is that of ROS: of the constants and slots without comments and spacing, in which nested types are
-replaced by their own MD5 sums.
+replaced by their MD5 sums.
+
+The lines are parsed here instead of with ``get_types_from_msg`` of rosbags, whose versions 0.9.20 and 0.11 read some
+definitions differently than genmsg:
+
+* The text of constants is lost, but it is part of the MD5 sum: ``0.50`` becomes 0.5, and ``010``, which is ten, 8.
+* Version 0.9.20 reads ``byte`` as ``octet`` and ``char`` as ``uint8``, and renames slots that are keywords of Python.
+  Its MD5 sums of ``diagnostic_msgs/DiagnosticArray`` and ``rosgraph_msgs/Log`` are therefore not those of ROS.
+* Version 0.11 rejects constants with lower-case names, empty strings, packages with capital letters, and lines that
+  end in CRLF, and removes quotes from constants.
+* Both accept bounds, default values, negative lengths, duplicate names, and constants that are out of range.
+* Errors have no position, and a definition takes 10 times the instructions (29 million for ``nav_msgs/Odometry``).
+  Publishers determine the definition, and its size limit allows 125,000 lines.
 """
 
 import re
@@ -169,15 +181,15 @@ def measure_of_slots(fields: Iterable[Field]) -> Measure:
 class Definition:
     """A message type with its nested types.
 
-    >>> kind = Definitions().find("std_msgs/String")
-    >>> kind.name, [slot.name for slot in kind.fields], kind.md5sum
+    >>> text = Definitions().find("std_msgs/String")
+    >>> text.name, [slot.name for slot in text.fields], text.md5sum
     ('std_msgs/String', ['data'], '992ce8a1687cec8c8bd883ec73ca41d1')
 
     Attributes:
         name: ``pkg/Type``.
         fields: the slots in order.
         constants: the constants in order.
-        text: the definition's own text.
+        text: the text of the definition, without those of nested types.
         event: name of its event terms if it differs from ``pkg__0__Type``.
         md5sum: checksum that identifies the version of the type in ROS.
         measure: size of its messages.
@@ -294,8 +306,7 @@ def _checksum_text(definition: Definition) -> str:
         if slot.definition is None:
             lines.append(f"{slot.describe()} {slot.name}")
         else:
-            # The array length of a nested type is not part of the checksum. That is a quirk of genmsg, kept for
-            # compatibility.
+            # genmsg leaves the array length of a nested type out of the checksum.
             lines.append(f"{slot.definition.md5sum} {slot.name}")
     return "\n".join(lines).strip()
 
@@ -343,7 +354,7 @@ def check_empty_elements(definition: Definition, data: bytes, limit: int) -> Non
 
 
 def element_end(data: bytes, slot: Field, offset: int) -> int:
-    """Return the offset of the end of a slot that begins at offset ``offset``.
+    """Return the end offset of a slot that begins at ``offset``.
 
     Raises:
         struct.error: if the bytes end before.
@@ -355,6 +366,8 @@ def element_end(data: bytes, slot: Field, offset: int) -> int:
 
 
 class _Truncated(Exception):
+    """Raised if the bytes end inside the slot ``path``."""
+
     def __init__(self, path: str):
         super().__init__(path)
         self.path = path
@@ -414,6 +427,10 @@ HEADER_NAMES = ("Header", "std_msgs/Header", "roslib/Header")
 """Names by which definitions refer to `HEADER`."""
 
 MAX_SECTIONS = 1000
+"""Maximum number of types in a definition, including nested ones."""
+
+_MIN_SEPARATOR_CHARACTERS = 20
+"""Minimum length of a separator; old definitions have shorter ones than `SEPARATOR`."""
 
 _COMMENT = re.compile(r"#.*")
 _STRING_CONSTANT = re.compile(r"\s*string\s+(?P<name>\w+)\s*=(?P<value>.*)")
@@ -430,30 +447,36 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
     The parts are separated by a line of ``=`` and a line ``MSG: pkg/Type``.
 
     Raises:
-        MessageError: for a separator without a type, or a type that comes twice with different texts.
+        MessageError: if a type does not follow a separator, or a type has two different texts.
     """
     sections: Dict[str, str] = {}
-    current, start = name, 0
+    current, separator_line = name, 0
     lines: List[str] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if start:
+    for line_number, line in enumerate(text.splitlines(), 1):
+        if separator_line:
             if not line.startswith("MSG:"):
                 raise MessageError(
-                    "expected 'MSG: pkg/Type' after the line of '='", place_in(name, number, 1, line)
+                    "expected 'MSG: pkg/Type' after the line of '='", place_in(name, line_number, 1, line)
                 )
-            current, lines, start = plain_type(line[4:].strip()), [], 0
-        elif len(line) >= 20 and not line.strip("="):
+            current, lines, separator_line = plain_type(line[4:].strip()), [], 0
+        elif len(line) >= _MIN_SEPARATOR_CHARACTERS and not line.strip("="):
             _add_section(sections, current, lines)
-            start = number
+            separator_line = line_number
         else:
             lines.append(line)
-    if start:
-        raise MessageError("expected 'MSG: pkg/Type' after the line of '='", Place(name, start, 1, SEPARATOR))
+    if separator_line:
+        place = Place(name, separator_line, 1, SEPARATOR)
+        raise MessageError("expected 'MSG: pkg/Type' after the line of '='", place)
     _add_section(sections, current, lines)
     return sections
 
 
 def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
+    """Add the text of a type to the sections.
+
+    Raises:
+        MessageError: if the type has another text already, or there are too many types.
+    """
     text = "\n".join(lines) + "\n" if lines else ""
     known = sections.setdefault(name, text)
     # Whitespace is ignored: copies of a definition differ in line ends and trailing spaces.
@@ -464,23 +487,30 @@ def _add_section(sections: Dict[str, str], name: str, lines: List[str]) -> None:
 
 
 def parse(name: str, text: str, find: Callable[[str, str], Definition], source: str = "") -> Definition:
-    """Read the definition of one type.
+    """Parse the definition of one type.
 
     Args:
         name: ``pkg/Type``.
         text: its text, without those of nested types.
-        find: called with the name of a nested type as written and the package of this one;
-            returns the definition.
-        source: where the text comes from, for errors; the type's name by default.
+        find: returns the definition of a nested type, given its name as written and the package of this type.
+        source: file of the text, for errors; the type's name by default.
 
     Raises:
-        MessageError: with its place, for a line that is neither slot nor constant, and for what
-            ``find`` raises.
+        MessageError: with its place, if a line is neither a slot nor a constant, a limit is exceeded, or ``find``
+            raises it.
     """
     return Definition(name, *_DefinitionReader(name, text, find, source or name).read(), text)
 
 
 class _DefinitionReader:
+    """Parser of the definition of one type; the arguments are those of `parse`.
+
+    Attributes:
+        fields: the slots that have been parsed, by name.
+        constants: the constants that have been parsed, by name.
+        measure: the measure of the slots.
+    """
+
     def __init__(self, name: str, text: str, find: Callable[[str, str], Definition], source: str):
         self.package = name.split("/")[0]
         self.text = text
@@ -491,11 +521,13 @@ class _DefinitionReader:
         self.measure = Measure()
 
     def read(self) -> Tuple[Tuple[Field, ...], Tuple[Constant, ...]]:
+        """Return the slots and the constants."""
         try:
             self.text.encode()
         except UnicodeEncodeError as error:
             raise self._error(
-                "half a surrogate pair, which cannot be stored in a file", error.start
+                "an unpaired surrogate is not allowed: expected text that can be encoded in UTF-8",
+                error.start,
             ) from None
         for offset, line in lines_with_offsets(self.text):
             self._read_line(offset, line)
@@ -527,7 +559,7 @@ class _DefinitionReader:
         # Definitions come from other nodes: limits are checked per line, before the rest of the text is read.
         text = match["value"].strip()
         self._check_name(match, offset, self.constants)
-        # Constants do not count as slots, but their number must be bounded as well.
+        # Constants are not slots of messages, but their count must be bounded as well.
         if len(self.constants) >= MAX_SLOTS:
             raise self._error(
                 f"a type cannot have more than {MAX_SLOTS} constants", offset + match.start("name")

@@ -360,6 +360,7 @@ _FALLBACK_DEFINITIONS = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[]
 """Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
 
 _Key = Tuple[str, str]
+"""Name of a type with its text or its checksum."""
 
 _CodeKey = Tuple[str, str, str]
 """Type, checksum and name of the events."""
@@ -378,7 +379,12 @@ _BYTES_PER_SLOT = 2000
 
 
 class Learned(NamedTuple):
-    """Decoder of a publisher's messages; ``is_replacement`` if theirs replaces an unknown type."""
+    """Decoder of a publisher's messages.
+
+    Attributes:
+        decoder: the decoder.
+        is_replacement: if the requested type is unknown and the publisher declares another name.
+    """
 
     decoder: Decoder
     is_replacement: bool
@@ -433,7 +439,7 @@ class Definitions:
         return definition
 
     def _read(self, name: str, text: str, md5sum: str) -> Definition:
-        """Return the type that a text defines; it is cached by its text, but not registered by its name."""
+        """Parse a text, or return its cached definition; the type is not registered by its name."""
         if len(text) > MAX_DEFINITION_CHARACTERS:
             raise MessageError(
                 f"the definition of {beginning(name)} has {len(text)} characters: "
@@ -448,8 +454,8 @@ class Definitions:
             )
         if md5sum not in ("", "*", definition.md5sum):
             raise MessageError(
-                f"the definition of {name} that came with the messages does not match theirs: "
-                f"its checksum is {definition.md5sum}, theirs is {md5sum}"
+                f"the definition of {name} does not match the messages: its checksum is {definition.md5sum}, "
+                f"theirs is {md5sum}"
             )
         return definition
 
@@ -459,12 +465,12 @@ class Definitions:
         Raises:
             MessageError: if too many types were added.
         """
-        # Registered types are never removed, so their number must be bounded: each publisher can send new ones.
+        # Registered types are never removed, so their count must be bounded: each publisher can send new ones.
         if len(self._added) >= MAX_ADDED_TYPES or self._characters + characters > MAX_ADDED_CHARACTERS:
             raise MessageError(
-                f"{definition.name} is refused: the definitions of {len(self._added)} message types "
-                f"are held already, with {self._characters} characters "
-                f"(at most {MAX_ADDED_TYPES}, with {MAX_ADDED_CHARACTERS})"
+                f"{definition.name} is not added: {len(self._added)} message types with {self._characters} "
+                f"characters were added before: at most {MAX_ADDED_TYPES} types with {MAX_ADDED_CHARACTERS} "
+                "characters are allowed"
             )
         self._characters += characters
         self._added[definition.name] = definition
@@ -488,9 +494,9 @@ class Definitions:
         return Learned(self.decoder(definition.as_event(event)), is_unknown and sent != name)
 
     def received(self, name: str, sent: str, text: str, md5sum: str) -> Definition:
-        """Return the definition by which a publisher's messages are read as a type: the known one, or their own.
+        """Return the definition by which a publisher's messages are read as a type: the known one, or the sent one.
 
-        A known type is not replaced for other publishers: a publisher describes its own messages only.
+        The sent definition is used for the messages of this publisher only; it does not replace a known type.
 
         >>> Definitions().received("my_robot/Bumper", "my_robot/Bumper", "bool left", "*").name
         'my_robot/Bumper'
@@ -650,7 +656,14 @@ class Definitions:
 
 
 class _Resolver:
-    """Resolver of a type and its nested types, first from the sections of one text, then from the registry."""
+    """Resolver of a type and its nested types, first from the sections of one text, then from the registry.
+
+    Args:
+        registry: the known types.
+        installed: the installed types.
+        sections: the definitions in one text, by type.
+        in_progress: the types that are being resolved. A type that is needed while it is in this set contains itself.
+    """
 
     def __init__(
         self,
@@ -664,9 +677,13 @@ class _Resolver:
         self.sections = sections
         self.resolved: Dict[str, Definition] = {}
         self.in_progress: Set[str] = set() if in_progress is None else in_progress
-        """Types that are being resolved. A type that is needed while it is in this set contains itself."""
 
     def resolve(self, name: str) -> Definition:
+        """Return the definition of a type.
+
+        Raises:
+            MessageError: if the type is unknown or contains itself, or its definition is invalid.
+        """
         definition = self.resolved.get(name)
         if definition is None:
             fault = type_fault(name)
@@ -685,6 +702,7 @@ class _Resolver:
         return definition
 
     def read(self, name: str) -> Definition:
+        """Parse the definition of a type, from the first place that has one."""
         text = self.sections.get(name)
         if text is not None:
             return parse(name, text, self._nested)
@@ -704,6 +722,7 @@ class _Resolver:
         )
 
     def read_installed(self, name: str, installed_type: InstalledType) -> Definition:
+        """Parse the definition of an installed type."""
         sections = split_sections(name, installed_type.text)
         # The text of a generated class contains the nested definitions as well, which take precedence within it.
         if len(sections) > 1:
@@ -715,6 +734,7 @@ class _Resolver:
         return definition
 
     def _nested(self, written_name: str, package: str) -> Definition:
+        """Return the definition of a nested type, by the name that a type of ``package`` uses for it."""
         for name in _candidates(written_name, package, self.sections):
             if name in self.sections:
                 return self.resolve(name)

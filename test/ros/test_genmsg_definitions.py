@@ -1,0 +1,76 @@
+"""Definitions of messages, read by this package and by genmsg. Needs genmsg, no master."""
+
+import pytest
+
+genmsg = pytest.importorskip("genmsg", reason="ROS is not installed")
+
+from genmsg.gentools import compute_md5_text  # noqa: E402
+from genmsg.msg_loader import MsgContext, load_msg_from_string  # noqa: E402
+
+from retalis import Definitions, MessageError  # noqa: E402
+from retalis.messages.type_registry import Installed  # noqa: E402
+
+
+def read(text):
+    definition = Definitions(Installed([], [], rosbags=False)).add("pkg/Type", text)
+    return definition, [(constant.name, constant.value) for constant in definition.constants]
+
+
+def read_by_genmsg(text):
+    context = MsgContext.create_default()
+    specification = load_msg_from_string(context, text, "pkg/Type")
+    return specification, compute_md5_text(context, specification)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "uint8 mode_on=1",
+        "int32 X=010",
+        "int32 X = -5 # a comment",
+        "float32 X=0.50\nfloat64 Y = 1e-3",
+        'string S="a"',
+        "string S='x",
+        "string V=1.5.2",
+        "string S=",
+        "string S=a # no comment ",
+        "string  NAME  =  x y  ",
+        "bool B=True\nbool C=0",
+        "int32 x\r\nint32 y\r\n",
+        "float64 lambda\nint8 from\nint8 self",
+        "byte[] b\nchar[3] c\ntime t\nduration[] d\nstring[2] s",
+    ],
+)
+def test_definitions_that_both_read(text):
+    specification, checksum_text = read_by_genmsg(text)
+    definition, constants = read(text)
+    assert [slot.name for slot in definition.fields] == specification.names
+    assert [slot.describe() for slot in definition.fields] == specification.types
+    assert constants == [(constant.name, constant.val) for constant in specification.constants]
+    lines = [f"{constant.type} {constant.name}={constant.text}" for constant in definition.constants]
+    lines += [f"{slot.describe()} {slot.name}" for slot in definition.fields]
+    assert "\n".join(lines).strip() == checksum_text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "int32 x 5",
+        "string<=5 x",
+        "int32[<=3] x",
+        "uint8[-3] x",
+        "uint8[0x3] x",
+        "uint8 X=256",
+        "int8 X=-129",
+        "int32 X=1.5",
+        "bool B=maybe",
+        "int32 x\nint32 x",
+        "int32 _x",
+        "@optional\nint32 x",
+    ],
+)
+def test_definitions_that_both_reject(text):
+    with pytest.raises(genmsg.InvalidMsgSpec):
+        read_by_genmsg(text)
+    with pytest.raises(MessageError):
+        read(text)
