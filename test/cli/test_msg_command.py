@@ -59,6 +59,7 @@ def test_a_type_of_a_bag_of_ros_2_is_printed(tmp_path, capsys):
     assert main(["msg", "my_msgs/msg/Solid", "--bag", str(tmp_path / "two")]) == 0
     assert capsys.readouterr().out == (
         "my_msgs__0__Solid(  % 4 bytes or more\n    Sizes           % sizes: float64[], 4 bytes + 8 per element\n)\n"
+        "\n% for array_min/2, array_percentile/3 and others: sizes\n"
     )
 
 

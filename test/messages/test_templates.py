@@ -135,6 +135,8 @@ PRINTED = """odd_msgs__0__Odd(              % 68 bytes or more
 % constants of odd_msgs/Odd:
 %   ON = 1 (uint8)
 %   NAME = a % "quoted' */ name (string)
+
+% for array_min/2, array_percentile/3 and others: bytes
 """
 
 
@@ -146,7 +148,8 @@ def test_what_is_alike_has_variables_of_its_own():
 
 def test_sizes_of_slots():
     text = "bool a\nfloat64[9] b\nstring[3] c\nfloat32[] d\nstring[] e\nuint8[] f\nbyte[1] g\n"
-    template = by_names(DEFINITIONS.add("odd_msgs/Sizes", text))
+    template, _, predicates = by_names(DEFINITIONS.add("odd_msgs/Sizes", text)).partition("\n\n")
+    assert predicates == "% for array_min/2, array_percentile/3 and others: b, d, f, g\n"
     assert [line.rpartition("% ")[2] for line in template.splitlines()[:-1]] == [
         "98 bytes or more",
         "bool, 1 byte",
@@ -157,3 +160,17 @@ def test_sizes_of_slots():
         "uint8[], 4 bytes + 1 per element",
         "byte[1], 1 byte",
     ]
+
+
+def test_arrays_and_predicates_are_named():
+    text = positional(DEFINITIONS.find("nav_msgs/OccupancyGrid"))
+    assert text.endswith(
+        """
+% for array_min/2, array_percentile/3 and others: data
+
+% for map_cell/4: the whole message
+"""
+    )
+    text = by_names(DEFINITIONS.find("nav_msgs/Odometry"))
+    assert text.endswith("others: pose.covariance, twist.covariance\n")
+    assert "array_min" not in positional(DEFINITIONS.find("geometry_msgs/PoseArray"))

@@ -30,6 +30,13 @@ from .type_definition import (
 )
 from .type_registry import Definitions
 
+SENSOR_PREDICATES = {
+    "nav_msgs/OccupancyGrid": ("map_cell/4",),
+    "sensor_msgs/Image": ("image_array/2", "image_pixel/4", "image_region_mean/6"),
+    "sensor_msgs/PointCloud2": ("cloud_box/4", "cloud_field/3", "cloud_near/4"),
+}
+"""Predicates whose first argument is a message, by its type."""
+
 _MAX_NAME_CHARACTERS = 200
 """Names longer than this are not compared with similar names."""
 
@@ -234,7 +241,7 @@ class _Template:
                     for constant in element_type.constants
                 ]
                 lines_shown += [f"%   {text}" for text in texts]
-        return "\n".join(lines_shown) + "\n"
+        return "\n".join(lines_shown + _predicate_lines(definition)) + "\n"
 
     def message(
         self,
@@ -344,6 +351,29 @@ def _element_types(definition: Definition) -> Dict[str, Definition]:
                     types[slot.definition.name] = slot.definition
                 pending.append(slot.definition)
     return types
+
+
+def _predicate_lines(definition: Definition) -> List[str]:
+    """Return comments that name the predicates for the arrays of numbers in a message, and for the message."""
+    arrays = list(_number_arrays(definition, ""))
+    lines = []
+    if arrays:
+        lines += ["", f"% for array_min/2, array_percentile/3 and others: {', '.join(arrays)}"]
+    predicates = SENSOR_PREDICATES.get(definition.name)
+    if predicates is not None:
+        lines += ["", f"% for {', '.join(predicates)}: the whole message"]
+    return lines
+
+
+def _number_arrays(definition: Definition, prefix: str) -> Iterator[str]:
+    """Yield the names of the arrays of numbers of a message and of the messages in it."""
+    for slot in definition.fields:
+        name = f"{prefix}{slot.name}"
+        if slot.definition is not None:
+            if slot.length is None:
+                yield from _number_arrays(slot.definition, f"{name}.")
+        elif slot.length is not None and slot.type not in (*TIMES, "bool", "string"):
+            yield name
 
 
 def _align_comments(lines: List[_TemplateLine]) -> List[str]:

@@ -4,18 +4,18 @@ import pytest
 
 from retalis import Engine
 from retalis.events.checks.program_model import ProgramModel
-from retalis.events.checks.value_type_checks import numerals
+from retalis.events.checks.value_type_checks import _ARRAY_PREDICATES, kinds, numerals
 from retalis.events.program.topic_configuration import Topics, topic_type
+from retalis.messages.named_slots import SENSOR_PREDICATES
+from retalis.prolog.builtins.builtin_registry import ENTRIES
 
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
 
 
-def said(definitions, rules="", goals=""):
+def said(definitions, rules="", goals="", check=numerals):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
-    return [
-        one.message for one in numerals(ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS))
-    ]
+    return [one.message for one in check(ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS))]
 
 
 @pytest.mark.parametrize(
@@ -64,3 +64,40 @@ def test_numbers_of_the_other_kind(definitions, rules, goals, told):
 )
 def test_what_may_be_is_left_alone(definitions, rules):
     assert said(definitions, rules) == []
+
+
+@pytest.mark.parametrize(
+    ("goal", "told"),
+    [
+        (
+            "image_pixel(D, 0, 0, _)",
+            "D is a text (data of sensor_msgs/Image), not a whole message: image_pixel/4 takes a sensor_msgs/Image",
+        ),
+        (
+            "array_min(W, _)",
+            "W is a number (width of sensor_msgs/Image), not an array: array_min/2 takes a list of numbers",
+        ),
+        (
+            "map_cell(sensor_msgs__0__Image{width: W, data: D}, 0, 0, _)",
+            "map_cell/4 takes a nav_msgs/OccupancyGrid, not a sensor_msgs/Image",
+        ),
+        ("array_min(D, W)", None),
+        ("image_array(sensor_msgs__0__Image{width: W, data: D}, _)", None),
+        ("(access_mem(m, I, _), image_pixel(I, W, W, D))", None),
+    ],
+)
+def test_predicates_on_arrays_and_messages(definitions, goal, told):
+    rules = f"a <- sensor_msgs__0__Image{{data: D, width: W}} where {goal}."
+    assert said(definitions, rules, check=kinds) == ([told] if told else [])
+
+
+def test_an_array_is_no_number(definitions):
+    (told,) = said(definitions, "a <- sensor_msgs__0__LaserScan{ranges: R} where R < 1.", check=kinds)
+    assert told.startswith("R is a list (ranges of sensor_msgs/LaserScan), not a number: take a number of it")
+
+
+def test_predicates_on_arrays_and_messages_are_built_in():
+    assert {name for name, _ in ENTRIES} >= _ARRAY_PREDICATES
+    assert {f"{name}/{arity}" for name, arity in ENTRIES} >= {
+        predicate for predicates in SENSOR_PREDICATES.values() for predicate in predicates
+    }

@@ -11,7 +11,8 @@ a pattern never matches, and ``==`` never holds.
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import RuleError
-from ...messages.type_definition import Definition, Field
+from ...messages.named_slots import SENSOR_PREDICATES
+from ...messages.type_definition import Definition, Field, functor_name
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language.event_declarations import ValueType, slot_value_type
 from ..language.event_operators import OperatorKind, names_of_kind
@@ -32,6 +33,30 @@ _SIGNS = frozenset(
 )
 _ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
 
+
+_ARRAY_PREDICATES = frozenset(
+    f"array_{name}"
+    for name in (
+        "argmax",
+        "argmin",
+        "count",
+        "get",
+        "max",
+        "mean",
+        "median",
+        "min",
+        "percentile",
+        "slice",
+        "std",
+    )
+    + ("sum", "where")
+)
+"""Names of the predicates whose first argument is an array."""
+
+_MESSAGE_PREDICATES = {
+    predicate: message for message, predicates in SENSOR_PREDICATES.items() for predicate in predicates
+}
+"""Predicates whose first argument is a message, with its type."""
 
 _COLLECTED = frozenset(functor(kind.name, 1) for kind in AGGREGATES.values() if kind.numeric)
 _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
@@ -118,6 +143,7 @@ def _check_clause(
                 slots[value] = occurrence
     if slots:
         yield from _check_goals(all_subterms, slots, names)
+    yield from _check_array_arguments(program, all_subterms, slots, names)
 
 
 def _typed_arguments(
@@ -184,12 +210,41 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names:
                 )
 
 
+def _check_array_arguments(
+    program: ProgramModel, all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names: Any
+) -> Iterator[RuleError]:
+    """Yield arguments that are not the array or the message that a predicate takes."""
+    for subterm in all_subterms:
+        if subterm.key is None or not subterm.key.arity:
+            continue
+        expected = _MESSAGE_PREDICATES.get(str(subterm.key))
+        if expected is None and subterm.key.name not in _ARRAY_PREDICATES:
+            continue
+        argument: Any = deref(subterm.term[1])
+        occurrence = slots.get(argument) if argument.__class__ is Var else None
+        text = ""
+        if occurrence is not None and not occurrence.is_made:
+            value = f"{_variable_name(argument, names)} is {occurrence.what} ({occurrence.slot})"
+            if expected is None and occurrence.what in _NO_ARRAYS:
+                text = f"{value}, not an array: {subterm.key} takes a list of numbers"
+            elif expected is not None and occurrence.kind.of_message != functor_name(expected):
+                text = f"{value}, not a whole message: {subterm.key} takes a {expected}"
+        elif expected is not None:
+            definition = program.message_of(argument)
+            if definition is not None and definition.name != expected:
+                text = f"{subterm.key} takes a {expected}, not a {definition.name}"
+        if text:
+            yield RuleError(text, subterm.place_of(subterm.term, 1))
+
+
+_NO_ARRAYS = ("a number", "true or false", "an atom")
+
 _ADVICE = {
     "a text": "compare texts with == or \\==",
     "true or false": "write == true or == false",
     "a string": "compare strings with == or \\==",
     "an atom": "compare atoms with == or \\==",
-    "a list": "take it apart, as with nth0/3 or sum_list/2",
+    "a list": "take a number of it, as with nth0/3 or array_min/2",
 }
 """Advice for values that are not numbers; timestamps count as numbers."""
 

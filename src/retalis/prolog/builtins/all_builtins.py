@@ -18,6 +18,7 @@ from . import (
     meta_calls,  # noqa: F401  (imported for what they register)
     output_predicates,  # noqa: F401  (imported for what they register)
     pose_predicates,  # noqa: F401  (imported for what they register)
+    sensor_predicates,  # noqa: F401  (imported for what they register)
     tabling,  # noqa: F401  (imported for what they register)
     term_comparison,  # noqa: F401  (imported for what they register)
     term_construction,  # noqa: F401  (imported for what they register)
