@@ -435,6 +435,46 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "hole drop missing data extrapolate",
         ),
     ),
+    "Sensors": (
+        Situation(
+            "know that an obstacle is ahead",
+            "array_slice(A, Start, End, B), array_min(B, D, Options)",
+            "near(D) <- sensor_msgs__0__LaserScan{ranges: R} where "
+            "(array_slice(R, 500, 580, A), array_min(A, D, [skip(nan)]), D < 0.5).",
+            "reference/sensors.md",
+            "scan laser lidar range distance nearest collision close bumper minimum array",
+        ),
+        Situation(
+            "know that a camera image is dark",
+            "image_region_mean(Image, X, Y, Width, Height, Mean)",
+            "dark <- sensor_msgs__0__Image{} where "
+            "(access_mem(camera, I, _), image_region_mean(I, 0, 0, 640, 480, M), M < 40).",
+            "reference/sensors.md",
+            "light bright brightness pixel picture depth colour average region",
+        ),
+        Situation(
+            "know that something is in a zone of a point cloud",
+            "cloud_box(Cloud, Min, Max, Count)",
+            "taken(N) <- sensor_msgs__0__PointCloud2{} where "
+            "(access_mem(cloud, C, _), cloud_box(C, [1,-1,0], [2,1,2], N), N > 9).",
+            "reference/sensors.md",
+            "pointcloud lidar velodyne kinect depth points box near person occupied obstacle",
+        ),
+        Situation(
+            "know that a cell of a map is occupied",
+            "map_cell(Map, X, Y, Value)",
+            "blocked(X, Y) <- goal(X, Y) where (access_mem(map, M, _), map_cell(M, X, Y, V), V > 65).",
+            "reference/sensors.md",
+            "occupancygrid grid costmap free unknown wall navigation goal obstacle",
+        ),
+        Situation(
+            "know that a joint needs too much effort",
+            "aggregate(avg(Effort), Q, Mean, last(N))",
+            "strained(J) <- aggregate(avg(F), effort(J, F), M, last(2)) where M > 6.",
+            f"{_LANGUAGE}/windows.md",
+            "motor torque current load window mean arm gripper",
+        ),
+    ),
     "Conditions, actions and messages": (
         Situation(
             "filter events by a condition",

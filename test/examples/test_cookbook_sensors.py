@@ -1,0 +1,163 @@
+"""Recipes from scans, images, clouds, maps and joints: what their rules measure is what numpy measures apart.
+
+The bags are read with rosbags, and the messages with numpy only.
+"""
+
+import importlib.util
+import math
+from pathlib import Path
+
+import pytest
+
+numpy = pytest.importorskip("numpy")
+from rosbags.rosbag1 import Reader  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+
+from retalis import BagReader, Playback, to_python  # noqa: E402
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
+STORE = get_typestore(Stores.ROS1_NOETIC)
+
+
+@pytest.fixture(scope="module")
+def recipes():
+    """Return the script that makes the bags."""
+    spec = importlib.util.spec_from_file_location("cookbook_make_bag", str(FOLDER / "make_bag.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def play(recipes, definitions, tmp_path):
+    """Return a function that plays a recipe: its events, and the messages of its bag as rosbags reads them."""
+
+    def run(name):
+        path = tmp_path / f"{name}.bag"
+        recipes.make_bag(FOLDER / name, path, definitions)
+        problems, events = [], []
+        playback = Playback(FOLDER / name, problems.append)
+        playback.engine.on_event(lambda term, start, end: events.append(values_of(term)))
+        with BagReader(path) as bag:
+            for _ in playback.run(bag):
+                pass
+        assert problems == []
+        with Reader(path) as reader:
+            messages = [
+                (time, connection.topic, STORE.deserialize_ros1(raw, connection.msgtype))
+                for connection, time, raw in reader.messages()
+            ]
+        return events, messages
+
+    return run
+
+
+def values_of(term):
+    """Return an event of the program as a Python value; None for a message, which may be large."""
+    return to_python(term) if term.__class__ is tuple and "__0__" not in term[0].name else None
+
+
+def named(events, name):
+    """Return the arguments of the events of a name, in order."""
+    return [event.args for event in events if event is not None and event.name == name]
+
+
+def test_the_nearest_reading_ahead(play):
+    events, messages = play("obstacle")
+    wanted = []
+    for _, _, scan in messages:
+        angles = scan.angle_min + scan.angle_increment * numpy.arange(len(scan.ranges))
+        ahead = scan.ranges[numpy.abs(angles) <= 0.25]
+        valid = ahead[numpy.isfinite(ahead) & (ahead >= scan.range_min) & (ahead <= scan.range_max)]
+        wanted.append([float(valid.min()) if len(valid) else scan.range_max])
+    assert named(events, "ahead") == wanted
+    assert named(events, "obstacle") == changes(
+        "near" if d < 0.5 else "far" if d > 0.75 else None for (d,) in wanted
+    )
+
+
+def changes(states):
+    """Return the states that differ from the one before, without those that are None."""
+    found = [state for state in states if state is not None]
+    return [[state] for before, state in zip([None, *found], found) if state != before]
+
+
+def test_the_mean_of_the_middle_of_an_image(play):
+    events, messages = play("dark_image")
+    wanted = []
+    for _, _, image in messages:
+        rows = image.data.reshape(image.height, image.step)[:, : 3 * image.width]
+        y, x = image.height // 4, image.width // 4
+        middle = rows.reshape(image.height, image.width, 3)[
+            y : y + image.height // 2, x : x + image.width // 2
+        ]
+        wanted.append(middle.astype(float).mean())
+    measured = [mean for (mean,) in named(events, "brightness")]
+    assert measured == pytest.approx(wanted, rel=1e-12)
+    assert named(events, "light") == changes(
+        "dark" if m < 40 else "bright" if m > 60 else None for m in wanted
+    )
+
+
+def test_the_points_in_each_zone(play):
+    zones = {"door": ((1.5, -0.5, 0.25), (2.5, 0.5, 2.0)), "shelf": ((-0.5, 1.0, 0.25), (1.0, 2.0, 2.0))}
+    events, messages = play("cloud_zone")
+    wanted = []
+    for _, _, cloud in messages:
+        points = cloud.data.view("<f4").reshape(-1, 4)[:, :3].astype(float)
+        assert numpy.isnan(points).any()
+        with numpy.errstate(invalid="ignore"):
+            wanted += [
+                [zone, int(((points >= low) & (points <= high)).all(axis=1).sum())]
+                for zone, (low, high) in zones.items()
+            ]
+    assert named(events, "points") == wanted
+    for zone in zones:
+        states = changes(
+            "taken" if count >= 10 else "free" if count <= 2 else None
+            for name, count in wanted
+            if name == zone
+        )
+        assert len(states) > 1
+        assert [[state] for name, state in named(events, "zone_is") if name == zone] == states
+
+
+def test_the_cells_of_goals(play):
+    events, messages = play("map_cell")
+    grid, wanted = None, []
+    for _, topic, message in messages:
+        if topic == "/map":
+            grid = message
+            continue
+        info, place = grid.info, message.pose.position
+        turn = 2 * math.atan2(info.origin.orientation.z, info.origin.orientation.w)
+        inverse = numpy.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        local = inverse @ [place.x - info.origin.position.x, place.y - info.origin.position.y]
+        column, row = numpy.floor(local / info.resolution).astype(int)
+        if not (0 <= column < info.width and 0 <= row < info.height):
+            what = "outside"
+        else:
+            cell = grid.data.reshape(info.height, info.width)[row, column]
+            what = "unknown" if cell < 0 else "occupied" if cell >= 65 else "free"
+        if what != "free":
+            wanted.append([place.x, place.y, what])
+    assert {what for *_, what in wanted} == {"outside", "unknown", "occupied"}
+    assert named(events, "refused") == wanted
+
+
+def test_the_mean_efforts_of_two_seconds(play):
+    events, messages = play("joint_effort")
+    wanted = []
+    for now, _, newest in messages:
+        window = [state.effort for time, _, state in messages if time <= now and now - time < 2 * 10**9]
+        wanted += [[joint, mean] for joint, mean in zip(newest.name, numpy.mean(window, axis=0).tolist())]
+    measured = [[joint.strip('"'), mean] for joint, mean in named(events, "mean")]
+    assert [joint for joint, _ in measured] == [joint for joint, _ in wanted]
+    assert [mean for _, mean in measured] == pytest.approx([mean for _, mean in wanted], rel=1e-12)
+    states = {}
+    for joint in ("shoulder", "elbow", "wrist"):
+        means = [mean for name, mean in wanted if name == joint]
+        states[joint] = changes("strained" if mean > 6 else "relaxed" if mean < 4 else None for mean in means)
+        found = [[state] for name, state in named(events, "joint_is") if name == f'"{joint}"']
+        assert found == states[joint]
+    assert list(map(len, states.values())) == [1, 3, 2]
