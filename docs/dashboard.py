@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Make docs/images/dashboard.png: the page of the NAO example, as headless Chromium shows it.
+"""Write docs/images/dashboard.png: a screenshot of the dashboard for the NAO example, by headless Chromium.
 
     docs/dashboard.py [--output FILE] [--width 1280] [--height 1000] [--dark] [--seconds 12]
     docs/dashboard.py --serve [--port 8088]
 
-Needs Chromium, tornado and rosbags, and no ROS: a bag of the simulated NAO is played as fast as it was recorded.
-With ``--serve`` the page is served as long as the bag lasts, to be looked at with a browser.
+Needs Chromium, tornado and rosbags, and no ROS: a bag of the simulated NAO is played in real time.
+With ``--serve``, the dashboard is served to any browser until the bag ends.
 """
 
 import argparse
@@ -34,27 +34,27 @@ TOPICS = (
 )
 
 
-def play(playback, bag):
-    """Play a bag as fast as it was recorded."""
-    first, begun = None, time.monotonic()
+def play_in_real_time(playback, bag):
+    """Play a bag in real time."""
+    first_stamp, start = None, time.monotonic()
     now = playback.clock.now
 
-    def pace(done):
-        nonlocal first
-        first = now() if first is None else first
-        time.sleep(max(0.0, (now() - first) / 1e9 - (time.monotonic() - begun)))
+    def wait(done):
+        nonlocal first_stamp
+        first_stamp = now() if first_stamp is None else first_stamp
+        time.sleep(max(0.0, (now() - first_stamp) / 1e9 - (time.monotonic() - start)))
 
     with BagReader(bag) as reader:
-        for _ in playback.run(reader, pace):
+        for _ in playback.run(reader, wait):
             pass
 
 
 def main():
-    """Do what the command line says."""
+    """Serve the dashboard or write its screenshot."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--output", type=Path, default=HERE / "images" / "dashboard.png")
     parser.add_argument("--width", type=int, default=1280)
-    parser.add_argument("--height", type=int, help="as high as the page is, if not given")
+    parser.add_argument("--height", type=int, help="default: the height of the page")
     parser.add_argument("--dark", action="store_true")
     parser.add_argument("--seconds", type=float, default=12.0)
     parser.add_argument("--serve", action="store_true")
@@ -63,24 +63,24 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "nao.bag"
         make_bag(bag, options.seconds + 10, 1)
-        os.chdir(ROOT)  # the places of rules are shown as from there
+        os.chdir(ROOT)  # The dashboard shows the files of rules relative to the working directory.
         playback = Playback("application_source", report=print)
         record_origins(playback.engine)
-        page = Dashboard(
+        dashboard = Dashboard(
             DashboardSource(playback.engine, "/retalis", lambda: TOPICS, queries=True), options.port
         )
-        print(page.url, flush=True)
-        player = threading.Thread(target=play, args=(playback, bag), daemon=True)
+        print(dashboard.url, flush=True)
+        player = threading.Thread(target=play_in_real_time, args=(playback, bag), daemon=True)
         player.start()
         if options.serve:
             player.join()
         else:
-            options.output.write_bytes(picture(page.url, options))
-        page.close()
+            options.output.write_bytes(screenshot(dashboard.url, options))
+        dashboard.close()
 
 
-def picture(url, options):
-    """Return the page as PNG, after it has been open for some seconds."""
+def screenshot(url, options):
+    """Return the dashboard as PNG, after it has been open for ``options.seconds``."""
     browser = Browser(options.width, options.height or 1000, options.dark)
     try:
         browser.open(url)

@@ -10,7 +10,7 @@ omitted. Imports for annotations only (``if TYPE_CHECKING:``) are ignored.
 import ast
 from html import escape
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Set, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 HERE = Path(__file__).resolve().parent
 SOURCE = HERE.parent / "src" / "retalis"
@@ -43,13 +43,13 @@ class Module:
         self.imports = list(self._imports())
 
     def _imports(self) -> Iterator[Tuple[str, Optional[str]]]:
-        for node in _run_time_nodes(self.tree):
+        for node in _nodes_at_run_time(self.tree):
             if isinstance(node, ast.ImportFrom):
                 base = node.module or ""
                 if node.level:
                     folders = self.package.split(".") if self.package else []
-                    kept = folders[: len(folders) - node.level + 1]
-                    base = ".".join(["retalis", *kept, *([base] if base else [])])
+                    parents = folders[: len(folders) - node.level + 1]
+                    base = ".".join(["retalis", *parents, *([base] if base else [])])
                 for alias in node.names:
                     yield base, alias.name
             elif isinstance(node, ast.Import):
@@ -57,30 +57,31 @@ class Module:
                     yield alias.name, None
 
     def own_imports(self) -> Iterator[str]:
-        """Yield the name of each module of the package that is imported."""
+        """Yield the name of each imported module of ``retalis``."""
         for base, name in self.imports:
             if base != "retalis" and not base.startswith("retalis."):
                 continue
-            inner = base[len("retalis.") :]
-            if not inner and name in GENERATED:
+            module = base[len("retalis.") :]
+            if not module and name in GENERATED:
                 continue
-            whole = ".".join(part for part in (inner, name) if part)
-            if whole in MODULES:
-                yield whole
-            elif inner in MODULES:
-                yield inner
+            # ``from .package import name`` imports a module or a name of the module ``package``.
+            submodule = ".".join(part for part in (module, name) if part)
+            if submodule in MODULES:
+                yield submodule
+            elif module in MODULES:
+                yield module
 
 
-def _run_time_nodes(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes of a syntax tree without blocks for type checkers."""
-    todo = [tree]
-    while todo:
-        node = todo.pop()
+def _nodes_at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes of a syntax tree, except those of blocks for type checkers."""
+    unvisited = [tree]
+    while unvisited:
+        node = unvisited.pop()
         if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            todo.extend(node.orelse)
+            unvisited.extend(node.orelse)
             continue
         yield node
-        todo.extend(ast.iter_child_nodes(node))
+        unvisited.extend(ast.iter_child_nodes(node))
 
 
 MODULES: Dict[str, Module] = {}
@@ -91,7 +92,7 @@ PACKAGES = sorted(
     {module.package for module in MODULES.values() if module.package and module.path.name != "__init__.py"}
 )
 
-CROSSINGS = [
+CROSS_PACKAGE_IMPORTS = [
     (module, MODULES[target])
     for module in MODULES.values()
     for target in module.own_imports()
@@ -103,43 +104,52 @@ CROSSINGS = [
 def package_imports() -> Dict[str, Set[str]]:
     """Return the packages that each package imports."""
     imported: Dict[str, Set[str]] = {package: set() for package in PACKAGES}
-    for module, target in CROSSINGS:
+    for module, target in CROSS_PACKAGE_IMPORTS:
         if module.package in imported and target.package in imported:
             imported[module.package].add(target.package)
     return imported
 
 
-def levels(uses: Dict[str, Set[str]]) -> Dict[str, int]:
+def package_levels(imports: Dict[str, Set[str]]) -> Dict[str, int]:
     """Return the level of each package; 0 for packages without imports.
 
     Raises:
         ValueError: if packages import each other.
     """
-    level: Dict[str, int] = {}
-    while len(level) < len(uses):
-        ready = [package for package in uses if package not in level and uses[package] <= set(level)]
-        level.update(
-            {package: 1 + max((level[other] for other in uses[package]), default=-1) for package in ready}
+    levels: Dict[str, int] = {}
+    while len(levels) < len(imports):
+        ready = [package for package in imports if package not in levels and imports[package] <= set(levels)]
+        levels.update(
+            {
+                package: 1 + max((levels[imported] for imported in imports[package]), default=-1)
+                for package in ready
+            }
         )
         if not ready:
-            raise ValueError(f"import cycle among {sorted(set(uses) - set(level))}")
-    return level
+            raise ValueError(f"import cycle among {sorted(set(imports) - set(levels))}")
+    return levels
 
 
-def drawn(uses: Dict[str, Set[str]]) -> Dict[str, Set[str]]:
-    """Return the imports that do not follow from others (the transitive reduction)."""
-    level = levels(uses)
-    below: Dict[str, Set[str]] = {}
-    for package in sorted(uses, key=level.__getitem__):
-        below[package] = uses[package].union(*(below[other] for other in uses[package]))
+def transitive_reduction(imports: Dict[str, Set[str]]) -> Dict[str, Set[str]]:
+    """Return the imports that do not follow from others."""
+    levels = package_levels(imports)
+    reachable: Dict[str, Set[str]] = {}
+    for package in sorted(imports, key=levels.__getitem__):
+        reachable[package] = imports[package].union(*(reachable[imported] for imported in imports[package]))
     return {
-        package: {one for one in others if not any(one in below[other] for other in others)}
-        for package, others in uses.items()
+        package: {
+            candidate
+            for candidate in imported
+            if not any(candidate in reachable[other] for other in imported)
+        }
+        for package, imported in imports.items()
     }
 
 
-WIDE, HIGH, GAP, ROW = 168, 34, 14, 58
-COLUMNS = (
+BOX_WIDTH, BOX_HEIGHT, GAP, LEVEL_HEIGHT = 168, 34, 14, 58
+"""Sizes in units of the picture."""
+
+TOP_PACKAGES = (
     "foundation",
     "prolog",
     "messages",
@@ -153,7 +163,9 @@ COLUMNS = (
     "cli",
     "ros",
 )
-COLOURS = (
+"""Packages directly below ``retalis``, from left to right."""
+
+BAND_COLOURS = (
     "#e8e4da",
     "#dfe9f3",
     "#e6f0df",
@@ -169,35 +181,45 @@ COLOURS = (
 )
 
 
+class Band(NamedTuple):
+    """Rectangle behind the boxes of a top package and of the packages in it."""
+
+    package: str
+    x: int
+    y: int
+    width: int
+    height: int
+
+
 def picture() -> str:
     """Return the picture as SVG."""
-    uses = package_imports()
-    level = levels(uses)
-    top = max(level.values())
-    places: Dict[str, Tuple[int, int]] = {}
-    bands: List[Tuple[str, int, int, int, int]] = []
+    imports = package_imports()
+    levels = package_levels(imports)
+    top_level = max(levels.values())
+    positions: Dict[str, Tuple[int, int]] = {}
+    bands: List[Band] = []
     left = GAP
-    for group in [*COLUMNS, *sorted({package.split(".")[0] for package in PACKAGES} - set(COLUMNS))]:
-        packages = [package for package in PACKAGES if package.split(".")[0] == group]
+    other_packages = {package.split(".")[0] for package in PACKAGES} - set(TOP_PACKAGES)
+    for top_package in [*TOP_PACKAGES, *sorted(other_packages)]:
+        packages = [package for package in PACKAGES if package.split(".")[0] == top_package]
         if not packages:
             continue
         rows: Dict[int, List[str]] = {}
         for package in packages:
-            rows.setdefault(level[package], []).append(package)
-        width = max(map(len, rows.values())) * (WIDE + GAP) + GAP
-        for row_level, row in rows.items():
-            start = left + (width - len(row) * (WIDE + GAP) + GAP) // 2
-            for at, package in enumerate(row):
-                places[package] = start + at * (WIDE + GAP), (top - row_level) * ROW + 2 * GAP + 16
-        high, low = (
-            min(places[package][1] for package in packages),
-            max(places[package][1] for package in packages) + HIGH,
-        )
-        bands.append((group, left, high - GAP - 16, width, low - high + 2 * GAP + 16))
+            rows.setdefault(levels[package], []).append(package)
+        width = max(map(len, rows.values())) * (BOX_WIDTH + GAP) + GAP
+        for level, row in rows.items():
+            start = left + (width - len(row) * (BOX_WIDTH + GAP) + GAP) // 2
+            y = (top_level - level) * LEVEL_HEIGHT + 2 * GAP + 16
+            for column, package in enumerate(row):
+                positions[package] = start + column * (BOX_WIDTH + GAP), y
+        top = min(positions[package][1] for package in packages)
+        bottom = max(positions[package][1] for package in packages) + BOX_HEIGHT
+        bands.append(Band(top_package, left, top - GAP - 16, width, bottom - top + 2 * GAP + 16))
         left += width + 2 * GAP
-    height = (top + 1) * ROW + 4 * GAP
+    height = (top_level + 1) * LEVEL_HEIGHT + 4 * GAP
     return "\n".join(
-        [*_head(left, height), *_bands(bands), *_lines(uses, places), *_boxes(places), "</svg>", ""]
+        [*_head(left, height), *_bands(bands), *_arrows(imports, positions), *_boxes(positions), "</svg>", ""]
     )
 
 
@@ -210,19 +232,22 @@ def _head(width: int, height: int) -> List[str]:
     ]
 
 
-def _bands(bands: List[Tuple[str, int, int, int, int]]) -> Iterator[str]:
-    for (group, x, y, width, high), fill in zip(bands, COLOURS):
-        yield f'<rect x="{x}" y="{y}" width="{width}" height="{high}" rx="8" fill="{fill}"/>'
+def _bands(bands: List[Band]) -> Iterator[str]:
+    for band, fill in zip(bands, BAND_COLOURS):
         yield (
-            f'<text x="{x + GAP}" y="{y + 18}" font-size="13" font-weight="bold" fill="#445">{escape(group)}/</text>'
+            f'<rect x="{band.x}" y="{band.y}" width="{band.width}" height="{band.height}" rx="8" fill="{fill}"/>'
+        )
+        yield (
+            f'<text x="{band.x + GAP}" y="{band.y + 18}" font-size="13" font-weight="bold" fill="#445">'
+            f"{escape(band.package)}/</text>"
         )
 
 
-def _lines(uses: Dict[str, Set[str]], places: Dict[str, Tuple[int, int]]) -> Iterator[str]:
-    for package, others in sorted(drawn(uses).items()):
-        for other in sorted(others):
-            x, y = places[package][0] + WIDE // 2, places[package][1] + HIGH
-            to_x, to_y = places[other][0] + WIDE // 2, places[other][1]
+def _arrows(imports: Dict[str, Set[str]], positions: Dict[str, Tuple[int, int]]) -> Iterator[str]:
+    for package, reduced in sorted(transitive_reduction(imports).items()):
+        for imported in sorted(reduced):
+            x, y = positions[package][0] + BOX_WIDTH // 2, positions[package][1] + BOX_HEIGHT
+            to_x, to_y = positions[imported][0] + BOX_WIDTH // 2, positions[imported][1]
             bend = (to_y - y) // 2
             yield (
                 f'<path d="M{x},{y} C{x},{y + bend} {to_x},{to_y - bend} {to_x},{to_y}" fill="none" '
@@ -230,13 +255,13 @@ def _lines(uses: Dict[str, Set[str]], places: Dict[str, Tuple[int, int]]) -> Ite
             )
 
 
-def _boxes(places: Dict[str, Tuple[int, int]]) -> Iterator[str]:
-    for package, (x, y) in sorted(places.items()):
+def _boxes(positions: Dict[str, Tuple[int, int]]) -> Iterator[str]:
+    for package, (x, y) in sorted(positions.items()):
         summary = (ast.get_docstring(MODULES[package].tree) or "").partition("\n")[0]
         yield (
-            f'<g><title>{escape(summary)}</title><rect x="{x}" y="{y}" width="{WIDE}" height="{HIGH}" rx="4" '
-            f'fill="white" stroke="#445"/><text x="{x + WIDE // 2}" y="{y + 22}" font-size="14" text-anchor="middle">'
-            f"{escape(package.rpartition('.')[2])}</text></g>"
+            f'<g><title>{escape(summary)}</title><rect x="{x}" y="{y}" width="{BOX_WIDTH}" height="{BOX_HEIGHT}" '
+            f'rx="4" fill="white" stroke="#445"/><text x="{x + BOX_WIDTH // 2}" y="{y + 22}" font-size="14" '
+            f'text-anchor="middle">{escape(package.rpartition(".")[2])}</text></g>'
         )
 
 

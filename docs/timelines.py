@@ -5,7 +5,7 @@
 
 Needs matplotlib and no ROS. A picture belongs to the first ``prolog`` fence after it. The first line ``% events =>
 results`` of the fence is run, and its events and results are drawn by the lanes of ``retalis plot``. The text of the
-fence is stored in the description of the picture, so that a test can tell whether the picture is up to date.
+fence is stored in the description of the picture, and a test compares the two.
 """
 
 import re

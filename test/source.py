@@ -17,4 +17,4 @@ TREES = {path: module.tree for path, module in FILES.items()}
 """The syntax tree of each file."""
 
 NODES = {path: module.nodes for path, module in FILES.items()}
-"""All nodes of that tree, for who looks for some: walking all trees takes as long as parsing them."""
+"""All nodes of that tree; walking all trees again takes the time of parsing them."""

@@ -6,7 +6,7 @@ from collections import Counter
 import pytest
 from source import ROOT, packages
 
-MODULES, CROSSINGS = packages.MODULES, packages.CROSSINGS
+MODULES, CROSS_PACKAGE_IMPORTS = packages.MODULES, packages.CROSS_PACKAGE_IMPORTS
 
 ORDER = (
     "foundation",
@@ -62,7 +62,7 @@ def test_imports_go_one_way_between_packages(package):
     below = ORDER[: ORDER.index(package)]
     wrong = [
         f"{module.path}: {target.name}"
-        for module, target in CROSSINGS
+        for module, target in CROSS_PACKAGE_IMPORTS
         if module.package == package and target.name and target.package not in below
     ]
     assert not wrong, "\n".join(wrong)

@@ -27,8 +27,15 @@ OPENING = re.compile(r"(?:What|Who|Whom|Whose|Where|How|When|Which|Whether|For h
 """Words with which a docstring does not begin."""
 
 BANNED = re.compile(
-    r"\b(?:nothing else|hardly meant|(?:to )?be rid of|thereof|(?:tells?|told) of|"
-    r"is let go|as many as)\b",
+    r"\b(?:"
+    # Verbs.
+    r"(?:gives?|given|gave|hands?|handed) on|(?:tells?|told) of|look(?:s|ed|ing)? at|(?:keeps?|kept) back|"
+    r"lets? go|letting go|(?:is|are|was|were|be|been) woken|at work|stands? in|stood in|"
+    # Nouns.
+    r"what waits|what is left|who listens|one of them|such a thing|"
+    # Ellipses and decoration.
+    r"of which|thereof|nothing else|hardly meant|rid of|as many as|in turn"
+    r")\b",
     re.IGNORECASE,
 )
 """Phrases for which the style has plain words."""

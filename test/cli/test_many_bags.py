@@ -97,7 +97,7 @@ def test_what_several_bags_say_alike_is_said_once(program, bags, tmp_path, capfd
 
 
 REFUSED = {
-    "bags --jobs 2 --scheduler tcp://x:1 --output new": "--jobs and --scheduler: give one of them",
+    "bags --jobs 2 --scheduler tcp://x:1 --output new": "--jobs and --scheduler: give only one option",
     "bags --scheduler tcp://x:1": "--scheduler needs --output",
     "bags --jobs 2 --format jsonl": "--format needs --output",
     "bags --parts": "--parts needs --jobs or --scheduler",

@@ -46,13 +46,13 @@ def test_a_goal_subscribes_a_topic_once(asked):
         ("subscribe_to(left, 'std_msgs/Bool')", "as std_msgs/Bool, with events called bump"),
         ("subscribe_to('a b', 'std_msgs/Int32')", "a b"),
         ("subscribe_to(a, 'Int32')", "package/Type"),
-        ("subscribe_to(a, std_msgs/int32)", "names with a slash stand in quotes"),
-        ("subscribe_to(a, std_msgs/Int32)", "names with a slash stand in quotes"),
+        ("subscribe_to(a, std_msgs/int32)", "names with a slash need quotes"),
+        ("subscribe_to(a, std_msgs/Int32)", "names with a slash need quotes"),
         ("subscribe_to(_, 'std_msgs/Int32')", "not sufficiently instantiated"),
         ("subscribe_to(a, 'std_msgs/Int32', 'A')", "begins with a small letter"),
         ("subscribe_to(a, 'std_msgs/Int32', seq)", "seq has a fixed meaning in rules"),
         ("subscribe_to(a, 'std_msgs/Int32', '')", "event_name"),
-        ("subscribe_to(a, 'std_msgs/Int32', 3)", "names with a slash stand in quotes"),
+        ("subscribe_to(a, 'std_msgs/Int32', 3)", "names with a slash need quotes"),
     ],
 )
 def test_what_cannot_be_subscribed_is_an_error_of_the_goal(asked, goal, said):

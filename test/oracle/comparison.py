@@ -22,8 +22,8 @@ from .patterns import NO_PROPERTIES, Pattern, Rule
 from .strategies import Case, random_case
 
 REFUSED = (
-    "looks at a pattern to the left of it",
-    "what must be absent looks at a variable",
+    "uses a pattern to the left of it",
+    "the pattern of absent uses a variable",
     "rate needs a window of at least two events",
     "a measured value has a variable",
 )

@@ -286,7 +286,7 @@ def _check_options(options: argparse.Namespace) -> None:
     result_format = _select_format(options)
     if options.jobs and options.scheduler:
         raise UsageError(
-            "--jobs and --scheduler: give one of them: a cluster determines the number of its workers"
+            "--jobs and --scheduler: give only one option: a cluster determines the number of its workers"
         )
     # The results of other machines have to be written to a folder or URL that both sides can read.
     if options.scheduler and not options.output:

@@ -323,7 +323,7 @@ def _get_text(term: Term) -> str:
     if isinstance(value, String):
         return value.text
     if not isinstance(value, Atom):
-        raise domain_error("text", value, "names with a slash stand in quotes, as 'std_msgs/Bool'")
+        raise domain_error("text", value, "names with a slash need quotes, as in 'std_msgs/Bool'")
     return str(value.name)
 
 

@@ -342,7 +342,7 @@ class WhyNot:
         return Part(text, matches, [first_part, collected_part])
 
     def _find_ordered_pairs(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
-        """Yield pairs of matches of which the second starts after the end of the first, and their joint values."""
+        """Yield pairs of matches whose second one starts after the end of the first, and their joint values."""
         for match in first.matches:
             for later in second.matches:
                 if match.end < later.start:

@@ -153,7 +153,7 @@ class YoungCollector:
     MIDDLE_THRESHOLD = 2
     """Number of such collections that triggers one of the second generation, of some 8,000 objects."""
     OLD_THRESHOLD = 1_000_000
-    """Number of those that would trigger a collection of the oldest generation, most of which is frozen."""
+    """Number of those that would trigger a collection of the oldest generation, which is mostly frozen."""
     MAX_GARBAGE_BLOCKS = 4_000_000
     """Memory blocks of about 60 bytes that may be garbage before a full collection while events are processed."""
     MAX_GARBAGE_BLOCKS_IDLE = 250_000

@@ -25,7 +25,7 @@ ReadStamp = Callable[[bytes], Optional[int]]
 """Function from the bytes of a message to the time of its own header, as `Decoder.stamp`."""
 
 StampObserver = Callable[[List[FrameStamp]], object]
-"""Observer of a message's stamps, called if at least one of them has a second that was not observed yet."""
+"""Observer of a message's stamps, called if at least one stamp has a second that was not observed yet."""
 
 _CHILD_FRAME_SLOT = "child_frame_id"
 

@@ -62,7 +62,7 @@ _size = Struct("<I").unpack_from
 
 
 class LowWaterMark:
-    """Controls the number of bytes that must have arrived at a connection before its thread is woken.
+    """Controls the number of bytes that must have arrived at a connection before its thread continues.
 
     If messages arrive one by one, and at least `MIN_FURTHER_MESSAGES` more while the first is held, the kernel waits
     for several (``SO_RCVLOWAT``). This needs no timer, unlike a sleep between two reads, which costs more than it

@@ -208,7 +208,7 @@ class RosClock(Clock):
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:
         """Remove and return the next due alarm; if there is none, start the timer for the next one.
 
-        The timer is started here, in the engine's thread, and not when it fires: a busy engine would be woken again
+        The timer is started here, in the engine's thread, and not when it fires: a busy engine would be called again
         and again for the same alarm.
         """
         due_alarm = super().due(until)

@@ -261,7 +261,7 @@ class InputTopic:
     A type that is not installed is learned from the publisher's connection header. ``event`` is the name of the
     events; by default it is derived from the type. The other arguments are those of `RosInterface`.
 
-    rospy has a thread for each publisher. The lock ``processing_lock`` lets one of them at a time pass on its
+    rospy has a thread for each publisher. The lock ``processing_lock`` lets one thread at a time pass on its
     messages. The others wait, and TCP's flow control slows down their publishers (backpressure), instead of a queue
     growing before the engine.
     """

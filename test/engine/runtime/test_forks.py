@@ -18,7 +18,7 @@ SECONDS = 60
 """After these a process that hangs is ended."""
 
 REFUSED = (
-    "the engine cannot be used in this process, which was forked while another thread was at work in it: make"
+    "the engine cannot be used in this process, which was forked while another thread was using it: make"
 )
 
 

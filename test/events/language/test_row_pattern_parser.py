@@ -152,7 +152,7 @@ def test_parts_of_a_condition_share_the_variables_that_are_its_own():
 
 
 def test_a_condition_does_not_look_at_patterns_to_the_left():
-    with pytest.raises(ProgramErrors, match="a condition of a step looks at a pattern to the left"):
+    with pytest.raises(ProgramErrors, match="a condition of a step uses a pattern to the left"):
         Program("s(L) <- x(Y) seq aggregate(list(X), e(X), L, steps([a where X > Y])).")
 
 

@@ -236,7 +236,7 @@ class ClockEpochs:
             return max(0.0, self._deadline - now) if self.is_buffering else None
 
     def _call_callbacks(self, end: int) -> None:
-        """Call the callbacks of a new epoch; an error in one of them affects neither the others nor messages."""
+        """Call the callbacks of a new epoch; an error in a callback affects neither the others nor messages."""
         for callback in self._callbacks:
             try:
                 callback(end)

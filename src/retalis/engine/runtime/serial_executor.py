@@ -508,7 +508,7 @@ class _UnusableExecutor(SerialExecutor):
 
 def _make_refusal() -> UsageError:
     return UsageError(
-        "the engine cannot be used in this process, which was forked while another thread was at work in it:"
+        "the engine cannot be used in this process, which was forked while another thread was using it:"
         " make an engine in the forked process, or fork while the engine is idle"
     )
 

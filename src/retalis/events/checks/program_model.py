@@ -286,7 +286,7 @@ def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> Writt
 
 
 def clause_at(head: Term, body: Term, place: Optional[Place]) -> WrittenTerm:
-    """Return a clause of which only the starting place is known."""
+    """Return a clause whose starting place only is known."""
     return WrittenTerm(head, (NECK, head, body), 2, everywhere(place), place)
 
 

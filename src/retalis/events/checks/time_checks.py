@@ -158,7 +158,7 @@ _SAMPLE_INTERVALS = list(combinations_with_replacement(range(5), 2))
 
 
 def never_meet(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield joins whose operands can never have the required intervals, because one of them is always an instant."""
+    """Yield joins whose operands can never have the required intervals, because one operand is always an instant."""
     instants = _Instants(program)
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):
@@ -288,7 +288,7 @@ def _required_instants(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
 
 
 def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
-    """Return the events each of which is a match of a pattern, or None if a match has several events or any event."""
+    """Return the events that are each a match of a pattern, or None if a match has several events or any event."""
     events: Set[Functor] = set()
     stack: List[Pattern] = [pattern]
     while stack:

@@ -7,7 +7,7 @@ patterns have a constant; patterns with a variable there appear in every branch.
 first reaches them, so a tree has the size of the data, not of all combinations.
 
 A `PushdownFilter` follows the same tree with the arguments that are known before an event term exists (predicate
-pushdown). A message that is split into many events, of which few are needed, is filtered without creating terms.
+pushdown). If a message is split into many events and few are needed, it is filtered without creating terms.
 """
 
 from collections import Counter

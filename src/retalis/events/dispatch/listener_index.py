@@ -68,7 +68,7 @@ class ListenerIndex:
                 done for ground input events, if the functor has no other listener and the pattern matches all its
                 events.
             unused: variables of the pattern whose values are not read, so that they may be `NOT_READ`. If the pattern
-                itself is one of them, the listener gets events that contain `NOT_READ`.
+                itself is such a variable, the listener gets events that contain `NOT_READ`.
 
         Raises:
             UsageError: if the pattern is a number or a string, which no event is.

@@ -432,7 +432,7 @@ class _OperandGenerator(_ActionGenerator):
         )
 
     def _test_statements(self) -> List[Statement]:
-        """Return statements for absences and conditions; they set ``met`` to None if one of them fails."""
+        """Return statements for absences and conditions; they set ``met`` to None if one fails."""
         ended, began = ("e", "partner.start") if self.side.left else ("partner.end", "s")
         steps: List[Statement] = [
             Block(f"if absence{index}(met, {ended}, {began}):", ["met = None"])

@@ -538,7 +538,7 @@ def calls_in_query(head: Term) -> List[Subgoal]:
 
 
 def has_alternatives(root: Term) -> bool:
-    """Return whether a term contains alternatives, only one of which holds at a time."""
+    """Return whether a term contains alternatives that exclude each other."""
     stack = [root]
     while stack:
         term = deref(stack.pop())

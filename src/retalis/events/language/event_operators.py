@@ -32,7 +32,7 @@ class OperatorKind(Enum):
     REPETITION = "a pattern, and how often"
     RUN = "a pattern any number of times"
     AGGREGATE = "a pattern any number of times, collected into a result"
-    WINDOW = "a pattern, of which those in a window are measured together"
+    WINDOW = "a pattern whose matches in a window are measured together"
     SHAPE = "a pattern, and which of its matches go on"
     DEADLINE = "a pattern that must not happen for some time"
 
@@ -56,12 +56,12 @@ class EventOperator(NamedTuple):
         patterns: for each argument in functional notation, whether it is a pattern.
         signs: further names within patterns; elsewhere they are Prolog's operators.
         functors: spellings that are valid in functional notation, too; None for all.
-        same_as: the operator of which it is another name.
+        same_as: the operator for which it is another name.
         names_events: whether events may have its name, with another number of arguments and in heads.
         names_facts: whether a fact may have its name; otherwise the fact was meant as a rule.
         timed: whether ``t1/1`` and ``t2/1`` are defined within its goal.
         every: whether its goal is called for all of its solutions.
-        comparisons: conditions on the intervals of a pair, all of which must hold.
+        comparisons: conditions on the intervals of a pair; all must hold.
         start: start of the result of a pair.
         end: end of the result of a pair.
         either: whether the sides may arrive in either order; otherwise only the right side completes a pair (a late
@@ -103,7 +103,7 @@ class EventOperator(NamedTuple):
 
     @property
     def canonical_name(self) -> str:
-        """Name of the operator of which this is a name."""
+        """Name of the operator that this name denotes."""
         return self.same_as or self.name
 
     @property

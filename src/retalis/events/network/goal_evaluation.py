@@ -70,7 +70,7 @@ class TimedNode(Protocol):
     """A node that the clock wakes.
 
     Attributes:
-        woken: the instant at which it is woken next; None if it is not.
+        woken: the instant of its next alarm; None without one.
         place: position among the nodes of the same owner.
     """
 
@@ -390,7 +390,7 @@ class Evaluators:
     def folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
         """Return a function that calls the predicates of a user-defined aggregate.
 
-        It returns None if one of them fails.
+        It returns None if one predicate fails.
 
         The first predicate returns the initial state, the second one takes a value and a state and returns the next
         state, and the third one takes a state and returns the result.

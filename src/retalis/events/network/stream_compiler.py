@@ -424,7 +424,7 @@ class StreamCompiler:
         # be deferred.
         if below.deferred:
             what = "what is measured" if isinstance(core, Windowed) else f"the pattern of {core.shape}"
-            raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
+            raise RuleError(f"a condition in {what} uses a pattern to the left of it", self.rule.place)
         names = below.node.vars
         if isinstance(core, Shaped):
             node = StreamNode(self.rule, [below.node], names, rate_node_spec(core, names), core)
@@ -432,7 +432,7 @@ class StreamCompiler:
             return built._replace(node=self._add(node, None, Retention(part, part)))
         if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
             raise RuleError(
-                "a condition of a step looks at a pattern to the left of what is measured", self.rule.place
+                "a condition of a step uses a pattern to the left of what is measured", self.rule.place
             )
         values = [value for value in core.values if value is not None]
         outside = self._outside(pattern, [*values, *core.window.looked_at])
@@ -452,9 +452,7 @@ class StreamCompiler:
         names = below.node.vars
         # The timeout has no left operand whose variables could become known later.
         if negated.needs(inner_context, set(names)) | negated.needs(context, sure):
-            message = (
-                "what must be absent looks at a variable that the pattern before it does not give a value"
-            )
+            message = "the pattern of absent uses a variable that the pattern before it does not bind"
             raise RuleError(message, self.rule.place)
         built = negated.make()
         absence = negation_buffer_for(self.rule, built, names, False)

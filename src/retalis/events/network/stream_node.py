@@ -1,7 +1,7 @@
 """Stream node: runs an operator on streams within the network.
 
 `StreamNode` passes the matches of its patterns to an operator of `streams` (a window, a rate operator, a timeout),
-and emits a match for each of its outputs. Operators that produce output when time passes are woken by the clock
+and emits a match for each of its outputs. Operators that produce output when time passes have an alarm of the clock
 (`StreamNode.on_alarm`). Three mechanisms surround the operator:
 
 * *Reentrancy*: an operator may call goals of the program (conditions of steps, user-defined aggregates). Such a goal

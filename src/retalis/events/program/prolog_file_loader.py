@@ -3,7 +3,7 @@
 A file with event rules is checked as a whole and accepted or rejected as a whole (see `event_file_loader`). A file
 without them is a Prolog program and is consulted as other Prolog systems do: each directive runs before the next term
 is read, so that operators, flags and ``term_expansion/2`` apply from there on. A term with a syntax error, a clause
-that cannot be added, or a directive that raises an error is omitted with a warning. A file of which every term is
+that cannot be added, or a directive that raises an error is omitted with a warning. A file whose terms are
 omitted is rejected. During a reload, a file is also rejected if more terms must be omitted than before.
 """
 

@@ -233,7 +233,7 @@ class SourceFiles:
 
     @contextmanager
     def loading_again(self, before: Dict[str, int]) -> Iterator[None]:
-        """Reject files of which more terms must be omitted than before, for a reload."""
+        """Reject files with more omitted terms than before, for a reload."""
         self.omitted, self._is_reload = dict(before), True
         try:
             yield

@@ -140,7 +140,7 @@ class RetryNode(Protocol):
 class Suppressed:
     """Match, or two matches to be joined, that a negated match has prevented from firing.
 
-    A negated match may consist of several occurrences; the first retraction of one of them releases the suppressed
+    A negated match may consist of several occurrences; the first retraction of an occurrence releases the suppressed
     match.
     """
 

@@ -69,7 +69,7 @@ class LineageTracker:
     """Recorder of events and their lineage; executes retractions.
 
     Attributes:
-        blocker: the negated match because of which the last test failed.
+        blocker: the negated match that made the last test fail.
     """
 
     def __init__(self, rules: "RuleBase"):

@@ -34,7 +34,7 @@ class StepTest(NamedTuple):
     """Part of the condition of a step.
 
     Attributes:
-        back: indices of the navigations that it uses; it is skipped while one of them has no element.
+        back: indices of the navigations that it uses; it is skipped while a navigation has no element.
         holds: returns whether the condition holds for an element and these navigations.
     """
 
@@ -70,7 +70,7 @@ class StepTransitions(NamedTuple):
         ends: whether the match may end instead.
         left: the same steps if all of them and of ``blocking`` skip elements that do not fit, else None.
         blocking: steps that are less preferred than the end. They never accept an element, because the match ends
-            first, but an element that one of them would accept is not skipped.
+            first, but an element that such a step would accept is not skipped.
     """
 
     steps: Tuple[int, ...]

@@ -48,7 +48,7 @@ def _numbers(term: Term) -> "Array":
 
 
 def _ordered(value: Number) -> Number:
-    """Return a result that depends on the order of the elements; raise an error if one of them is nan."""
+    """Return a result that depends on the order of the elements; raise an error if an element is nan."""
     if value != value:
         raise evaluation_error("undefined")
     return value
@@ -389,7 +389,7 @@ def array_slice(array: Term, start: Term, end: Term) -> Term:
 def _elementwise(
     apply: Callable[[Any, Any], Any], bound: Optional[Callable[[int, int], int]]
 ) -> Callable[[Term, Term], Term]:
-    """Return a function of two operands, at least one of which is an array.
+    """Return a function of two operands, for at least one array.
 
     Args:
         apply: the operation on numbers or arrays.

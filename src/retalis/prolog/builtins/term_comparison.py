@@ -4,9 +4,9 @@ Compiled clauses contain most of these tests inline; the predicates serve for ca
 run time.
 
 ``freeze/2``, ``dif/2`` and ``when/2`` are supported only if they can be decided immediately. Coroutining (suspended
-goals that are woken by the binding of a variable) is not: compiled clauses contain the code of unifications, all of
-which would have to check for suspended goals. A call that depends on an unbound variable raises an instantiation
-error.
+goals that are resumed by the binding of a variable) is not: compiled clauses contain the code of unifications, and
+each unification would have to check for suspended goals. A call that depends on an unbound variable raises an
+instantiation error.
 """
 
 from typing import Any, Callable, Dict, List, Optional, Tuple

@@ -7,7 +7,7 @@ arithmetic, comparison, pure built-ins, facts, and calls of other such predicate
 
 Each predicate has two functions. ``first`` is used if the first solution is enough (before a cut, in a test) and
 ignores further clauses. ``only`` must prove that the solution is unique: it compares the first-level keys of the
-remaining clauses with the arguments at entry, and gives up if one of them may match.
+remaining clauses with the arguments at entry, and gives up if another clause may match.
 """
 
 from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tuple

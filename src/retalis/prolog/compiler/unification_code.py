@@ -47,7 +47,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
 
 
 def _unify_locals(scope: Scope, bound: str, name: str) -> None:
-    """Write the unification of two locals; one of them is most likely an unbound variable."""
+    """Write the unification of two locals; one is most likely an unbound variable."""
     scope.line(f"if {bound} is not {name}:")
     scope.line(f"    if {name}.__class__ is Var and {name}.ref is None and {bound}.__class__ is not Var:")
     scope.line(f"        {name}.ref = {bound}")

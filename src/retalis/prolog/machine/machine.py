@@ -12,7 +12,7 @@ frame that nothing refers to is freed by Python, so last-call optimisation needs
 own continuation on.
 
 ``catch/3``, cleanup handlers and the limits of sub-goals are choice points, too. `Machine._recover` pops choice
-points until one of them handles the error. A deterministic loop can run for ever without a choice point, and its
+points until one handles the error. A deterministic loop can run for ever without a choice point, and its
 trail would grow without bound; `compact` removes the entries that no other object refers to.
 
 Python calls the machine in three ways: `Machine.run` (first solution, bindings kept), `Machine.check` (a test,

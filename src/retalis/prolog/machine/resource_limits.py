@@ -469,7 +469,7 @@ class Budget:
             raise self._exceeded(past)
 
     def close(self, error: LimitError) -> None:
-        """Refuse further goals of the entry because of an error that ended one of them."""
+        """Refuse further goals of the entry because of an error that ended a goal."""
         self._mark_used()
         self.closed = True
         if self._out is None:

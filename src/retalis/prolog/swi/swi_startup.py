@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .swi_session import SwiEngine
 
 _PREPARED_GENERATORS = 64
-"""Number of suspended generators, which limits the callbacks that may begin before one of them prepares more."""
+"""Number of suspended generators, which limits the callbacks that may begin before a callback prepares more."""
 
 _AnswerGenerator = Generator[int, int, None]
 

@@ -19,7 +19,7 @@ from .operators import EVENT_SYNTAX, Operators
 from .tokenizer import END, NAME, OPEN_CT, QUOTED, AnyToken
 
 _NECKS = frozenset((":-", "-->", "?-", "=>"))
-"""Operators of Prolog clauses: a segment with one of them is not an event rule."""
+"""Operators of Prolog clauses: a segment with such an operator is not an event rule."""
 _OPENING = frozenset(("(", OPEN_CT, "[", "{"))
 _CLOSING = frozenset((")", "]", "}"))
 _CANNOT_START = frozenset((")", "]", "}", ",", "|", END, "eof"))

@@ -121,7 +121,7 @@ TOKEN_PATTERNS: Dict[str, str] = {
     "PUNCTUATION": r"[()\[\]{},|]",
     "BAD_CHAR": r"[\s\S]",
 }
-"""Patterns of tokens, in the order in which they are tried; one of them matches at every offset.
+"""Patterns of tokens, in the order in which they are tried; at every offset, a pattern matches.
 
 The first pattern that matches is the token, not the longest. The BAD_... patterns match text that is not a token, so
 that the reader can report it and continue. No pattern can match the same characters in two ways, so text that does

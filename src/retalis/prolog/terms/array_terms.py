@@ -1,7 +1,7 @@
 """Array terms: lists of numbers, and byte arrays, that are backed by bytes.
 
 An array term is a `Lazy` term whose ``make`` is an `ArrayDecoder`. It is the list of its numbers, or the atom of its
-bytes (see `byte_texts`), for everything that looks at it as a term: the first access builds the list. Code that works
+bytes (see `byte_texts`), for all code that reads it as a term: the first access builds the list. Code that works
 on arrays reads the bytes instead, as a numpy array (`view`), and never builds the list. The bytes stay with the
 term after the list has been built, so that this holds for each later access.
 
@@ -113,7 +113,7 @@ def element(lazy: Lazy, position: int) -> Optional[Term]:
 def array_term(array: "Array") -> Term:
     """Return the term of a one-dimensional array of integers or floats; the numbers are copied.
 
-    The term is the list of ``array.tolist()`` for everything that looks at it.
+    The term is the list of ``array.tolist()`` for all code that reads it.
 
     Raises:
         ValueError: if the array has several dimensions, or elements of another type.

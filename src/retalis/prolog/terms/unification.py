@@ -279,7 +279,7 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
 
 
 def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int]) -> int:
-    """Compare two different objects of which at least one is not compound."""
+    """Compare two different objects that are not both compound."""
     left_class = left.__class__
     left_rank, right_rank = _RANK[left_class], _RANK[right.__class__]
     if left_rank != right_rank:
@@ -303,7 +303,7 @@ def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int])
 
 
 def _compare_same_floats(left: float, right: float) -> int:
-    """Order two floats of which neither is less: nan first, then -0.0 before 0.0."""
+    """Order two floats that are equal or not comparable: nan first, then -0.0 before 0.0."""
     left_key, right_key = (left == left, left.hex()), (right == right, right.hex())
     if left_key == right_key:
         return 0
