@@ -13,6 +13,7 @@ from hypothesis import strategies as st  # noqa: E402
 from retalis import Definitions, Limits, PrologError, String, Var, atom, deref, functor, list_items, make_list  # noqa: E402
 from retalis.prolog.builtins import sensor_predicates  # noqa: E402
 from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
+from retalis.prolog.terms import byte_texts  # noqa: E402
 
 from ..support import answers, prolog, show  # noqa: E402
 
@@ -623,3 +624,22 @@ def test_other_encodings_are_not_read(name):
     assert fault("image_array", IMAGE_2X2.term(encoding=text(name)))[0].startswith(
         "domain_error(image_encoding"
     )
+
+
+def test_a_long_text_is_decoded_once_for_several_predicates(monkeypatch):
+    decoded_texts = []
+
+    def text_bytes(term):
+        decoded_texts.append(term)
+        return byte_texts.text_bytes(term)
+
+    monkeypatch.setattr(sensor_predicates, "text_bytes", text_bytes)
+    cloud, _ = xyz([(index, 0, 0) for index in range(500)])
+    message, other = cloud.term(), xyz([(0, 0, index) for index in range(500)])[0].term()
+    for _ in range(3):
+        assert call("cloud_near", message, make_list([0, 0, 0]), 9) == 10
+        assert call("cloud_box", message, make_list([0, 0, 0]), make_list([4, 0, 0])) == 5
+    assert decoded_texts == [message[8]]
+    assert call("cloud_box", other, make_list([0, 0, 0]), make_list([4, 0, 0])) == 1
+    assert call("cloud_near", message, make_list([0, 0, 0]), 9) == 10
+    assert decoded_texts == [message[8], other[8], message[8]]

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retalis import MessageError, String, atom
+from retalis.prolog.terms import byte_texts
 from retalis.prolog.terms.byte_texts import blob_atom, text_atom, text_bytes
 from retalis.prolog.terms.types import NIL
 
@@ -122,3 +123,30 @@ def test_broken_base64(broken):
 def test_half_a_surrogate_pair_is_no_text():
     with pytest.raises(MessageError, match="code point 0xd800"):
         text_bytes(atom("a\ud800"))
+
+
+def outcome(text):
+    try:
+        return text_bytes(atom(text))
+    except MessageError as error:
+        return error.message
+
+
+@given(
+    st.binary(max_size=200),
+    st.lists(
+        st.tuples(st.integers(0, 400), st.sampled_from(["", "=", "/", "A", "!", "\n", "é", "////"])),
+        max_size=2,
+    ),
+)
+def test_the_short_way_of_base64_gives_what_the_general_way_gives(data, changes):
+    lines = blob_atom(b"\0" + data).name[1 + len(byte_texts.BASE64_MARK) : -1]
+    for place, replacement in changes:
+        lines = lines[:place] + replacement + lines[place + 1 :]
+    text = f'"{byte_texts.BASE64_MARK}{lines}"'
+    found = outcome(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(byte_texts, "_decode_valid_base64", lambda text: None)
+        assert outcome(text) == found
+    if not changes:
+        assert found == b"\0" + data

@@ -13,6 +13,7 @@ the coordinates.
 
 from math import isfinite
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from weakref import ref
 
 from ...foundation.cancellation import check_limits
 from ...foundation.errors import MessageError
@@ -144,10 +145,7 @@ def _bytes(term: Term) -> Array:
     if lazy_array(term) is None:
         term = deref(term)
         if term.__class__ is String or (term.__class__ is Atom and term is not NIL):
-            try:
-                return numpy.frombuffer(text_bytes(term) or b"", "u1")
-            except MessageError as error:
-                raise type_error("bytes", term, f"slot data: {error.message}") from None
+            return numpy.frombuffer(_text_bytes(term), "u1")
         if term.__class__ is not tuple and term is not NIL and term.__class__ is not Var:
             raise type_error("bytes", term, "slot data")
     # Programs may send a list of numbers instead of a text.
@@ -157,6 +155,27 @@ def _bytes(term: Term) -> Array:
             raise type_error("bytes", deref(term), "slot data")
         values = values.astype("u1")
     return values
+
+
+_MIN_CACHED_TEXT = 1024
+_decoded: Tuple[Optional["ref[Atom]"], bytes] = (None, b"")
+"""The long text that was decoded last, and its bytes: several predicates usually read one message. One tuple, because
+threads replace it at any time."""
+
+
+def _text_bytes(term: Term) -> bytes:
+    """Return the bytes that a text in the slot ``data`` stands for."""
+    global _decoded
+    last, raw = _decoded
+    if last is not None and last() is term:
+        return raw
+    try:
+        decoded = text_bytes(term) or b""
+    except MessageError as error:
+        raise type_error("bytes", term, f"slot data: {error.message}") from None
+    if term.__class__ is Atom and len(decoded) >= _MIN_CACHED_TEXT:
+        _decoded = ref(term), decoded
+    return decoded
 
 
 def _term(values: Array) -> Term:
