@@ -101,3 +101,21 @@ def test_predicates_on_arrays_and_messages_are_built_in():
     assert {f"{name}/{arity}" for name, arity in ENTRIES} >= {
         predicate for predicates in SENSOR_PREDICATES.values() for predicate in predicates
     }
+
+
+@pytest.mark.parametrize(
+    ("pattern", "told"),
+    [
+        ("aggregate(avg(Ranges), msgs__0__Scan(_, Ranges), D, last(5))", []),
+        (
+            "b seq aggregate(avg(Ranges), msgs__0__Scan(_, Ranges), D)",
+            ["Ranges is a list (ranges of msgs/Scan): avg collects numbers"],
+        ),
+    ],
+)
+def test_windows_take_arrays(definitions, pattern, told):
+    definitions.add("msgs/Scan", "float32 a\nfloat32[] ranges\n")
+    engine = Engine()
+    engine.load(rules=f"a(D) <- {pattern}.")
+    program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS)
+    assert [one.message for one in kinds(program)] == told

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis import Engine, Settings, String, atom, functor
+from retalis import Engine, Settings, String, atom, functor, make_list
 from retalis.events.network import stream_node
 from retalis.events.streams.accumulators import ExactSum
 from retalis.prolog.terms.timestamps import SECOND
@@ -20,6 +20,7 @@ NUMBERS = st.one_of(
     st.integers(-3, 3),
     st.sampled_from([0.5, -0.0, 0.1, 1e-300, 1e300, 1e308, float("inf"), 2**70, 5e-324, float("nan")]),
     st.sampled_from([atom("none"), atom("e"), String("b"), (functor("+", 2), 1, 2.5)]),
+    st.sampled_from([make_list([1, 2.5, 3]), make_list([4, 5, 6]), make_list([1.5] * 5)]),
 )
 KEYS = st.sampled_from([1, 1.0, atom("a"), atom("1"), functor("f", 1)(2)])
 STEPS = st.sampled_from([0, 0, 1, 1, 2, 3, -1, -6, 40])

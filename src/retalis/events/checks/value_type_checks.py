@@ -21,6 +21,7 @@ from ..language.pattern_tree import Occurs, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
 from ..language.sequence_aggregates import AGGREGATES
 from ..program.event_file_checker import nowhere
+from ..streams.accumulators import ELEMENTWISE
 from .event_flow_checks import event_of_kept, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrapped
 
@@ -60,6 +61,7 @@ _MESSAGE_PREDICATES = {
 
 _COLLECTED = frozenset(functor(kind.name, 1) for kind in AGGREGATES.values() if kind.numeric)
 _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
+_WINDOW = functor(_AGGREGATE, 4)
 
 
 class SlotKind(NamedTuple):
@@ -267,6 +269,14 @@ def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names:
         return
     value: Any = deref(subterm.term[1])
     slot = slots.get(value) if value.__class__ is Var else None
+    # Windows aggregate arrays element by element.
+    if (
+        slot is not None
+        and slot.what == "a list"
+        and subterm.parent[0] is _WINDOW
+        and subterm.term[0].name in ELEMENTWISE
+    ):
+        return
     if slot is not None and slot.what in _ADVICE and not slot.is_made:
         text = f"{_variable_name(value, names)} is {slot.what} ({slot.slot}): {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.place_of(subterm.term, 1))

@@ -25,11 +25,11 @@ from ...prolog.machine.errors import PrologError, resource_error
 from ...prolog.machine.resource_limits import keep_back
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
-from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, functor
+from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, deref, functor
 from ..fused.fused_single_event import Continuation, goal_action
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
-from ..streams.accumulators import ADDING, is_number, is_number_expression, unfit
+from ..streams.accumulators import ADDING, array_length, is_number, is_number_expression, unfit
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -338,7 +338,9 @@ class Evaluators:
     def __init__(self, rule: "EventRule"):
         self._rule = rule
 
-    def evaluating(self, aggregate: str, measured: Term, names: Sequence[Var]) -> Evaluate:
+    def evaluating(
+        self, aggregate: str, measured: Term, names: Sequence[Var], may_be_array: bool = False
+    ) -> Evaluate:
         """Return a function that evaluates the expression of an aggregate by `is`.
 
         The values of its variables must be numbers: `is` would also evaluate an atom such as `e` and a text of one
@@ -348,7 +350,10 @@ class Evaluators:
             aggregate: name of the aggregate.
             measured: the expression in the rule.
             names: variables of the matches.
+            may_be_array: whether a variable may have an array as its value, which is returned unchanged.
         """
+        # In an expression, a list would have the arithmetic value of its only item.
+        may_be_array = may_be_array and deref(measured).__class__ is Var
         number, expression = Var(), Var()
         goal: List[CompiledGoal] = []
         places = positions(names)
@@ -356,6 +361,8 @@ class Evaluators:
         fits = is_number_expression if aggregate in ADDING else is_number
 
         def evaluate(term: Term, values: Values) -> Term:
+            if may_be_array and array_length(term) is not None:
+                return term
             for position in inputs:
                 if not fits(values[position]):
                     raise unfit(aggregate, values[position])

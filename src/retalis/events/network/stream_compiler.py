@@ -38,7 +38,7 @@ from ..language.row_pattern_parser import conditions
 from ..matches.match_buffer import key_function
 from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides
 from ..streams.absence_timeout import AbsenceTimeout, Correlation
-from ..streams.accumulators import MEASURES
+from ..streams.accumulators import ELEMENTWISE, MEASURES
 from ..streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from ..streams.row_pattern import (
     RowPatternNFA,
@@ -196,7 +196,9 @@ def window_node_spec(
     looked_at = part.window.looked_at
     build, seen = _builder(taken, names), [places[var] for var in looked_at]
     numeric = [
-        _lenient_evaluation(asking.evaluating(kind, value, names), scope) if MEASURES[kind].numeric else None
+        _lenient_evaluation(asking.evaluating(kind, value, names, kind in ELEMENTWISE), scope)
+        if MEASURES[kind].numeric
+        else None
         for kind, value, scope in zip(part.kinds, part.values, part.scopes)
         if value is not None
     ]

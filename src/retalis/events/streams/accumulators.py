@@ -8,6 +8,9 @@ window, except for measures that list their values. Three structures make remova
 * `Lowest` is a heap with lazy deletion for minimum and maximum.
 * `Ranked` is a pair of heaps around a quantile.
 
+`sum`, `avg`, `min` and `max` of arrays are computed element by element from the arrays of the window: removing floats
+from running sums would let errors build up, and an `ExactSum` for each element takes longer than adding the arrays.
+
 `MEASURES` is the table of all measures.
 """
 
@@ -15,6 +18,7 @@ import heapq
 from fractions import Fraction
 from math import inf, isfinite, isqrt, nan, sqrt
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Deque,
@@ -30,19 +34,26 @@ from typing import (
     Union,
 )
 
-from ...foundation.errors import RuleError, UsageError, beginning
+from ...foundation.errors import RuleError, UsageError, beginning, counted
+from ...prolog.builtins.argument_checks import array_of
 from ...prolog.machine.arithmetic import EVALUABLE
+from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms import timestamps
-from ...prolog.terms.list_terms import make_list
+from ...prolog.terms.array_terms import array_term, element_count, list_array
+from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
-from ...prolog.terms.types import Term, deref
+from ...prolog.terms.types import CONS, NIL, Term, deref
 from .stream_operator import StreamElement
+
+if TYPE_CHECKING:
+    from ...prolog.terms.array_terms import Array
 
 Number = Union[int, float]
 _SMALL, _LARGE = 1e-290, 1e290
 _MAX_BITS = 1024
+_MAX_INTEGER = (1 << 63) - 1
 
 
 class ExactSum:
@@ -130,6 +141,12 @@ ADDING = frozenset(("sum", "avg", "stddev"))
 """Aggregates that add their values; these may be arithmetic expressions such as ``1 + 2``."""
 
 
+_NUMBER_CLASSES = (int, float)
+
+ELEMENTWISE = frozenset(("sum", "avg", "min", "max"))
+"""Measures of windows that take arrays as well as numbers."""
+
+
 def unfit(name: str, value: Term, expected: str = "a number") -> RuleError:
     """Return the error for a value that an aggregate cannot process."""
     return RuleError(f"aggregate {name}: the value is '{beginning(write_term(value))}': expected {expected}")
@@ -186,6 +203,24 @@ def is_number_expression(value: Term) -> bool:
         seen.add(id(term))
         stack.extend(term[1:])
     return True
+
+
+def array_length(value: Term) -> Optional[int]:
+    """Return the number of elements of an array: an array term or a list of numbers; None for other terms.
+
+    A timestamp [Sec,NSec] counts as a number, not as an array.
+    """
+    lazy = list_array(value)
+    if lazy is not None:
+        return element_count(lazy)
+    term: Any = deref(value)
+    if term is NIL:
+        return 0
+    if term.__class__ is not tuple or term[0] is not CONS or is_number(term):
+        return None
+    items = list_items(term)
+    are_numbers = items is not None and all(deref(item).__class__ in (int, float) for item in items)
+    return len(items) if items is not None and are_numbers else None
 
 
 RankedNumber = Tuple[Number, int, Any]
@@ -333,8 +368,8 @@ class Accumulator(Protocol):
             RuleError: if the measure cannot process the value.
         """
 
-    def add(self, item: StreamElement, /) -> None:
-        """Add an element."""
+    def add(self, item: StreamElement, /) -> Optional[bool]:
+        """Add an element; return True if its value is an array."""
 
     def remove(self, item: StreamElement, /) -> None:
         """Remove an element that is marked as gone."""
@@ -363,8 +398,9 @@ class _StatelessMeasure:
     def check(self, item: StreamElement) -> None:
         """See `Accumulator.check`."""
 
-    def add(self, item: StreamElement) -> None:
+    def add(self, item: StreamElement) -> Optional[bool]:
         """See `Accumulator.add`."""
+        return None
 
     def remove(self, item: StreamElement) -> None:
         """See `Accumulator.remove`."""
@@ -377,8 +413,84 @@ class _Count(_StatelessMeasure):
         return number
 
 
-class _Sum(_StatelessMeasure):
+class _ElementwiseMeasure(_StatelessMeasure):
+    """Base class, for measures whose values are numbers, or arrays of equal length.
+
+    Attributes:
+        arrays: number of elements whose value is an array.
+        length: number of elements of these arrays.
+    """
+
     picky = True
+
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
+        self.arrays = 0
+        self.length = 0
+
+    def check_array(self, value: Term) -> None:
+        """Reject the value of an element unless it is an array like those of the window, if any.
+
+        Raises:
+            RuleError: if the measure cannot process the value.
+        """
+        length = array_length(value) if self.name in ELEMENTWISE else None
+        if self.arrays and length != self.length:
+            raise unfit(self.name, value, f"an array of {counted(self.length, 'element')}")
+        if length is None:
+            raise unfit(self.name, value)
+
+    def add_array(self, value: Term) -> bool:
+        """Add an array."""
+        self.arrays += 1
+        self.length = array_length(value) or 0
+        return True
+
+    def result(self, members: Members, number: int) -> Optional[Term]:
+        if not self.arrays:
+            return self.result_of_numbers(number)
+        try:
+            arrays = [array_of(item.values[self.index]) for item in live(members)]
+        except PrologError:
+            raise RuleError(f"aggregate {self.name}: a window has both numbers and arrays") from None
+        if len({len(array) for array in arrays}) > 1:
+            raise RuleError(f"aggregate {self.name}: a window has arrays of different lengths")
+        import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+        # Elements that are nan or infinite, as in many scans, stay what they are.
+        with np.errstate(all="ignore"):
+            return array_term(self.combine(arrays))
+
+    def result_of_numbers(self, number: int) -> Optional[Term]:
+        """Return the result of a window of numbers; see `result`."""
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        """Return the result of a window of arrays."""
+        raise NotImplementedError
+
+
+def _sum_of_arrays(arrays: "List[Array]") -> "Array":
+    """Return the sum of arrays of equal length: of integers if all are, otherwise of doubles.
+
+    Raises:
+        OverflowError: if an integer may be too large.
+    """
+    # Ends of an array of unsigned integers as Python integers, which do not overflow.
+    bound = 0
+    if all(array.dtype.kind != "f" for array in arrays):
+        for array in arrays:
+            bound += max(abs(int(array.min())), abs(int(array.max()))) if len(array) else 0
+        if bound > _MAX_INTEGER:
+            raise OverflowError
+        total = arrays[0].astype("i8")
+    else:
+        total = arrays[0].astype("f8")
+    for array in arrays[1:]:
+        total += array.astype(total.dtype, copy=False)
+    return total
+
+
+class _Sum(_ElementwiseMeasure):
     of_none = True
 
     def __init__(self, index: int, name: str, setting: Setting):
@@ -386,23 +498,41 @@ class _Sum(_StatelessMeasure):
         self.sum = ExactSum()
 
     def check(self, item: StreamElement) -> None:
-        check_finite(item.values[self.index], self.name)
+        value = item.values[self.index]
+        if self.arrays or value.__class__ not in _NUMBER_CLASSES:
+            self.check_array(value)
+        else:
+            check_finite(value, self.name)
 
-    def add(self, item: StreamElement) -> None:
-        self.sum.change(item.values[self.index], 1)
+    def add(self, item: StreamElement) -> Optional[bool]:
+        value = item.values[self.index]
+        if value.__class__ not in _NUMBER_CLASSES:
+            return self.add_array(value)
+        self.sum.change(value, 1)
+        return None
 
     def remove(self, item: StreamElement) -> None:
-        self.sum.change(item.values[self.index], -1)
+        value = item.values[self.index]
+        if value.__class__ in _NUMBER_CLASSES:
+            self.sum.change(value, -1)
+        else:
+            self.arrays -= 1
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result_of_numbers(self, number: int) -> Optional[Term]:
         return self.sum.over(1, number)
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        return _sum_of_arrays(arrays)
 
 
 class _Average(_Sum):
     of_none = False
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result_of_numbers(self, number: int) -> Optional[Term]:
         return self.sum.over(number, number)
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        return _sum_of_arrays(arrays) / len(arrays)
 
 
 class _Deviation(_Sum):
@@ -416,20 +546,20 @@ class _Deviation(_Sum):
         over, under = item.values[self.index].as_integer_ratio()
         self.squares.change_fraction(over * over, 2 * (under.bit_length() - 1), by)
 
-    def add(self, item: StreamElement) -> None:
+    def add(self, item: StreamElement) -> Optional[bool]:
         super().add(item)
         self._square(item, 1)
+        return None
 
     def remove(self, item: StreamElement) -> None:
         super().remove(item)
         self._square(item, -1)
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result_of_numbers(self, number: int) -> Optional[Term]:
         return deviation(self.sum, self.squares, number) if number > 1 else None
 
 
-class _Minimum(_StatelessMeasure):
-    picky = True
+class _Minimum(_ElementwiseMeasure):
     sign = 1
 
     def __init__(self, index: int, name: str, setting: Setting):
@@ -437,21 +567,44 @@ class _Minimum(_StatelessMeasure):
         self.lowest = Lowest()
 
     def check(self, item: StreamElement) -> None:
-        check_ordered(item.values[self.index], self.name)
+        value = item.values[self.index]
+        if self.arrays or value.__class__ not in _NUMBER_CLASSES:
+            self.check_array(value)
+        else:
+            check_ordered(value, self.name)
 
-    def add(self, item: StreamElement) -> None:
-        self.lowest.add(self.sign * item.values[self.index], item)
+    def add(self, item: StreamElement) -> Optional[bool]:
+        value = item.values[self.index]
+        if value.__class__ not in _NUMBER_CLASSES:
+            return self.add_array(value)
+        self.lowest.add(self.sign * value, item)
+        return None
 
     def remove(self, item: StreamElement) -> None:
-        self.lowest.remove()
+        if item.values[self.index].__class__ in _NUMBER_CLASSES:
+            self.lowest.remove()
+        else:
+            self.arrays -= 1
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result_of_numbers(self, number: int) -> Optional[Term]:
         top = self.lowest.top()
         return None if top is None else top[2].values[self.index]
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+        result: Array = np.fmin.reduce(arrays)
+        return result
 
 
 class _Maximum(_Minimum):
     sign = -1
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+        result: Array = np.fmax.reduce(arrays)
+        return result
 
 
 class _Quantile(_StatelessMeasure):

@@ -49,9 +49,10 @@ class KeyedWindow:
             windows that start with an element.
         starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
         ends: negated ends of the elements; None under the same condition.
+        has_arrays: whether an element has had an array as a measured value.
     """
 
-    __slots__ = ("members", "holes", "measures", "checks", "since", "starts", "ends")
+    __slots__ = ("members", "holes", "measures", "checks", "since", "starts", "ends", "has_arrays")
 
     def __init__(self, measures: Sequence[Accumulator], since: int = 0):
         self.members: Deque[StreamElement] = deque()
@@ -61,6 +62,7 @@ class KeyedWindow:
         self.since = since
         self.starts: Optional[Lowest] = None
         self.ends: Optional[Lowest] = None
+        self.has_arrays = False
 
     @property
     def number(self) -> int:
@@ -76,13 +78,21 @@ class KeyedWindow:
         # In order, the interval of the window is given by its first and last element. The heaps are needed only from
         # the first element out of order on.
         elif members and (item.start < members[-1].start or item.end < members[-1].end):
-            self.starts, self.ends = Lowest(), Lowest()
-            for member in [member for member in members if not member.gone] + [item]:
-                self.starts.add(member.start, member)
-                self.ends.add(-member.end, member)
+            self._file_elements([member for member in members if not member.gone] + [item])
         members.append(item)
         for measure in self.measures:
-            measure.add(item)
+            if measure.add(item):
+                self.has_arrays = True
+                # The fused window, which knows numbers only, leaves windows with heaps to this path.
+                if self.starts is None:
+                    self._file_elements([member for member in members if not member.gone])
+
+    def _file_elements(self, elements: Sequence[StreamElement]) -> None:
+        """Create the heaps of starts and ends."""
+        self.starts, self.ends = Lowest(), Lowest()
+        for element in elements:
+            self.starts.add(element.start, element)
+            self.ends.add(-element.end, element)
 
     def remove(self, item: StreamElement) -> None:
         """Remove an element."""
@@ -279,7 +289,7 @@ class Window(KeyedOperator):
         self, group: KeyedWindow, start: Optional[int] = None, end: Optional[int] = None
     ) -> List[StreamOutput]:
         meter = self.meter
-        if meter is not None and meter(group.number if self._lists else 1):
+        if meter is not None and meter(group.number if self._lists or group.has_arrays else 1):
             return []
         output = group.output(self.tracked, start, end)
         return [] if output is None else [output]

@@ -1,0 +1,130 @@
+"""Windows over arrays, compared with numpy."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retalis import Engine, Settings, functor, make_list
+from retalis.prolog.builtins.argument_checks import array_of
+from retalis.prolog.terms.array_terms import array_term
+from retalis.prolog.terms.timestamps import SECOND
+
+KINDS = {"sum": np.sum, "avg": np.mean, "min": np.nanmin, "max": np.nanmax}
+WINDOWS = ["last(3)", "last(4, events)", "every(2)", "every(3, events)", "running(every(3, events))"]
+SCAN = functor("scan", 2)
+ROWS = st.lists(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6), min_size=1, max_size=9)
+
+
+class Told:
+    """Observer of an engine that notes all reports."""
+
+    def __init__(self):
+        self.reports = []
+
+    def __getattr__(self, name):
+        return lambda *told: self.reports.append(" ".join(map(str, told)))
+
+
+def engine_of(rules, told=None):
+    """Return an engine, and the list that receives the arrays of its events."""
+    engine, results = Engine(None, Settings(), told or Told()), []
+    engine.on_event(
+        lambda term, start, end: results.append(array_of(term[2])) if term[0].name == "out" else None
+    )
+    engine.load(rules=rules)
+    return engine, results
+
+
+def send(engine, values, second, key=1):
+    engine.event_at(SCAN(key, values), second * SECOND, second * SECOND)
+
+
+@settings(max_examples=30, deadline=None)
+@given(ROWS, st.sampled_from(["<f4", "<f8", "<i4"]), st.booleans())
+@pytest.mark.parametrize("kind", KINDS)
+def test_results_are_numpys(kind, rows, dtype, as_lists):
+    engine, results = engine_of(f"out(K, R) <- aggregate({kind}(X), scan(K, X), R, last(3, events)).")
+    arrays = [np.array(row).astype(dtype) for row in rows]
+    for second, array in enumerate(arrays):
+        send(engine, make_list(array.tolist()) if as_lists else array_term(array), second)
+    assert len(results) == len(arrays)
+    for position, result in enumerate(results):
+        stack = np.array(arrays[max(0, position - 2) : position + 1], "f8" if dtype[1] == "f" else "i8")
+        np.testing.assert_allclose(result, KINDS[kind](stack, axis=0), rtol=1e-12, atol=1e-9)
+        assert kind == "avg" or (result.dtype.kind == "f") == (dtype[1] == "f")
+
+
+@pytest.mark.parametrize("window", WINDOWS)
+def test_every_window_takes_arrays(window):
+    engine, results = engine_of(f"out(K, R) <- aggregate(avg(X), scan(K, X), R, {window}).")
+    for second in range(1, 13):
+        send(engine, array_term(np.full(6, float(second))), second)
+    assert results
+    assert all(len(set(result.tolist())) == 1 for result in results)
+
+
+def test_nan_and_infinity_stay_in_sums_and_not_in_extremes():
+    text = "out(K, R) <- aggregate({}(X), scan(K, X), R, last(5)).\n"
+    engine, results = engine_of("".join(map(text.format, KINDS)))
+    send(engine, array_term(np.array([np.nan, np.inf, 1, 2, 3.0])), 1)
+    results.clear()
+    send(engine, array_term(np.array([1, 1, 1, 1, 1.0])), 2)
+    total, mean, least, greatest = (result.tolist() for result in results)
+    assert np.isnan(total[0]) and total[1:] == [np.inf, 2, 3, 4]
+    assert np.isnan(mean[0]) and mean[1:] == [np.inf, 1, 1.5, 2]
+    assert least == [1] * 5
+    assert greatest == [1, np.inf, 1, 2, 3]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_other_values_are_refused_while_arrays_are_in_the_window(kind):
+    told = Told()
+    engine, results = engine_of(f"out(K, R) <- aggregate({kind}(X), scan(K, X), R, last(10)).", told)
+    send(engine, array_term(np.arange(6)), 1)
+    for second, value in enumerate([7, make_list([1, 2, 3]), array_term(np.arange(7))], 2):
+        send(engine, value, second)
+    assert len(results) == 1
+    assert sum("expected an array of 6 elements" in report for report in told.reports) == 3
+    send(engine, array_term(np.arange(6)), 5)
+    assert len(results) == 2
+
+
+def test_arrays_among_numbers_are_an_error_of_the_window():
+    told = Told()
+    engine, results = engine_of("out(K, R) <- aggregate(sum(X), scan(K, X), R, last(10)).", told)
+    send(engine, array_term(np.arange(6)), 1, key=2)
+    engine.event_at(SCAN(1, 5), 2 * SECOND, 2 * SECOND)
+    send(engine, array_term(np.arange(6)), 3)
+    assert any("both numbers and arrays" in report for report in told.reports)
+    send(engine, array_term(np.arange(6)), 4, key=2)
+    assert results[-1].tolist() == [0, 2, 4, 6, 8, 10]
+
+
+@pytest.mark.parametrize("kind", ["stddev", "median"])
+def test_other_measures_take_numbers_only(kind):
+    told = Told()
+    engine, results = engine_of(f"out(K, R) <- aggregate({kind}(X), scan(K, X), R, last(10)).", told)
+    send(engine, array_term(np.arange(6)), 1)
+    assert not results
+    assert any("expected a number" in report for report in told.reports)
+
+
+def test_timestamps_count_as_numbers():
+    engine = Engine()
+    seen = []
+    engine.on_event(lambda term, start, end: seen.append(engine.show(term)))
+    engine.load(rules="out(R) <- aggregate(max(X), scan(_, X), R, last(10)).")
+    send(engine, make_list([3, 500_000_000]), 1)
+    assert "out(3.5)" in seen
+
+
+def test_a_restored_window_goes_on():
+    engine, _ = engine_of("out(K, R) <- aggregate([sum(X), min(X)], scan(K, X), [R, _], last(3, events)).")
+    for number in range(2):
+        send(engine, array_term(np.arange(6.0) * number), number)
+    restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())
+    seen = []
+    restored.on_event(lambda term, start, end: seen.append(restored.show(term)))
+    send(restored, array_term(np.arange(6.0)), 5)
+    assert "out(1,[0.0,2.0,4.0,6.0,8.0,10.0])" in seen
