@@ -98,12 +98,12 @@ _DEBIAN = """
     catkin librostest-dev libstd-msgs-dev python3-diagnostic-msgs python3-geometry-msgs
     python3-rosbag python3-roslaunch python3-rosmaster python3-rosmsg python3-rosnode python3-rosparam
     python3-rospy python3-rosservice python3-rostest python3-rostopic python3-std-msgs python3-std-srvs
-    python3-tf python3-tf2 python3-tf2-msgs ros-message-generation ros-message-runtime rosbash rosout
+    python3-tf python3-tf2 python3-tf2-msgs python3-tf2-ros ros-message-generation ros-message-runtime rosbash rosout
     """
 
 _NOETIC = """
     catkin diagnostic-msgs geometry-msgs message-generation message-runtime rosbag rosbash roslaunch rosmaster
-    rosmsg rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py
+    rosmsg rosnode rosout rosparam rospy rosservice rostest rostopic std-msgs std-srvs tf tf2-msgs tf2-py tf2-ros
     """
 
 DEPENDENCIES = {
@@ -133,6 +133,7 @@ DEPENDENCIES = {
     "tf": "python3-tf",
     "tf2_msgs": "python3-tf2-msgs",
     "tf2_py": "python3-tf2",
+    "tf2_ros": "python3-tf2-ros",
 }
 """rosdep keys that package.xml may contain, with their Debian 12 packages; ``pip`` for those in the requirements.
 

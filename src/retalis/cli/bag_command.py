@@ -117,6 +117,12 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="SECONDS",
         help="do not interpolate over longer gaps (0: no limit)",
     )
+    add(
+        "--tf-cache",
+        type=non_negative(float),
+        metavar="SECONDS",
+        help="history of transforms for tf_lookup and similar goals (default: 10)",
+    )
     add_chunk_limit(parser)
 
 

@@ -99,6 +99,8 @@ def create_playback(
     """Load the program of the options, with the message types of ``bag`` for its rules that name fields."""
     settings = apply_limits(apply_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
+    if options.tf_cache:
+        settings = settings._replace(tf_cache=options.tf_cache)
     limit = options.max_skew or None
     return Playback(
         options.program,

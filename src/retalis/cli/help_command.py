@@ -414,6 +414,13 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
             "tf interpolate camera image frame pose wait",
         ),
         Situation(
+            "transform a pose between any two frames of /tf",
+            "tf_transform(Pose, From, To, Time, Out)",
+            "synchronized(at(P), tf_transform(R, camera, map, T, P), [[tf(map, camera), T]]) <- marker(R, T).",
+            "reference/transforms.md",
+            "tf tf2 lookup frame tree coordinates tf_lookup robot camera",
+        ),
+        Situation(
             "wait for data before a query is answered",
             "synchronized(Event, Query, [[Id, T]], [timeout(N)])",
             "synchronized(found(M), at(T, M), [[odom, T]], [timeout(2)]) <- marker(M, T).",

@@ -154,6 +154,7 @@ _OPTIONS = (
     "direct",
     "max_skew",
     "max_gap",
+    "tf_cache",
     "max_chunk_megabytes",
     "events",
     "times",

@@ -186,6 +186,7 @@ class Engine:
             self.rules,
             on_pattern=declared.require,
             on_conditions=self.rules.note_conditions,
+            buffer=settings.transform_buffer(settings.tf_cache),
         )
         self.rules.flags.follow("max_gap", self.knowledge.gaps.set_limit)
         if settings.max_gap is not None:
@@ -197,7 +198,14 @@ class Engine:
         budget.count_for(self.executor)
         self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
-        self.event_input = EventInput(self.logic, self.dispatcher, self.clock, followed, self._reset_program)
+        self.event_input = EventInput(
+            self.logic,
+            self.dispatcher,
+            self.clock,
+            followed,
+            self._reset_program,
+            self.knowledge.transforms.take,
+        )
         # Bound once, which saves an attribute access per event.
         self._dispatch_event = self.event_input.take
         self._dispatch_message = self.event_input.take_message
@@ -814,7 +822,7 @@ class Engine:
         return self.dispatcher.undisturbed(lambda: self._once(goal))
 
     def _reset_program(self) -> None:
-        """Clear all memories, pending queries and partial matches, because time went back."""
+        """Clear all memories, transforms, pending queries and partial matches, because time went back."""
         self.knowledge.clear()
         self.rules.clear()
 

@@ -1,7 +1,8 @@
 """Settings of an engine: resource limits, sizes and permissions."""
 
-from typing import NamedTuple, Optional, Tuple
+from typing import Callable, NamedTuple, Optional, Tuple
 
+from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS, TransformBuffer
 from ..prolog.machine.resource_limits import Limits
 
 
@@ -33,6 +34,8 @@ class Settings(NamedTuple):
         max_gap: initial value of flag ``max_gap``: the longest time in seconds between two records for
             ``datime_interpolate/4``.
         max_file_megabytes: maximum size of a file that a program reads or writes.
+        tf_cache: history of transforms in seconds.
+        transform_buffer: creates the buffer of transforms, given ``tf_cache``. Nodes use tf2.
     """
 
     limits: Limits = Limits()
@@ -49,3 +52,5 @@ class Settings(NamedTuple):
     max_file_megabytes: int = 100
     max_gap: Optional[float] = None
     allow_flags: bool = False
+    tf_cache: float = DEFAULT_CACHE_SECONDS
+    transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer

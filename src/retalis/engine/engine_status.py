@@ -10,6 +10,8 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Seq
 
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import KnowledgeBase
+from ..events.knowledge.pending_queries import AwaitedSource
+from ..events.knowledge.transforms import AwaitedTransform, Transforms
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import BEGIN
 from ..foundation.errors import beginning
@@ -175,7 +177,8 @@ class WaitingStatus(NamedTuple):
     Attributes:
         event: event that the query triggers.
         since: end of the event that started the query, in nanoseconds.
-        memories: memories that have not reached the time.
+        memories: memories that have not reached the time. A transform that the query waits for is listed as
+            ``tf(Target,Source)`` with the frame that is behind.
         left_out: number of such memories that are not listed.
     """
 
@@ -183,6 +186,26 @@ class WaitingStatus(NamedTuple):
     since: int
     memories: Tuple[AwaitedMemory, ...]
     left_out: int
+
+
+class TransformStatus(NamedTuple):
+    """The transforms of an engine; see `Status`.
+
+    >>> engine = Engine()
+    >>> engine.call("tf_add(map, base, 5, [[1, 0, 0], [0, 0, 0, 1]]), tf_lookup(map, base, 5, P)")
+    True
+    >>> engine.status().transforms
+    TransformStatus(frames=2, samples=1, refused=0)
+
+    Attributes:
+        frames: number of frames.
+        samples: number of transforms in the history of all frames.
+        refused: number of transforms that were refused, because they are invalid, too old or too many.
+    """
+
+    frames: int
+    samples: int
+    refused: int
 
 
 class LeftOut(NamedTuple):
@@ -234,6 +257,7 @@ class Status(NamedTuple):
         subscriptions: subscriptions, oldest first.
         waiting: pending queries, oldest first.
         left_out: numbers of items of these four kinds that are not listed.
+        transforms: transforms; None if the program does not read any.
     """
 
     now: int
@@ -254,6 +278,7 @@ class Status(NamedTuple):
     subscriptions: Tuple[SubscriptionStatus, ...]
     waiting: Tuple[WaitingStatus, ...]
     left_out: LeftOut
+    transforms: Optional[TransformStatus] = None
 
     def json(self) -> Dict[str, Any]:
         """Return the status as dictionaries and lists, for ``json.dumps``.
@@ -347,6 +372,7 @@ class StatusReader:
             subscriptions=subscriptions,
             waiting=waiting,
             left_out=LeftOut(more_rules, more_memories, more_subscriptions, more_waiting),
+            transforms=_count_transforms(view.knowledge.transforms),
         )
 
     def count_records(self) -> int:
@@ -485,7 +511,9 @@ def _list_queries(
     def convert(query: Any) -> WaitingStatus:
         _, definition, values, _, end, missing = query
         awaited = [
-            AwaitedMemory(show(instance.id), int(instant), _compute_lag(instance, instant))
+            AwaitedMemory(
+                _name_awaited(instance, instant, show), int(instant), _compute_lag(instance, instant)
+            )
             for instance, instant in tuple(missing)
             if not instance.has_reached(instant)
         ]
@@ -495,8 +523,23 @@ def _list_queries(
     return _convert_first(knowledge.pending_queries.copy_all(), convert, limit)
 
 
-def _compute_lag(instance: Any, instant: int) -> Optional[int]:
-    newest = instance.memory.latest_end
+def _count_transforms(transforms: Transforms) -> Optional[TransformStatus]:
+    buffer = transforms.buffer
+    if not transforms.is_required:
+        return None
+    return TransformStatus(len(buffer), buffer.sample_count, buffer.refused)
+
+
+def _name_awaited(instance: AwaitedSource, instant: int, show: Callable[[Term], str]) -> str:
+    """Return the id of a memory, or a transform with the frame that is behind."""
+    if not isinstance(instance, AwaitedTransform):
+        return show(instance.id)
+    frame = instance.blocking_frame(instant)
+    return f"{show(instance.id)}: {f'frame {frame[:80]}' if frame else 'not connected'}"
+
+
+def _compute_lag(instance: AwaitedSource, instant: int) -> Optional[int]:
+    newest = instance.latest_end
     return None if newest is None else max(0, int(instant) - newest)
 
 

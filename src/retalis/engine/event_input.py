@@ -10,9 +10,10 @@ topics itself, so a node or a bag player registers a function that subscribes.
 """
 
 import logging
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Union
 
 from ..events.dispatch.dispatcher import Dispatcher
+from ..events.knowledge.transform_buffer import Transform
 from ..events.language.event_declarations import event_name_error
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
@@ -20,6 +21,7 @@ from ..events.rules.event_types import EventTypes
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..foundation.ros_names import plain_type, topic_fault, type_fault
 from ..messages.named_slots import SlotNames
+from ..messages.transform_messages import TransformMessage
 from ..prolog.machine.errors import domain_error, instantiation_error, permission_error, resource_error
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
@@ -40,6 +42,7 @@ class EventInput:
         clock: the clock of the engine.
         followed: the same clock if timestamps of events move it; None if only its owner moves it.
         reset_program: called if time went back.
+        take_transforms: stores the transforms of a message.
 
     Attributes:
         taken: number of events received.
@@ -53,8 +56,10 @@ class EventInput:
         clock: Clock,
         followed: Optional[StreamClock],
         reset_program: Callable[[], None],
+        take_transforms: Callable[[Sequence[Transform], bool], None],
     ):
         self._logic = logic
+        self._take_transforms = take_transforms
         self._clock = clock
         self.followed = followed
         self._reset_program = reset_program
@@ -97,6 +102,17 @@ class EventInput:
                 self._move_clock(instant)
         self.taken += 1
         self._serve(term, stamp, stamp, True)
+
+    def take_input(self, term: Union[Term, TransformMessage], instant: Optional[int] = None) -> None:
+        """Dispatch a message as `take_message` does, or store the transforms of a message."""
+        if term.__class__ is not TransformMessage:
+            self.take_message(term, instant)
+            return
+        message: Any = term
+        if not self._clock.is_quiet():
+            # If time went back, the transforms of the time before are dropped first.
+            self._process_clock()
+        self._take_transforms(message.transforms, message.is_static)
 
     def _present_after_alarms(self, term: Term) -> int:
         """Run the alarms that are due and return the present time for an event.

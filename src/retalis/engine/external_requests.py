@@ -186,7 +186,7 @@ def _describe_missing(engine: Engine, names: Sequence[Term], instant: int) -> st
     behind_memories = engine.do(lambda: engine.knowledge.find_missing_memories(names, instant))
     descriptions = []
     for instance, required_time in behind_memories:
-        latest = instance.memory.latest_end
+        latest = instance.latest_end
         delay = "nothing yet" if latest is None else f"{(required_time - latest) / 1e9:g} s too early"
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")
     return f"no record at the stamp or later in memory {', '.join(descriptions)}"

@@ -7,6 +7,9 @@ bag only, not on the speed of the machine.
 Messages are passed to the engine in batches (`Engine.post_each`), which is faster than one by one. A batch ends when
 an alarm is due or a message has produced an output, so that outputs are yielded as soon as they exist. Topics that
 goals subscribe to while the bag is played are merged into the stream of messages from then on.
+
+If the program reads transforms, the messages of ``/tf`` and ``/tf_static`` are stored in its transform buffer, which
+computes in Python here even if tf2 is installed: a bag gives the same results on every machine.
 """
 
 import logging
@@ -16,6 +19,7 @@ from itertools import chain, count
 from operator import attrgetter
 from pathlib import Path
 from typing import (
+    Any,
     Callable,
     Dict,
     FrozenSet,
@@ -46,6 +50,12 @@ from ..events.program.topic_configuration import (
 from ..foundation.errors import MessageError, ProgramErrors, RetalisError, beginning, counted, shortened
 from ..foundation.ros_names import plain_type, topic_fault, type_fault
 from ..messages.decoder import Decoder
+from ..messages.transform_messages import (
+    TRANSFORM_TOPICS,
+    TRANSFORM_TYPES,
+    TransformMessage,
+    TransformReader,
+)
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Term
@@ -156,10 +166,14 @@ class Playback:
         self._published_types = {strip_slashes(topic): type_name for topic, type_name in topic_file.published}
         self._event_names = {strip_slashes(topic): event for topic, event in topic_file.events}
         self._new_topics: Set[str] = set()
+        self._read_names: Set[str] = set()
+        """Names of the bag's topics that are being read."""
+        self._transform_readers: Dict[str, TransformReader] = {}
         self._latched_topics = {strip_slashes(topic) for topic in topic_file.latched}
         # Registered before the program is loaded, because its goals may publish.
         self.engine.on_output(self._collect_output)
         self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
+        self.engine.knowledge.transforms.begin(self._read_transforms)
         # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
             self._load_program()
@@ -170,6 +184,13 @@ class Playback:
         except ProgramErrors as errors:
             for error in errors.errors:
                 self._on_error(error)
+
+    def _read_transforms(self) -> None:
+        """Read transforms, from the current time on, or from the start of the next bag."""
+        for topic in TRANSFORM_TOPICS:
+            name = strip_slashes(topic)
+            self._transform_readers[name] = TransformReader(topic == TRANSFORM_TOPICS[1])
+            self._new_topics.add(name)
 
     def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
         """Process a bag, and yield the outputs of the program as they are published.
@@ -184,6 +205,8 @@ class Playback:
                 processing: it may inspect the engine but must not change it.
         """
         outputs = self._outputs
+        engine = self.engine
+        engine.knowledge.transforms.require_if_named(engine.rules.terms())
         # A further bag may have been recorded with other clocks.
         self._skew_monitor.reset()
         self._prepare_topics(bag, [topic for topic, _ in self._subscriptions], self._default_topics)
@@ -192,9 +215,15 @@ class Playback:
         # The warnings above cover outputs without a type.
         self._topics_warned.update(self.engine.output_topics())
         topic_names = {
-            topic.name for topic in bag.topics if strip_slashes(topic.name) in self._subscribed_types
+            topic.name
+            for topic in bag.topics
+            if strip_slashes(topic.name) in self._subscribed_types
+            or strip_slashes(topic.name) in self._transform_readers
         }
         self._new_topics.clear()
+        self._read_names = set(topic_names)
+        if self._transform_readers:
+            self._warn_without_transforms(bag)
         # By identity, because hashing a topic would hash all its fields for every message.
         decoders = {id(topic): self._decoders.get(topic) for topic in bag.topics}
         records = self._read_records(bag, topic_names, decoders)
@@ -203,9 +232,11 @@ class Playback:
         for record in records:
             if record is not None:
                 batch = chain((record,), records)
-                self.engine.post_each(
-                    self._decode_messages(batch, decoders, lambda: progress(next(message_numbers)))
-                )
+                messages = self._decode_messages(batch, decoders, lambda: progress(next(message_numbers)))
+                if self._transform_readers:
+                    engine.executor.post_each(engine.event_input.take_input, messages)
+                else:
+                    engine.post_each(messages)
                 yield from outputs
                 outputs.clear()
         # Alarms that are due before the end of the bag fire even if no further message is used.
@@ -229,15 +260,22 @@ class Playback:
         records: Iterable[Optional[Record]],
         decoders: Dict[int, Optional[Decoder]],
         count_message: Callable[[], object],
-    ) -> Iterator[Tuple[Term, Optional[int]]]:
-        """Yield records as decoded messages, until a message produces an output or an alarm is due."""
-        clock, outputs = self.clock, self._outputs
+    ) -> Iterator[Tuple[Any, Optional[int]]]:
+        """Yield records as decoded messages, until a message produces an output or an alarm is due.
+
+        A message with transforms is also yielded as a `TransformMessage`, before it is yielded as an event.
+        """
+        clock, outputs, readers = self.clock, self._outputs, self._transform_readers
         for record in records:
             if record is None:
                 return
             topic, time, data = record
             # `back`: the clocks of several bags, or a bag with unordered times, may go back.
             clock.move_to(time, back=True)
+            if readers and topic.type in TRANSFORM_TYPES:
+                transforms = self._decode_transforms(topic, data)
+                if transforms is not None:
+                    yield transforms, None
             decoder = decoders[id(topic)]
             # Messages of topics with an unusable type still move the clock.
             message = None if decoder is None else self._decode(topic, decoder, data)
@@ -275,12 +313,15 @@ class Playback:
 
     def _read_new_topics(self, bag: Bag, decoders: Dict[int, Optional[Decoder]]) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
-        joining_topics = {topic.name for topic in bag.topics if strip_slashes(topic.name) in self._new_topics}
+        new_names = {topic.name for topic in bag.topics if strip_slashes(topic.name) in self._new_topics}
+        # A topic may be read already: for its transforms, or for its events.
+        joining_topics = new_names - self._read_names
+        self._read_names |= new_names
         names = [topic for topic, _ in self._subscriptions if strip_slashes(topic) in self._new_topics]
         self._new_topics.clear()
         self._prepare_topics(bag, names)
         decoders.update(
-            (id(topic), self._decoders[topic]) for topic in bag.topics if topic.name in joining_topics
+            (id(topic), self._decoders.get(topic)) for topic in bag.topics if topic.name in new_names
         )
         return bag.records(joining_topics, start=self.clock.now() + 1)
 
@@ -314,6 +355,28 @@ class Playback:
         except MessageError as error:
             message = f"a message on {topic.name} is dropped: {error.message}"
             self._reports.error(MessageError(message, error.place), ("in", topic.name))
+        return None
+
+    def _warn_without_transforms(self, bag: Bag) -> None:
+        """Warn if the program reads transforms and the bag has none."""
+        if not any(
+            strip_slashes(topic.name) in self._transform_readers and topic.type in TRANSFORM_TYPES
+            for topic in bag.topics
+        ):
+            log.warning(
+                "%s has no transforms on %s, which the program reads", bag.path, " or ".join(TRANSFORM_TOPICS)
+            )
+
+    def _decode_transforms(self, topic: Topic, data: bytes) -> Optional[TransformMessage]:
+        """Return the transforms of a message of `TRANSFORM_TOPICS`, or None if it is invalid, which is reported."""
+        reader = self._transform_readers.get(strip_slashes(topic.name))
+        if reader is None:
+            return None
+        try:
+            return reader.read(data)
+        except MessageError as error:
+            message = f"a message on {topic.name} is dropped: {error.message}"
+            self._reports.error(MessageError(message), ("in", topic.name))
         return None
 
     def _register_types(self, topics: Iterable[Topic]) -> None:

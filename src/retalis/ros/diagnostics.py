@@ -243,6 +243,7 @@ class EngineHealth:
             self._work(status),
             self._rules(now, status),
             self._queries(now, status),
+            *self._transforms(now, status),
         ]
         self._trends.remove_unrecorded()
         return healths
@@ -328,6 +329,19 @@ class EngineHealth:
                 values,
             )
         return Health("waiting queries", Level.OK, f"{query_count} wait", values)
+
+    def _transforms(self, now: float, status: Status) -> List[Health]:
+        transforms = status.transforms
+        if transforms is None:
+            return []
+        values = [
+            ("frames", str(transforms.frames)),
+            ("transforms", str(transforms.samples)),
+            ("refused", str(transforms.refused)),
+        ]
+        if self._trends.record(now, "transforms", transforms.refused).is_recent(now):
+            return [Health("transforms", Level.WARN, "transforms are refused", values)]
+        return [Health("transforms", Level.OK, counted(transforms.frames, "frame"), values)]
 
 
 def _buffer_text(rule: RuleStatus) -> str:

@@ -10,6 +10,7 @@ import rospy
 
 from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
+from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError, beginning, printable
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS
@@ -43,6 +44,7 @@ PARAMETER_NAMES = (
     "max_output_megabytes",
     "max_skew",
     "max_gap",
+    "tf_cache",
     "watchdog",
     "diagnostics",
     "hardware_id",
@@ -115,6 +117,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         folders=_folders("~folders"),
         write_folders=_folders("~write_folders"),
         max_gap=_limit("~max_gap", float, None),
+        tf_cache=_number("~tf_cache", float) or DEFAULT_CACHE_SECONDS,
     )
     file_size = _number("~max_file_megabytes", int)
     if file_size is not None:

@@ -10,7 +10,7 @@ The ROS interface runs in its own node by default, and inside this one with para
 import threading
 import time
 from functools import partial
-from typing import Any, Callable, Iterable, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Tuple
 
 import rospy
 
@@ -32,6 +32,7 @@ from ..events.program.topic_configuration import TOPICS, Topics, TopicType, dire
 from ..explanation.explain import record_origins
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..messages.decoder import Decoder
+from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import functor_name
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import to_text
@@ -65,6 +66,7 @@ from .services import (
     RuleServices,
 )
 from .text_topics import OutputTexts
+from .tf2_buffer import choose_buffer
 from .topic_statistics import OutputStatus, StartupWarnings
 
 MAX_EPOCH_WAIT_SECONDS = 10.0
@@ -246,7 +248,8 @@ class RetalisNode:
     """Node ``retalis``, constructed from its parameters."""
 
     def __init__(self, parameters: Parameters):
-        self._parameters = parameters
+        settings = parameters.settings._replace(transform_buffer=choose_buffer())
+        self._parameters = parameters = parameters._replace(settings=settings)
         self._errors: List[str] = []
         self._program_warnings: List[str] = []
         self._reports = Reports()
@@ -299,6 +302,9 @@ class RetalisNode:
             InterfaceServices(self._interface)
         else:
             ProjectionPublisher(self.engine)
+        transforms = self.engine.knowledge.transforms
+        transforms.require_if_named(self.engine.rules.terms())
+        transforms.begin(self._begin_transforms)
         for topic, message_type in direct:
             self._subscribe(topic, message_type, topics.event_of(topic, rospy.resolve_name))
         subscriptions.begin(self._interface if parameters.embedded else None)
@@ -347,6 +353,23 @@ class RetalisNode:
         if checkpoint_file.resumed:
             threading.Thread(target=self._run_missed_alarms, daemon=True).start()
 
+    def _begin_transforms(self) -> None:
+        """Subscribe the topics of transforms, because the program reads transforms.
+
+        A goal may be the first that does, and must not wait for the master.
+        """
+        threading.Thread(target=self._subscribe_transforms, daemon=True).start()
+
+    def _subscribe_transforms(self) -> None:
+        engine = self.engine
+        take_input, post_each = engine.event_input.take_input, engine.executor.post_each
+        rospy.loginfo(
+            "the program reads transforms: %s are subscribed, with a history of %g s",
+            " and ".join(map(rospy.resolve_name, TRANSFORM_TOPICS)),
+            engine.settings.tf_cache,
+        )
+        self._interface.subscribe_transforms(lambda messages: post_each(take_input, messages))
+
     def _run_missed_alarms(self) -> None:
         """Run the alarms that became due while the node was not running, after the interface has connected."""
         end = time.monotonic() + MAX_INTERFACE_WAIT_SECONDS
@@ -389,10 +412,17 @@ class RetalisNode:
             if resolve_name(topic) not in named
         }
         text_topic = resolve_name(INPUT)
+        transforms = self.engine.knowledge.transforms
+        # A robot need not have static transforms.
+        transform_roles: Dict[str, InputRole] = dict(
+            zip(map(resolve_name, TRANSFORM_TOPICS), (InputRole.NEEDED, InputRole.OPTIONAL))
+        )
 
         def role(topic: str) -> InputRole:
             if topic == text_topic:
                 return InputRole.OPTIONAL if embedded else InputRole.LINK
+            if transforms.is_required and topic in transform_roles:
+                return transform_roles[topic]
             event = default_events.get(topic)
             return InputRole.NEEDED if event is None or is_read(event) else InputRole.UNREAD
 
@@ -404,6 +434,8 @@ class RetalisNode:
     def _reloaded(self, topics: Topics) -> None:
         self._errors.clear()
         self._program_warnings.clear()
+        engine = self.engine
+        engine.do(lambda: engine.knowledge.transforms.require_if_named(engine.rules.terms()))
         self._log_mistakes(topics)
 
     def _log_mistakes(self, topics: Topics) -> None:

@@ -25,6 +25,7 @@ from ..events.program.topic_configuration import TOPICS, Topics, TopicType, topi
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages.decoder import Decoder
+from ..messages.transform_messages import TRANSFORM_TOPICS, TRANSFORM_TYPES, TransformReader
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import functor
 from .connection_reader import read_in_batches
@@ -109,6 +110,7 @@ class RosInterface:
         self._inputs: Dict[str, InputTopic] = {}
         self.outputs = OutputTopics(self._definitions, queue, reports)
         self._text_topics: List[InputTopic] = []
+        self._transform_topics: Dict[str, InputTopic] = {}
         self._excluded: Set[str] = set()
         self._reserved = {rospy.resolve_name(topic) for topic in (INPUT, OUTPUT)}
         self._lock = threading.Lock()
@@ -206,6 +208,28 @@ class RosInterface:
         )
         return processing_lock
 
+    def subscribe_transforms(self, consume_results: ResultConsumer) -> None:
+        """Subscribe the topics of transforms; their messages become no events, unless a program names the topics.
+
+        Args:
+            consume_results: receives the messages that were read together, as pairs of a `TransformMessage` and None.
+        """
+        for topic in TRANSFORM_TOPICS:
+            name = rospy.resolve_name(topic)
+            reader = TransformReader(topic == TRANSFORM_TOPICS[1])
+            self._transform_topics[name] = InputTopic(
+                self._definitions,
+                name,
+                TRANSFORM_TYPES[0],
+                lambda decoder, read=reader.read: lambda data: (read(data), None),  # type: ignore[misc]
+                self._queue,
+                self.processing_lock,
+                self._reports,
+                consume_results,
+                self._max_delay,
+                clock_epochs=self._clock_epochs,
+            )
+
     def exclude(self, topics: Iterable[TopicType]) -> None:
         """Reject topics that node retalis subscribes itself, so that no message is processed twice."""
         self._excluded = {rospy.resolve_name(topic) for topic, _ in topics}
@@ -240,7 +264,8 @@ class RosInterface:
 
     def inputs(self) -> List[InputStatus]:
         """Return the counters of each subscribed topic."""
-        return [topic.status() for topic in [*self._inputs.values(), *self._text_topics]]
+        topics = {**self._transform_topics, **self._inputs}
+        return [topic.status() for topic in [*topics.values(), *self._text_topics]]
 
     def unsubscribe(self, topic: str) -> None:
         """Unsubscribe a topic.

@@ -15,6 +15,7 @@ from ...prolog.terms.list_terms import conjuncts, list_items, list_parts
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ...prolog.terms.unification import may_unify
+from ..knowledge.transforms import TRANSFORM_READS
 from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state
@@ -330,6 +331,8 @@ def _dependency_of_goal(program: ProgramModel, term: Any, changed: Set[Functor])
         return _Dependency(
             f"memory {name.name}" if isinstance(name, Atom) and key is not POSE_CHAIN else "memories"
         )
+    if key in TRANSFORM_READS:
+        return _Dependency("transforms")
     if key in HOLDS:
         state = queried_state(goal)
         return _Dependency("states" if state is None else f"state {state}")

@@ -1,4 +1,4 @@
-"""Knowledge base of a program: memories, pending queries, subscriptions, and event states.
+"""Knowledge base of a program: memories, transforms, pending queries, subscriptions, and event states.
 
 `KnowledgeBase` creates these parts, connects them to each other, and defines the predicates ``memorize``,
 ``subscribe`` and their counterparts. The engine uses it to clear, repair and inspect all of them.
@@ -22,6 +22,8 @@ from .pending_queries import GIVEN_UP, MissingMemories, PendingQueries
 from .record_lookup import define_matching
 from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
+from .transform_buffer import TransformBuffer
+from .transforms import Transforms
 
 if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase
@@ -39,7 +41,7 @@ OWN_EVENTS = MEMORY_EVENTS | {GIVEN_UP}
 
 
 class KnowledgeBase:
-    """Memories, pending queries, subscriptions and states of a program.
+    """Memories, transforms, pending queries, subscriptions and states of a program.
 
     Attributes:
         on_pattern: called with the patterns of a memory, subscription or state before it is made; may raise.
@@ -53,6 +55,7 @@ class KnowledgeBase:
         deliver: receives the events of subscriptions.
         warn: receives warnings as text.
         rules: rules of the program; they call subscriptions that send later.
+        buffer: buffer of the transforms; by default a new one.
     """
 
     def __init__(
@@ -65,6 +68,7 @@ class KnowledgeBase:
         rules: "RuleBase",
         on_pattern: Callable[[Term], None] = lambda pattern: None,
         on_conditions: Callable[[Term, str], None] = lambda conditions, owner: None,
+        buffer: Optional[TransformBuffer] = None,
     ):
         self._logic = logic
         self._warn = warn
@@ -73,7 +77,10 @@ class KnowledgeBase:
         self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn)
         self.gaps = MemoryGaps(logic.brief, warn)
         self.memories.on_create = self.gaps.watch
-        self.pending_queries = PendingQueries(logic, dispatcher, self.memories, warn, clock)
+        self.transforms = Transforms(
+            logic, dispatcher, TransformBuffer() if buffer is None else buffer, self.gaps, warn
+        )
+        self.pending_queries = PendingQueries(logic, dispatcher, self.memories, self.transforms, warn, clock)
         self.subscriptions = Subscriptions(logic, dispatcher, deliver, warn, rules)
         self.states = StateRegistry(logic, dispatcher, clock, warn)
         # Looked up at each call, because `on_pattern` is assigned later.
@@ -84,6 +91,7 @@ class KnowledgeBase:
         """Remove records, pending queries and states, because the clock went back; definitions remain."""
         self.memories.clear()
         self.gaps.clear()
+        self.transforms.clear()
         self.pending_queries.clear()
         self.subscriptions.clear()
         self.states.clear()
@@ -101,6 +109,7 @@ class KnowledgeBase:
         """Repair all parts after an interrupt."""
         # The memories drop their registered queries, and then the pending queries register again.
         self.memories.repair()
+        self.transforms.repair()
         self.pending_queries.repair()
         self.subscriptions.repair()
         self.states.repair()
@@ -108,12 +117,14 @@ class KnowledgeBase:
     def find_missing_memories(self, names: Sequence[Term], instant: int) -> MissingMemories:
         """Return the memories that have received no event that ends at an instant or later.
 
+        A name ``tf(Target, Source)`` stands for a transform.
+
         Raises:
             UsageError: if there is no such memory.
         """
         missing = {}
         for name in names:
-            instance = self.memories.find(name)
+            instance = self.memories.find(name) or self.transforms.awaited(name)
             if instance is None:
                 raise UsageError(f"there is no memory {self._logic.brief(name)}")
             if not instance.has_reached(instant):

@@ -386,52 +386,23 @@ Returns the frame to continue with.
 """
 
 
-class MemoryInstance:
-    """A memory with its name, its recorder, and the queries that wait for it.
+class QueryQueue:
+    """Queries that wait until something has reached an instant.
 
     Attributes:
-        definition: its definition ``(Functor, Pattern, Conditions, Record, Id, Size)``.
         next_instant: smallest instant that a query waits for.
-        has_variables: whether records may contain variables, so that a reader needs a copy.
         instants: heap of the instants that are waited for; some may have no query any more.
-        queries: queries that wait for it, by instant and order.
+        queries: the queries, by instant and order.
     """
 
-    __slots__ = (
-        "id",
-        "active",
-        "definition",
-        "memory",
-        "recorder",
-        "has_variables",
-        "next_instant",
-        "instants",
-        "queries",
-    )
+    __slots__ = ("next_instant", "instants", "queries")
 
-    recorder: "Recorder"
-
-    def __init__(self, name: Term, size: int, active: bool, definition: Term):
-        self.id = name
-        self.definition = definition
-        self.memory = Memory(size)
-        self.active = active
-        self.has_variables = False
+    def __init__(self) -> None:
         self.next_instant = NEVER
         self.instants: List[int] = []
-        self.queries: Dict[int, Dict[int, PendingQuery]] = {}
+        self.queries: Dict[int, Dict[Any, PendingQuery]] = {}
 
-    @property
-    def key(self) -> Hashable:
-        """Key that is equal for memories that record the same of the same events under the same name."""
-        return self.active, term_key(self.definition)
-
-    def has_reached(self, instant: int) -> bool:
-        """Return whether the watermark has reached an instant: an event that ends then or later was recorded."""
-        ends = self.memory.ends
-        return bool(ends) and ends[-1] >= instant
-
-    def add_query(self, instant: int, order: int, query: PendingQuery) -> None:
+    def add_query(self, instant: int, order: Any, query: PendingQuery) -> None:
         """Store a query under its order until `pop_reached` is called with its instant or a later one."""
         group = self.queries.get(instant)
         if group is not None:
@@ -452,7 +423,7 @@ class MemoryInstance:
         self.next_instant = instants[0] if instants else NEVER
         return queries
 
-    def remove_query(self, instant: int, order: int) -> None:
+    def remove_query(self, instant: int, order: Any) -> None:
         """Remove a query."""
         group = self.queries[instant]
         del group[order]
@@ -463,18 +434,54 @@ class MemoryInstance:
                 self.instants = list(self.queries)
                 heapify(self.instants)
 
+    def clear_queries(self) -> None:
+        """Remove all queries."""
+        self.next_instant = NEVER
+        self.instants = []
+        self.queries = {}
+
+
+class MemoryInstance(QueryQueue):
+    """A memory with its name, its recorder, and the queries that wait for it.
+
+    Attributes:
+        definition: its definition ``(Functor, Pattern, Conditions, Record, Id, Size)``.
+        has_variables: whether records may contain variables, so that a reader needs a copy.
+    """
+
+    __slots__ = ("id", "active", "definition", "memory", "recorder", "has_variables")
+
+    recorder: "Recorder"
+
+    def __init__(self, name: Term, size: int, active: bool, definition: Term):
+        super().__init__()
+        self.id = name
+        self.definition = definition
+        self.memory = Memory(size)
+        self.active = active
+        self.has_variables = False
+
+    @property
+    def key(self) -> Hashable:
+        """Key that is equal for memories that record the same of the same events under the same name."""
+        return self.active, term_key(self.definition)
+
+    @property
+    def latest_end(self) -> Optional[int]:
+        """The largest end of all events so far; None before the first."""
+        return self.memory.latest_end
+
+    def has_reached(self, instant: int) -> bool:
+        """Return whether the watermark has reached an instant: an event that ends then or later was recorded."""
+        ends = self.memory.ends
+        return bool(ends) and ends[-1] >= instant
+
     def repair(self) -> None:
         """Repair the records after an interrupt; `PendingQueries.repair` registers the queries again."""
         self.memory.repair()
         self.clear_queries()
         if self not in self.recorder.instances:
             self.recorder.add(self)
-
-    def clear_queries(self) -> None:
-        """Remove all queries."""
-        self.next_instant = NEVER
-        self.instants = []
-        self.queries = {}
 
 
 _NO_QUERIES: Dict[int, PendingQuery] = {}

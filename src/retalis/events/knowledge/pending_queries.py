@@ -11,12 +11,28 @@ event costs one comparison for any number of pending queries. When the memory re
 registered with the next memory that is behind, or called if there is none. Queries that become ready with one event
 are called in order of their registration.
 
+A condition ``[tf(Target, Source), Time]`` names a transform instead of a memory, see `transforms`. A memory with
+that id takes precedence.
+
 If a rule makes the synchronized event and it has no other listener, the event is not created: conditions, query
 and event are compiled for the variables of the rule (`compile_conditions`, `compile_query`).
 """
 
 from itertools import count
-from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from ...foundation.codegen import shared_function
 from ...foundation.errors import Place, UsageError
@@ -36,24 +52,35 @@ from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
 from .timeouts import AlarmClock, Timeouts, timeout_of
+from .transforms import AwaitedTransform, Reached, Transforms
 
-MissingMemories = List[Tuple[MemoryInstance, int]]
-"""Memories whose watermark is behind, with the instants that they have to reach."""
+AwaitedSource = Union[MemoryInstance, AwaitedTransform]
+"""A memory or transform that queries wait for."""
+
+MissingMemories = List[Tuple[AwaitedSource, int]]
+"""Memories and transforms whose watermark is behind, with the instants that they have to reach."""
 
 
-def missing_memories(logic: PrologSystem, memories: MemoryInstances, conditions: Term) -> MissingMemories:
-    """Return the memories that a query must wait for, given its conditions as a term.
+def missing_memories(
+    logic: PrologSystem, memories: MemoryInstances, transforms: Transforms, conditions: Term
+) -> MissingMemories:
+    """Return the memories and transforms that a query must wait for, given its conditions as a term.
 
     Raises:
         UsageError: if there is no such memory, or a condition is not ``[Id, Time]``.
     """
-    awaited: Dict[MemoryInstance, int] = {}
+    awaited: Dict[AwaitedSource, int] = {}
     # Conditions usually share one time, so it is converted once.
     time, instant = None, 0
     for name, condition_time in _condition_pairs(logic, conditions):
-        instance = memories.find(name)
+        instance: Optional[AwaitedSource] = memories.find(name)
         if instance is None:
-            raise UsageError(f"there is no memory {logic.brief(name)}")
+            instance = transforms.awaited(name)
+            if instance is None:
+                raise UsageError(f"there is no memory {logic.brief(name)}")
+            instant_of_transform = transform_instant(condition_time)
+            awaited[instance] = max(instant_of_transform, awaited.get(instance, instant_of_transform))
+            continue
         if condition_time is not time:
             time, instant = condition_time, required_instant(condition_time)
         awaited[instance] = max(instant, awaited.get(instance, instant))
@@ -61,15 +88,20 @@ def missing_memories(logic: PrologSystem, memories: MemoryInstances, conditions:
 
 
 def compile_conditions(
-    logic: PrologSystem, memories: MemoryInstances, conditions: Term, names: Sequence[Var]
+    logic: PrologSystem,
+    memories: MemoryInstances,
+    transforms: Transforms,
+    conditions: Term,
+    names: Sequence[Var],
 ) -> Optional[Callable[[Values], MissingMemories]]:
-    """Return a function of the values of ``names`` that returns the memories that a query must wait for.
+    """Return a function of the values of ``names`` that returns what a query must wait for.
 
     The function raises a `UsageError` as `missing_memories` does. Return None if the memories depend on the values.
     """
     try:
         pairs = _condition_pairs(logic, conditions)
         keys = [key_of(name) for name, _ in pairs]
+        awaited = [transforms.awaited(name) for name, _ in pairs]
     except (UsageError, PrologError):
         return None
     if not set(variables(conditions)) <= set(names):
@@ -85,6 +117,19 @@ def compile_conditions(
     previous = None
     for index, (key, (name, time)) in enumerate(zip(keys, pairs)):
         namespace[f"key{index}"], namespace[f"name{index}"] = key, name
+        if awaited[index] is not None:
+            namespace[f"transform{index}"] = awaited[index]
+            namespace["transform_instant"] = transform_instant
+            lines += [
+                f"    awaited = get(key{index}, transform{index})",
+                *_instant_source(
+                    time, names, positions_of_names, index, namespace, "transform_instant(time)"
+                ),
+                "    if not awaited.has_reached(instant):",
+                "        missing.append((awaited, instant))",
+            ]
+            previous = None
+            continue
         lines += [
             f"    memory = get(key{index})",
             "    if memory is None:",
@@ -112,14 +157,15 @@ def _instant_source(
     positions_of_names: Dict[Var, int],
     index: int,
     namespace: Dict[str, Any],
+    conversion: str = "first_reaching(time) if time.__class__ is float else reach(time)",
 ) -> List[str]:
-    """Return the source lines that compute the instant of a time."""
+    """Return the source lines that compute the instant of a time by a conversion."""
     if time.__class__ is Var:
         lines = [f"    time = values[{positions_of_names[time]}]"]
     else:
         namespace[f"build{index}"] = compile_builder(time, names, "time of a synchronized query")
         lines = [f"    time = build{index}(values)"]
-    return [*lines, "    instant = first_reaching(time) if time.__class__ is float else reach(time)"]
+    return [*lines, f"    instant = {conversion}"]
 
 
 def _condition_pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
@@ -152,6 +198,15 @@ def required_instant(time: Term) -> int:
     if time.__class__ is tuple and time[0] is CONS:
         return timestamps.from_any(time)
     return int(timestamps.from_term(time))
+
+
+def transform_instant(time: Term) -> int:
+    """Return the instant that a transform has to reach, which is that of a look-up for the same time.
+
+    Raises:
+        UsageError: if the term is not a time.
+    """
+    return int(timestamps.from_any(time))
 
 
 _CALL = functor("call", 1)
@@ -401,6 +456,7 @@ class PendingQueries:
         logic: PrologSystem,
         dispatcher: Dispatcher,
         memories: MemoryInstances,
+        transforms: Transforms,
         warn: Warn,
         clock: AlarmClock,
         limit: int = MAX_PENDING_QUERIES,
@@ -408,6 +464,7 @@ class PendingQueries:
         self._logic = logic
         self._dispatcher = dispatcher
         self._memories = memories
+        self._transforms = transforms
         self._warn = warn
         self.limit = limit
         self._order = count()
@@ -417,6 +474,7 @@ class PendingQueries:
         self._context = QueryContext(logic, dispatcher, warn)
         self._general_query = compile_general_query(self._context)
         memories.on_update = self._release
+        transforms.on_reached = self._release_transforms
         memories.on_delete = self._drop_waiting_for
         for name in ("syncronized", "synchronized"):
             key = functor(name, 3)
@@ -445,6 +503,7 @@ class PendingQueries:
         self.timeouts.clear()
         for instance in self._memories:
             instance.clear_queries()
+        self._transforms.clear_queries()
 
     def notify_when_reached(
         self, missing: MissingMemories, client_name: Term, now: int, notify: Callable[[], None]
@@ -473,8 +532,11 @@ class PendingQueries:
                 continue
             event, query = triggered.terms(values)
             token = triggered.token if isinstance(triggered, DerivedQuery) else None
+            # A transform may have become available by a change of the tree since it was registered.
             awaited = [
-                (instance.id, instant) for instance, instant in missing if not instance.has_reached(instant)
+                (instance.id, instant)
+                for instance, instant in missing
+                if isinstance(instance, AwaitedTransform) or not instance.has_reached(instant)
             ]
             queries.append((query_order, event, query, start, end, awaited, token))
         return order, queries
@@ -484,7 +546,10 @@ class PendingQueries:
         self._order = count(order)
         self._oldest_order = queries[0][0] if queries else order
         for query_order, event, query, start, end, awaited, token in queries:
-            missing: Any = [(self._memories.find(name), instant) for name, instant in awaited]
+            missing: Any = [
+                (self._memories.find(name) or self._transforms.awaited(name), instant)
+                for name, instant in awaited
+            ]
             compiled_query = (
                 self._general_query
                 if token is None
@@ -514,7 +579,7 @@ class PendingQueries:
     def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         event, query, conditions = values
         try:
-            missing = missing_memories(self._logic, self._memories, conditions)
+            missing = missing_memories(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
             self._drop(event, error)
             return after
@@ -529,7 +594,7 @@ class PendingQueries:
         event, query, conditions, options = values
         try:
             wait = timeout_of(options, self._logic.brief)
-            missing = missing_memories(self._logic, self._memories, conditions)
+            missing = missing_memories(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
             self._drop(event, error)
             return after
@@ -573,7 +638,7 @@ class PendingQueries:
         head: Any = rule.definition.head
         key, event, query, conditions = head
         names, firings = rule.vars, rule.firings
-        find_missing = compile_conditions(self._logic, self._memories, conditions, names)
+        find_missing = compile_conditions(self._logic, self._memories, self._transforms, conditions, names)
         compiled_query = compile_query(self._context, event, query, names, rule.place, rule.from_outside)
         if find_missing is None or compiled_query is None:
             return None
@@ -613,8 +678,18 @@ class PendingQueries:
 
     def _release(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
+        return self._call_ready(instance.pop_reached(end), after)
+
+    def _release_transforms(self, reached: Reached, after: Frame) -> Frame:
+        """Return the frame that calls the queries that waited only for these transforms."""
+        return self._call_ready(
+            [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], after
+        )
+
+    def _call_ready(self, released: Iterable[Any], after: Frame) -> Frame:
+        """Return the frame that calls the queries whose conditions are all fulfilled, in order of registration."""
         ready: List[PendingQuery] = []
-        for pending in instance.pop_reached(end):
+        for pending in released:
             if len(pending[5]) == 1 or not self._register_with_next(pending):
                 del self._all[pending[0]]
                 ready.append(pending)
@@ -658,7 +733,9 @@ class PendingQueries:
         for order in sorted(self._all):
             pending = self._all[order]
             missing = pending[5]
-            if any(instance not in instances for instance, _ in missing):
+            if any(
+                instance not in instances for instance, _ in missing if isinstance(instance, MemoryInstance)
+            ):
                 self._all.pop(order)
                 event = pending[1].event(pending[2])
                 self._warn(

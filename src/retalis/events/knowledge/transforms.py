@@ -1,0 +1,424 @@
+"""Transforms of a program: predicates that read the transform buffer, and queries that wait for transforms.
+
+``tf_lookup/4`` and ``tf_transform/5`` answer for any two frames of the tree; they fail if a transform is not there,
+and ``tf_missing/4`` returns the reason. The flag ``max_gap`` limits the distance of samples that are interpolated.
+
+The condition ``[tf(Target, Source), Time]`` of a synchronized query is an `AwaitedTransform`. It is fulfilled as soon
+as each frame of the path has a sample at the instant or later. Until then it is registered with one frame that has
+none (`TransformBuffer.find_blocking`), so a transform costs one comparison for any number of pending queries. A
+sample of that frame lets the condition continue with the next frame. If a frame gets its first sample or another
+parent, all paths are determined again.
+
+The engine does not know topics. A node or a bag player calls `begin` with a function that starts to feed the buffer;
+it is called as soon as a program reads transforms, so that other programs do not pay for them.
+"""
+
+from difflib import get_close_matches
+from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Set, Tuple
+
+from ...foundation.errors import UsageError
+from ...prolog.builtins.pose_predicates import compose, pose, shown_pose
+from ...prolog.builtins.tabling import tables_of
+from ...prolog.builtins.time_predicates import instant_of
+from ...prolog.machine.errors import instantiation_error, permission_error, type_error
+from ...prolog.machine.machine import Machine
+from ...prolog.system.prolog_system import PrologSystem
+from ...prolog.terms import timestamps
+from ...prolog.terms.list_terms import list_items
+from ...prolog.terms.timestamps import SECOND
+from ...prolog.terms.types import Atom, Frame, Functor, String, Term, Var, atom, deref, functor
+from ..dispatch.dispatcher import Dispatcher
+from ..language.rule_head_parser import SYNCHRONIZED
+from .interpolation import UNLIMITED_GAP, MemoryGaps
+from .memory import PendingQuery, Warn
+from .transform_buffer import REPEATED, CoordinateFrame, Numbers, Transform, TransformBuffer
+
+TF: Functor = functor("tf", 2)
+"""Functor of a condition's transform, ``tf(Target, Source)``."""
+
+TRANSFORM_READS = frozenset((functor("tf_lookup", 4), functor("tf_transform", 5), functor("tf_missing", 4)))
+"""Predicates that read transforms."""
+
+_MAX_CACHED_NAMES = 10_000
+_MAX_REPORTED_FRAMES = 100
+_MAX_CANDIDATES = 2000
+
+_UNKNOWN, _INVALID, _LOOP = functor("unknown", 1), functor("invalid", 1), functor("loop", 1)
+_UNCONNECTED, _BEFORE, _AFTER, _GAP = (functor(name, 2) for name in ("unconnected", "before", "after", "gap"))
+_KINDS = {"unknown": _UNKNOWN, "invalid": _INVALID, "loop": _LOOP, "before": _BEFORE, "after": _AFTER}
+
+
+class AwaitedTransform:
+    """The transform of a condition ``[tf(Target, Source), Time]``, with the queries that wait for it.
+
+    Attributes:
+        id: the term ``tf(Target, Source)``.
+        target: name of the target frame.
+        source: name of the source frame.
+        queries: pending queries by instant and order.
+        frames: the frames with which it is registered, by instant.
+    """
+
+    __slots__ = ("id", "target", "source", "queries", "frames", "_transforms")
+
+    def __init__(self, transforms: "Transforms", name: Term, target: str, source: str):
+        self._transforms = transforms
+        self.id = name
+        self.target = target
+        self.source = source
+        self.queries: Dict[int, Dict[Any, PendingQuery]] = {}
+        self.frames: Dict[int, CoordinateFrame] = {}
+
+    def has_reached(self, instant: int) -> bool:
+        """Return whether all frames of the path have samples at an instant or later."""
+        return self._transforms.buffer.find_blocking(self.target, self.source, instant) is None
+
+    @property
+    def latest_end(self) -> Optional[int]:
+        """The newest instant that all frames of the path have reached; None if they are not connected."""
+        latest = self._transforms.buffer.latest_common(self.target, self.source)
+        return latest if isinstance(latest, int) else None
+
+    def blocking_frame(self, instant: int) -> str:
+        """Return the name of the frame that is waited for; "" if frames are unknown or not connected."""
+        frame = self._transforms.buffer.find_blocking(self.target, self.source, instant)
+        return "" if frame is None else frame.name
+
+    def add_query(self, instant: int, order: int, query: PendingQuery) -> None:
+        """Store a query under its order until the instant is reached."""
+        group = self.queries.setdefault(instant, {})
+        group[order] = query
+        if instant not in self.frames:
+            self._transforms.register(self, instant)
+
+    def remove_query(self, instant: int, order: int) -> None:
+        """Remove a query."""
+        group = self.queries[instant]
+        del group[order]
+        if not group:
+            del self.queries[instant]
+            self._transforms.withdraw(self, instant)
+
+    def pop_queries(self, instant: int) -> List[PendingQuery]:
+        """Remove and return the queries that wait for an instant, which has been reached."""
+        return list(self.queries.pop(instant, {}).values())
+
+
+Reached = List[Tuple[AwaitedTransform, int]]
+"""Transforms that have become available, with their instants."""
+
+
+class Transforms:
+    """The transform buffer of a program, with its predicates and waiting queries.
+
+    Args:
+        logic: the system in which the predicates are defined.
+        dispatcher: dispatcher of the events that waiting queries trigger.
+        buffer: the buffer.
+        gaps: limit for the distance of two samples.
+        warn: receives warnings about refused transforms and unknown frames.
+
+    Attributes:
+        buffer: the buffer.
+        is_required: whether the program reads transforms.
+        on_reached: called with the transforms that have become available and the next frame; returns the frame that
+            calls the queries.
+    """
+
+    def __init__(
+        self,
+        logic: PrologSystem,
+        dispatcher: Dispatcher,
+        buffer: TransformBuffer,
+        gaps: MemoryGaps,
+        warn: Warn,
+    ):
+        self._logic = logic
+        self._dispatcher = dispatcher
+        self.buffer = buffer
+        self._gaps = gaps
+        self._warn = warn
+        self.is_required = False
+        self._start_feeding: Callable[[], object] = lambda: None
+        self._names: Dict[Term, str] = {}
+        self._reported_frames: Set[str] = set()
+        self._known: Dict[Tuple[str, str], AwaitedTransform] = {}
+        self._waiting: Dict[AwaitedTransform, None] = {}
+        self._checked_topology = 0
+        self._tables = tables_of(logic.machine)
+        self._active_tables = self._tables.active
+        self.on_reached: Callable[[Reached, Frame], Frame] = lambda reached, after: after
+        logic.define_function("tf_lookup", 4, self._lookup)
+        logic.define_function("tf_transform", 5, self._transform)
+        logic.define_function("tf_missing", 4, self._missing)
+        logic.define_control("tf_add", 4, self._add)
+        logic.define_control("tf_add_static", 3, self._add_static)
+
+    # ---- topics --------------------------------------------------------------------------------------
+
+    def begin(self, start_feeding: Callable[[], object]) -> None:
+        """Set the function that starts to feed the buffer; it is called once, when the program needs transforms."""
+        self._start_feeding = start_feeding
+        if self.is_required:
+            start_feeding()
+
+    def require(self) -> None:
+        """Note that the program reads transforms."""
+        if not self.is_required:
+            self.is_required = True
+            self._start_feeding()
+
+    def require_if_named(self, terms: Iterable[Term]) -> None:
+        """Note that the program reads transforms if terms of it name them."""
+        if not self.is_required and _names_transforms(terms):
+            self.require()
+
+    # ---- input ---------------------------------------------------------------------------------------
+
+    def take(self, transforms: Sequence[Transform], is_static: bool) -> None:
+        """Store the transforms of a message, and call the queries that waited for them."""
+        reached = self._store(transforms, is_static)
+        if reached:
+            machine = self._logic.machine
+            # The queries do not depend on the present event, if there is one.
+            self._dispatcher.apart(lambda: machine.run(self.on_reached(reached, machine.done)))
+
+    def _store(self, transforms: Iterable[Transform], is_static: bool) -> Reached:
+        """Store transforms; return those that queries wait for and that are available now."""
+        reached: Reached = []
+        store = self.buffer.store
+        for parent, child, instant, numbers in transforms:
+            frame: Any = store(parent, child, instant, numbers, is_static)
+            if frame.__class__ is not str:
+                if frame.next_instant <= instant:
+                    reached += self._continue(frame.pop_reached(instant))
+            elif frame is not REPEATED:
+                self._warn(f"the transform of frame '{child[:80]}' is refused: {frame}", ("tf", child))
+        if self.buffer.topology_version != self._checked_topology:
+            self._checked_topology = self.buffer.topology_version
+            if self._waiting:
+                reached += self._determine_paths()
+        return reached
+
+    def _continue(self, entries: Iterable[PendingQuery]) -> Reached:
+        """Register conditions with the next frame of their path; return those that are fulfilled."""
+        reached: Reached = []
+        for awaited, instant in entries:
+            frame = self.buffer.find_blocking(awaited.target, awaited.source, instant)
+            if frame is not None:
+                frame.add_query(instant, awaited, (awaited, instant))
+                awaited.frames[instant] = frame
+            else:
+                self._forget(awaited, instant)
+                reached.append((awaited, instant))
+        return reached
+
+    def _determine_paths(self) -> Reached:
+        """Register all conditions again, because the tree has changed; return those that are fulfilled."""
+        entries: List[PendingQuery] = []
+        for awaited in self._waiting:
+            for instant, frame in awaited.frames.items():
+                frame.remove_query(instant, awaited)
+                entries.append((awaited, instant))
+        return self._continue(entries)
+
+    def register(self, awaited: AwaitedTransform, instant: int) -> None:
+        """Register a condition with a frame that has not reached the instant."""
+        frame = self.buffer.find_blocking(awaited.target, awaited.source, instant)
+        if frame is None:
+            # After an interrupt: the next transform calls the query.
+            frame = self.buffer.topology
+            self._checked_topology = -1
+        frame.add_query(instant, awaited, (awaited, instant))
+        awaited.frames[instant] = frame
+        self._waiting[awaited] = None
+
+    def withdraw(self, awaited: AwaitedTransform, instant: int) -> None:
+        """Remove the registration of a condition."""
+        awaited.frames[instant].remove_query(instant, awaited)
+        self._forget(awaited, instant)
+
+    def _forget(self, awaited: AwaitedTransform, instant: int) -> None:
+        del awaited.frames[instant]
+        if not awaited.frames:
+            del self._waiting[awaited]
+
+    def clear(self) -> None:
+        """Drop the samples, because the clock went back; static transforms remain."""
+        self.buffer.clear()
+        self.clear_queries()
+
+    def clear_queries(self) -> None:
+        """Remove all waiting queries."""
+        for awaited in self._waiting:
+            awaited.queries.clear()
+            awaited.frames.clear()
+        self._waiting.clear()
+        self.buffer.topology.clear_queries()
+        for frame in self.buffer.frames():
+            frame.clear_queries()
+
+    def repair(self) -> None:
+        """Repair the samples after an interrupt; `PendingQueries.repair` registers the queries again."""
+        self.buffer.repair()
+        self.clear_queries()
+
+    # ---- conditions ----------------------------------------------------------------------------------
+
+    def awaited(self, name: Term) -> Optional[AwaitedTransform]:
+        """Return the transform of a term ``tf(Target, Source)``; None for other terms.
+
+        Raises:
+            UsageError: if the frames are not named.
+        """
+        term: Any = deref(name)
+        if term.__class__ is not tuple or term[0] is not TF:
+            return None
+        self.require()
+        try:
+            target, source = self._frame_name(term[1]), self._frame_name(term[2])
+        except Exception as error:
+            raise UsageError(f"expected tf(Target, Source) with names of frames: {error}") from None
+        awaited = self._known.get((target, source))
+        if awaited is None:
+            if len(self._known) >= _MAX_CACHED_NAMES:
+                self._known.clear()
+            awaited = self._known[target, source] = AwaitedTransform(
+                self, (TF, atom(target), atom(source)), target, source
+            )
+        return awaited
+
+    # ---- predicates ----------------------------------------------------------------------------------
+
+    def version(self, part: Hashable) -> int:
+        """Return a value that changes with the transforms, for incremental tables."""
+        return self.buffer.version
+
+    def _lookup(self, target: Term, source: Term, time: Term) -> Optional[Term]:
+        """Return the pose of the source frame in the target frame."""
+        found = self._find(target, source, time)
+        return None if found is None else shown_pose(found)
+
+    def _transform(self, given: Term, source: Term, target: Term, time: Term) -> Optional[Term]:
+        """Return a pose, given in the source frame, in the target frame."""
+        found = self._find(target, source, time)
+        return None if found is None else shown_pose(compose(found, pose(given)))
+
+    def _find(self, target: Term, source: Term, time: Term) -> Any:
+        names = self._names
+        try:
+            target_name, source_name = names[target], names[source]
+        except (KeyError, TypeError):
+            target_name, source_name = self._frame_name(target), self._frame_name(source)
+        if not self.is_required:
+            self.require()
+        if self._active_tables:
+            self._tables.note(self, None)
+        instant = instant_of(time)
+        found = self.buffer.lookup(target_name, source_name, instant)
+        if found is None:
+            self._report_unknown(target_name, source_name)
+        elif self._gaps.max_distance != UNLIMITED_GAP and self._gap(target_name, source_name, instant):
+            return None
+        return found
+
+    def _missing(self, target: Term, source: Term, time: Term) -> Optional[Term]:
+        """Return the reason why there is no pose; None if there is one."""
+        target_name, source_name = self._frame_name(target), self._frame_name(source)
+        self.require()
+        if self._active_tables:
+            self._tables.note(self, None)
+        instant = int(instant_of(time))
+        fault = self.buffer.find_fault(target_name, source_name, instant)
+        if fault is None:
+            return self._gap(target_name, source_name, instant)
+        if fault.kind == "unconnected":
+            return (_UNCONNECTED, atom(fault.frame), atom(fault.other))
+        key = _KINDS[fault.kind]
+        if key.arity == 1:
+            return (key, atom(fault.frame))
+        return (
+            key,
+            atom(fault.frame),
+            atom("none") if fault.instant is None else timestamps.shown(fault.instant),
+        )
+
+    def _gap(self, target: str, source: str, instant: int) -> Optional[Term]:
+        """Return ``gap(Frame, Seconds)`` if the samples of a frame are further apart than is allowed."""
+        distance, frame = self.buffer.widest_gap(target, source, instant)
+        return (_GAP, atom(frame), distance / SECOND) if distance > self._gaps.max_distance else None
+
+    def _add(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        parent, child, time, given = arguments
+        return self._add_transform(parent, child, int(instant_of(time)), given, False, after)
+
+    def _add_static(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+        parent, child, given = arguments
+        return self._add_transform(parent, child, 0, given, True, after)
+
+    def _add_transform(
+        self, parent: Term, child: Term, instant: int, given: Term, is_static: bool, after: Frame
+    ) -> Frame:
+        """Store one transform; return the frame that calls the queries that waited for it."""
+        (x, y, z), (i, j, k, w) = pose(given)
+        numbers: Numbers = (float(x), float(y), float(z), float(i), float(j), float(k), float(w))
+        names = self._frame_name(parent), self._frame_name(child)
+        reason = self.buffer.refusal(*names, instant, numbers)
+        if reason:
+            raise permission_error("create", "transform", deref(child), reason)
+        reached = self._store([(*names, instant, numbers)], is_static)
+        return self.on_reached(reached, after) if reached else after
+
+    def _frame_name(self, term: Term) -> str:
+        """Return the name of a frame, given as an atom or a string.
+
+        The quotes that texts of messages have, and one leading slash, are removed.
+        """
+        term = deref(term)
+        if isinstance(term, Atom):
+            text = term.name
+        elif isinstance(term, String):
+            text = term.text
+        elif term.__class__ is Var:
+            raise instantiation_error()
+        else:
+            raise type_error("frame", term)
+        if len(text) > 1 and text[0] == text[-1] == '"':
+            text = text[1:-1]
+        name = str(text[1:] if text[:1] == "/" else text)
+        if isinstance(term, Atom):
+            if len(self._names) >= _MAX_CACHED_NAMES:
+                self._names.clear()
+            self._names[term] = name
+        return name
+
+    def _report_unknown(self, *names: str) -> None:
+        """Warn once about each frame that is unknown although others are known."""
+        for name in names:
+            if self.buffer.knows(name) or not len(self.buffer) or name in self._reported_frames:
+                continue
+            if len(self._reported_frames) < _MAX_REPORTED_FRAMES:
+                self._reported_frames.add(name)
+                near = get_close_matches(name, self.buffer.names()[:_MAX_CANDIDATES], 1, 0.66)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                self._warn(
+                    f"tf_lookup: there is no frame '{name[:80]}' yet{hint}", ("frame", name), once=True
+                )
+
+
+def _names_transforms(terms: Iterable[Term]) -> bool:
+    """Return whether terms contain a goal that reads transforms, or a condition that waits for one."""
+    stack = list(terms)
+    while stack:
+        term: Any = deref(stack.pop())
+        if term.__class__ is not tuple:
+            continue
+        if term[0] in TRANSFORM_READS:
+            return True
+        if term[0] in SYNCHRONIZED:
+            for item in list_items(term[3]) or ():
+                condition: Any = [deref(part) for part in list_items(item) or ()]
+                if condition and condition[0].__class__ is tuple and condition[0][0] is TF:
+                    return True
+        stack.extend(term[1:])
+    return False

@@ -1,0 +1,231 @@
+"""The transform buffer in Python; its answers are compared with those of tf2 in `test/ros/test_tf2_buffer.py`."""
+
+import math
+import sys
+from pathlib import Path
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+sys.path.append(str(Path(__file__).resolve().parent))
+import random_transforms  # noqa: E402
+
+from retalis.events.knowledge import transform_buffer  # noqa: E402
+from retalis.events.knowledge.transform_buffer import REPEATED, CoordinateFrame, TransformBuffer  # noqa: E402
+
+SECOND = 10**9
+TURNED = (0.0, 0.0, math.sin(0.5), math.cos(0.5))
+NONE = (0.0, 0.0, 0.0, 1.0)
+
+
+def at(x, rotation=NONE):
+    return (float(x), 0.0, 0.0, *rotation)
+
+
+def buffer_of(*transforms, cache=10):
+    made = TransformBuffer(cache)
+    for transform in transforms:
+        assert isinstance(made.store(*transform), CoordinateFrame)
+    return made
+
+
+def kind(buffer, *question):
+    fault = buffer.find_fault(*question)
+    assert (fault is None) == (buffer.lookup(*question) is not None)
+    return None if fault is None else fault.kind
+
+
+def matrix(position, rotation):
+    x, y, z, w = rotation
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), position[0]],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), position[1]],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), position[2]],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+
+
+def product(first, second):
+    return [[sum(a * b for a, b in zip(row, column)) for column in zip(*second)] for row in first]
+
+
+@given(st.integers(0, 10**6))
+def test_a_pose_is_the_product_along_the_path(seed):
+    rnd = Random(seed)
+    names = [f"f{number}" for number in range(rnd.randint(2, 7))]
+    buffer, to_root = TransformBuffer(), {"root": matrix((0, 0, 0), NONE)}
+    for position, name in enumerate(names):
+        parent = rnd.choice(["root", *names[:position]])
+        values = [rnd.uniform(-2, 2) for _ in range(3)], [rnd.gauss(0, 1) for _ in range(4)]
+        length = math.hypot(*values[1])
+        values = values[0], [value / length for value in values[1]]
+        buffer.store(parent, name, 5, (*values[0], *values[1]), rnd.random() < 0.3)
+        to_root[name] = product(to_root[parent], matrix(*values))
+    target, source = rnd.choice(names), rnd.choice(["root", *names])
+    found = matrix(*buffer.lookup(target, source, 5))
+    # The pose of the source in the target, moved by the target's own pose, is the source's pose in the root.
+    for row, expected in zip(product(to_root[target], found), to_root[source]):
+        assert row == pytest.approx(expected, abs=1e-9)
+
+
+@given(st.floats(0, 1), st.floats(0.01, 3.1))
+def test_rotations_are_interpolated_at_constant_speed(part, angle):
+    turn = (0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
+    instant = SECOND + round(part * SECOND)
+    buffer = buffer_of(("a", "b", SECOND, at(0)), ("a", "b", 2 * SECOND, at(4, turn)))
+    (x, _, _), (_, _, k, w) = buffer.lookup("a", "b", instant)
+    share = (instant - SECOND) / SECOND
+    assert x == pytest.approx(4 * share)
+    assert 2 * math.atan2(k, w) == pytest.approx(share * angle, abs=1e-7)
+
+
+def test_between_samples_only():
+    buffer = buffer_of(("a", "b", 2 * SECOND, at(1)), ("a", "b", 3 * SECOND, at(2)))
+    assert kind(buffer, "a", "b", 2 * SECOND - 1) == "before"
+    assert kind(buffer, "a", "b", 3 * SECOND + 1) == "after"
+    assert buffer.find_fault("a", "b", 1) == ("before", "b", "", 2 * SECOND)
+    assert buffer.find_fault("a", "b", 9 * SECOND) == ("after", "b", "", 3 * SECOND)
+    assert buffer.lookup("a", "b", 0)[0][0] == 2.0
+    assert buffer.lookup("b", "a", 2 * SECOND)[0][0] == -1.0
+    assert buffer.lookup("a", "a", 7) == ((0, 0, 0), (0, 0, 0, 1))
+
+
+def test_errors_name_the_frame():
+    buffer = buffer_of(("a", "b", 2 * SECOND, at(1)), ("c", "d", 3 * SECOND, at(2)))
+    assert buffer.find_fault("a", "x", 5) == ("unknown", "x", "", None)
+    assert buffer.find_fault("/a", "b", 5).kind == "invalid"
+    assert buffer.find_fault("", "b", 5).kind == "invalid"
+    assert buffer.find_fault("a", "d", 3 * SECOND) == ("unconnected", "a", "d", None)
+    assert buffer.find_fault("b", "d", 0) == ("unconnected", "b", "d", None)
+
+
+def test_a_loop_is_an_error():
+    buffer = buffer_of(("a", "b", 5, at(1)), ("b", "a", 5, at(1)), ("c", "d", 5, at(1)))
+    assert kind(buffer, "d", "a", 5) == "loop"
+    assert kind(buffer, "a", "d", 5) == "loop"
+    assert buffer.find_blocking("d", "a", 5) is buffer.topology
+
+
+def test_static_transforms_hold_always():
+    buffer = buffer_of(("a", "b", 5, at(1), True), ("b", "c", SECOND, at(1)))
+    assert buffer.lookup("a", "c", SECOND)[0][0] == 2.0
+    assert buffer.lookup("a", "b", 77 * SECOND)[0][0] == 1.0
+    assert buffer.latest_common("a", "b") == 0 and buffer.latest_common("a", "c") == SECOND
+    buffer.clear()
+    assert buffer.lookup("a", "b", 1) and not buffer.lookup("a", "c", SECOND)
+    assert buffer.sample_count == 1
+
+
+def test_history_is_bounded_and_late_samples_are_sorted_in():
+    buffer = buffer_of(*(("a", "b", second * SECOND, at(second)) for second in range(1, 31)))
+    assert buffer.sample_count == 11
+    assert kind(buffer, "a", "b", 20 * SECOND - 1) == "before"
+    assert buffer.store("a", "b", 19 * SECOND, at(0)) == "it is older than the history of 10 s"
+    assert buffer.store("a", "b", 25 * SECOND, at(0)) is REPEATED
+    assert buffer.store("a", "b", 25 * SECOND + 5, at(7)).sample_count == 12
+    assert buffer.lookup("a", "b", 25 * SECOND + 5)[0][0] == 7.0
+    assert buffer.refused == 1
+
+
+def test_a_long_run_takes_no_more_memory():
+    buffer = TransformBuffer(1)
+    for number in range(5000):
+        buffer.store("a", "b", number * SECOND // 100, at(number))
+    (frame,) = [frame for frame in buffer.frames() if frame.name == "b"]
+    assert buffer.sample_count == 101 and len(frame.stamps) < 1000
+    assert buffer.lookup("a", "b", 4950 * SECOND // 100)[0][0] == 4950
+
+
+def test_another_parent_holds_from_its_first_sample():
+    buffer = buffer_of(("a", "b", SECOND, at(0), True))
+    for parent, second in (("a", 1), ("b", 3)):
+        buffer.store(parent, "c", second * SECOND, at(second))
+    buffer.store("b", "c", 4 * SECOND, at(4))
+    assert buffer.lookup("a", "c", 2 * SECOND)[0][0] == 1.0
+    assert buffer.lookup("b", "c", 3 * SECOND + SECOND // 2)[0][0] == 3.5
+
+
+@pytest.mark.parametrize(
+    ("transform", "reason"),
+    [
+        (("a", "a", 5, at(1)), "its own parent"),
+        (("a", "", 5, at(1)), "is empty"),
+        (("", "a", 5, at(1)), "is empty"),
+        (("a", "b", 5, at(math.nan)), "contains nan"),
+        (("a", "b", 5, at(1, (0.0, 0.0, 0.0, 1.1))), "does not have length 1"),
+        (("a", "b", 5, at(1, (0.0, 0.0, 0.0, math.inf))), "does not have length 1"),
+        (("a", "b", -1, at(1)), "from 1970 to 2106"),
+        (("a", "b", SECOND << 32, at(1)), "from 1970 to 2106"),
+        (("a", "b" * 300, 5, at(1)), "at most 256 characters"),
+    ],
+)
+def test_invalid_transforms_are_refused(transform, reason):
+    buffer = TransformBuffer()
+    assert reason in buffer.store(*transform)
+    assert (buffer.refused, len(buffer), buffer.sample_count) == (1, 0, 0)
+
+
+def test_frames_and_samples_are_limited(monkeypatch):
+    monkeypatch.setattr(transform_buffer, "MAX_FRAMES", 5)
+    monkeypatch.setattr(transform_buffer, "MAX_SAMPLES", 20)
+    buffer = TransformBuffer()
+    for number in range(9):
+        buffer.store("root", f"f{number}", SECOND, at(1))
+    assert len(buffer) == 5
+    assert buffer.store("root", "f8", SECOND, at(1)) == "there are 5 frames already"
+    for number in range(40):
+        buffer.store("root", "f0", 2 * SECOND + number, at(1))
+    assert buffer.sample_count == 20
+    assert buffer.store("root", "f0", 3 * SECOND, at(1)) == "there are 20 transforms already"
+    # Time makes room: what is older than the history goes first.
+    assert isinstance(buffer.store("root", "f0", 30 * SECOND, at(1)), CoordinateFrame)
+
+
+def test_the_widest_gap_is_that_of_the_path():
+    buffer = buffer_of(
+        ("root", "a", SECOND, at(1)),
+        ("root", "a", 9 * SECOND, at(1)),
+        ("a", "b", SECOND, at(1)),
+        ("a", "b", 3 * SECOND, at(1)),
+        ("a", "c", 2 * SECOND, at(1)),
+    )
+    assert buffer.widest_gap("root", "b", 2 * SECOND) == (8 * SECOND, "a")
+    assert buffer.widest_gap("b", "c", 2 * SECOND) == (2 * SECOND, "b")
+    assert buffer.widest_gap("b", "a", 3 * SECOND) == (0, "b")
+    assert buffer.widest_gap("b", "x", 3 * SECOND) == (0, "")
+
+
+def test_blocking_frames():
+    buffer = buffer_of(
+        ("root", "a", SECOND, at(1)), ("a", "b", 3 * SECOND, at(1)), ("a", "c", 5, at(1), True)
+    )
+
+    def blocking(*question):
+        frame = buffer.find_blocking(*question)
+        return None if frame is None else frame.name
+
+    assert blocking("root", "b", SECOND) is None
+    assert blocking("root", "b", 2 * SECOND) == "a"
+    assert blocking("root", "b", 4 * SECOND) == "b"
+    assert blocking("c", "b", 2 * SECOND) is None, "what is above the common frame does not matter"
+    assert blocking("b", "c", 4 * SECOND) == "b"
+    assert blocking("root", "x", SECOND) == ""
+
+
+@given(st.integers(0, 10**6))
+def test_what_is_not_blocked_is_there_or_lies_before_the_history(seed):
+    buffer = TransformBuffer()
+    for operation, *arguments in random_transforms.scenario(seed):
+        if operation != "ask":
+            getattr(buffer, operation)(*arguments)
+            continue
+        target, source, instant = arguments
+        fault = buffer.find_fault(*arguments)
+        blocking = buffer.find_blocking(*arguments)
+        if fault is None:
+            assert blocking is None or instant == 0
+        elif blocking is None and target and source and "/" not in target + source:
+            assert fault.kind in ("before", "after", "unconnected")
+        assert buffer.sample_count == sum(frame.sample_count for frame in buffer.frames())

@@ -1,0 +1,105 @@
+"""The transform buffers: that in Python, and that of nodes, give the answers and errors of tf2."""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import rospy
+import tf2_py
+from geometry_msgs.msg import TransformStamped
+
+from retalis.events.knowledge.transform_buffer import TransformBuffer
+from retalis.ros.tf2_buffer import Tf2Buffer
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "events" / "knowledge"))
+import random_transforms  # noqa: E402
+
+TREES = 10_000
+
+EXCEPTIONS = {
+    "invalid": tf2_py.InvalidArgumentException,
+    "unknown": tf2_py.LookupException,
+    "loop": tf2_py.LookupException,
+    "unconnected": tf2_py.ConnectivityException,
+    "before": tf2_py.ExtrapolationException,
+    "after": tf2_py.ExtrapolationException,
+}
+
+
+def ros_time(instant):
+    return rospy.Time(*divmod(instant, 10**9))
+
+
+class Reference:
+    """tf2's own buffer, fed and asked as its Python programs do."""
+
+    def __init__(self, seconds):
+        self.core = tf2_py.BufferCore(rospy.Duration(seconds))
+
+    def clear(self):
+        self.core.clear()
+
+    def store(self, parent, child, instant, numbers, is_static):
+        message = TransformStamped()
+        message.header.stamp = ros_time(instant)
+        message.header.frame_id, message.child_frame_id = parent, child
+        translation, rotation = message.transform.translation, message.transform.rotation
+        translation.x, translation.y, translation.z = numbers[:3]
+        rotation.x, rotation.y, rotation.z, rotation.w = numbers[3:]
+        (self.core.set_transform_static if is_static else self.core.set_transform)(message, "test")
+
+    def answer(self, target, source, instant):
+        try:
+            found = self.core.lookup_transform_core(target, source, ros_time(instant)).transform
+        except tf2_py.TransformException as error:
+            return type(error)
+        t, r = found.translation, found.rotation
+        return (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
+
+
+def answer(buffer, target, source, instant):
+    """Return a pose, or the class of tf2's exception."""
+    pose = buffer.lookup(target, source, instant)
+    fault = buffer.find_fault(target, source, instant)
+    assert (pose is None) == (fault is not None)
+    return EXCEPTIONS[fault.kind] if pose is None else pose
+
+
+def equal(first, second):
+    if isinstance(first, type) or isinstance(second, type):
+        return first is second
+    return all(
+        math.isclose(a, b, rel_tol=0, abs_tol=1e-9)
+        for one, two in zip(first, second)
+        for a, b in zip(one, two)
+    )
+
+
+def play(seed, counts):
+    reference, buffers = Reference(10), [TransformBuffer(10), Tf2Buffer(10)]
+    for position, (operation, *arguments) in enumerate(random_transforms.scenario(seed)):
+        if operation == "ask":
+            expected = reference.answer(*arguments)
+            counts[expected if isinstance(expected, type) else "pose"] = (
+                counts.get(expected if isinstance(expected, type) else "pose", 0) + 1
+            )
+            for buffer in buffers:
+                found = answer(buffer, *arguments)
+                assert equal(found, expected), (seed, position, type(buffer), arguments, found, expected)
+        else:
+            for buffer in (reference, *buffers):
+                getattr(buffer, operation)(*arguments)
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_answers_and_errors_are_those_of_tf2(part, capfd):
+    counts = {}
+    for seed in range(part * TREES // 4, (part + 1) * TREES // 4):
+        play(seed, counts)
+    # Every kind of answer occurs often.
+    assert all(
+        counts[kind] > 1000 for kind in {"pose", *EXCEPTIONS.values()} - {tf2_py.InvalidArgumentException}
+    )
+    assert counts[tf2_py.InvalidArgumentException] > 100
+    capfd.readouterr()
