@@ -11,8 +11,8 @@ instant at which all frames of the path have transforms.
 the samples are stored here in any case, for errors, gaps, counts, and waiting queries.
 
 A query that waits for a transform is registered with the frame of the path that is behind (`find_blocking`). Each
-`CoordinateFrame` therefore is a queue of what waits for its next samples, like a memory is one of pending queries.
-What waits for frames that are unknown or not connected is registered with `TransformBuffer.topology`.
+`CoordinateFrame` therefore is a queue of the queries that need its next samples, like a memory is one. Queries about
+frames that are unknown or not connected are registered with `TransformBuffer.topology`.
 """
 
 from bisect import bisect_left, bisect_right
@@ -60,7 +60,7 @@ REPEATED = "it has a transform of that instant already"
 
 
 class CoordinateFrame(QueryQueue):
-    """A frame, the samples of its transform to its parent, and what waits for them.
+    """A frame, the samples of its transform to its parent, and the queries that need further ones.
 
     The lists are ordered by instant. Only the entries from `first` on count.
 
@@ -240,7 +240,7 @@ class TransformBuffer:
         cache_seconds: history of each frame in seconds.
 
     Attributes:
-        topology: queue of what waits for frames that are unknown or not connected.
+        topology: queue of the queries about frames that are unknown or not connected.
         sample_count: number of samples.
         refused: number of transforms that were refused, without repetitions.
         version: increases with each change.
