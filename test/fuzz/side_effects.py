@@ -45,7 +45,7 @@ _SOURCES = Path(__file__).resolve().parents[2] / "src"
 _READABLE = tuple(
     f"{folder}/" for folder in {str(_SOURCES), sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib")}
 ) + ("/proc/self/statm",)
-_DEFINITION = re.compile(r"(/[\w.+-]+)*/msg/_?\w+\.(msg|py)", re.ASCII)
+_DEFINITION = re.compile(r"(/[\w.+-]+)*/msg/\w+\.msg", re.ASCII)
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 

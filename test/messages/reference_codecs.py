@@ -1,8 +1,8 @@
 """Random messages of many types, decoded and encoded by this package and by genpy or rosbags.
 
 For each message of each type: the decoded term denotes the values that the reference has deserialized, and the bytes
-that are encoded from it, from a copy without lazy terms, and from the reference's values are those that the reference
-serializes.
+that are encoded from it, before and after its lazy terms are read, and from the terms of the reference's values are
+those that the reference serializes.
 
     PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 rosbags
     PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 genpy  (in a shell that has sourced ROS)
@@ -150,35 +150,31 @@ class RandomMessages:
 # ---- Values of terms, and terms of the references' values ----
 
 
-def plain(term):
-    """Return a term as nested tuples, lists and atoms, in which each float is its bits."""
+def check_same(term, expected, path=""):
+    """Compare a term with one without lazy terms; floats are equal if all bits are.
+
+    Raises:
+        AssertionError: with the path of arguments and elements to the difference.
+    """
     term = deref(term)
-    if term.__class__ is float:
-        return ("float", struct.pack("<d", term))
-    if term.__class__ is not tuple:
-        return (term.__class__, term)
-    if term[0] is not CONS:
-        return (term[0], *map(plain, term[1:]))
-    items = []
-    while term is not NIL:
-        assert term[0] is CONS, term
-        items.append(plain(term[1]))
-        term = deref(term[2])
-    return items
+    if expected.__class__ is float:
+        assert term.__class__ is float and PACK(term) == PACK(expected), (path, term, expected)
+    elif expected.__class__ is not tuple:
+        assert term.__class__ is expected.__class__ and term == expected, (path, term, expected)
+    elif expected[0] is not CONS:
+        assert term.__class__ is tuple and term[0] is expected[0], (path, term, expected)
+        for index, (argument, expected_argument) in enumerate(zip(term[1:], expected[1:])):
+            check_same(argument, expected_argument, f"{path}({index}")
+    else:
+        index = 0
+        while expected is not NIL:
+            assert term.__class__ is tuple and term[0] is CONS, (path, index, term, expected)
+            check_same(term[1], expected[1], f"{path}[{index}")
+            term, expected, index = deref(term[2]), expected[2], index + 1
+        assert term is NIL, (path, index, term)
 
 
-def without_lazy(term):
-    """Return a copy of a term without lazy terms."""
-    term = deref(term)
-    if term.__class__ is not tuple:
-        return term
-    if term[0] is not CONS:
-        return (term[0], *map(without_lazy, term[1:]))
-    items = []
-    while term is not NIL:
-        items.append(without_lazy(term[1]))
-        term = deref(term[2])
-    return prolog_list(items)
+PACK = struct.Struct("<d").pack
 
 
 def prolog_list(items):
@@ -352,14 +348,21 @@ def check(reference, messages, seed=0):
         assert encode(decode(data)) == data, f"{where}: lazy terms"
         term = decode(data)
         expected_term = term_of(definition, message)
-        assert plain(term) == plain(expected_term), f"{where}: term"
+        try:
+            check_same(term, expected_term)
+        except AssertionError as error:
+            raise AssertionError(f"{where}: term: {str(error)[:1000]}") from None
         assert encode(term) == data, f"{where}: lazy terms that were read"
-        assert encode(without_lazy(term)) == data, f"{where}: terms without lazy terms"
-        assert encode(expected_term) == data, f"{where}: the terms of the reference's values"
+        assert encode(expected_term) == data, (
+            f"{where}: the terms of the reference's values, none of them lazy"
+        )
 
 
 def main():
-    """Compare all types; print a line for each difference, and the number of types and messages."""
+    """Compare all types; print a line for each difference, and the number of types and messages.
+
+    The progress goes to stderr.
+    """
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", choices=("genpy", "rosbags"))
     parser.add_argument("--messages", type=int, default=1000, help="messages of each type (1000)")
@@ -369,6 +372,8 @@ def main():
     start, types, failed = time.time(), 0, 0
     for reference in references:
         types += 1
+        if types % 20 == 0:
+            print(f"{types} types, {time.process_time():.0f} s", file=sys.stderr, flush=True)
         try:
             check(reference, options.messages, options.seed)
         except (AssertionError, MessageError) as error:
