@@ -155,6 +155,18 @@ CASES: Dict[str, Case] = {
     r"^(?:={20,}|IDL:.*)$": Case(
         "search", "a line once more", ("", "=" * 20, "IDL:"), ("=", "a", "IDL:", "=\n", "IDL:\n")
     ),
+    r"\n(?P<offset>[0-9]{1,9})\n(?s:.*?)(?:\n\{(?P<expected>.*)\})?\Z": Case(
+        "match",
+        "the rest of each line that begins with a brace once more",
+        ("", "\n1\n", "\n1\n{"),
+        ("a", "\n", "{", "}", "\n{", "\n{}"),
+    ),
+    r"'[^']*'|/[^/]*/": Case(
+        "findall",
+        "a quote or slash that is never closed: all once more",
+        ("", "'", "/"),
+        ("a", "'a'", "/a/", "/", "'"),
+    ),
     # prolog/syntax/literals.py
     r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z": Case(
         "match",

@@ -236,6 +236,33 @@ def test_a_definition_in_idl_is_read(tmp_path):
         assert [record.data for record in bags.records()] == [expected]
 
 
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (IDL.replace("    };\n  };", "    }\n  };"), "my_msgs/Few:10:3: {}: expected ';'"),
+        (
+            IDL.replace("module my_msgs", "modul my_msgs"),
+            "my_msgs/Few:3:1: {}: expected 'const' or 'enum' or",
+        ),
+        (IDL + "garbage\n", "my_msgs/Few:12:1: {}: expected IDL"),
+        (IDL.replace("std_msgs::msg::Header", "other::msg::Gone"), ""),
+    ],
+)
+def test_a_definition_in_idl_that_cannot_be_parsed_is_reported_with_its_place(
+    tmp_path, caplog, text, problem
+):
+    raw = packed(("I3sx", 3, b"hi\0"))
+    folder = typed_bag(tmp_path / "two", STORAGES[-1], ("/few", "my_msgs/msg/Few", text, raw))
+    with MergedBag([folder]) as bags:
+        assert not bags.topics
+    (record,) = caplog.records
+    message = record.getMessage()
+    assert len(message) < 1000
+    # Version 0.9.20 of rosbags gives no place.
+    failed = "its definition in IDL cannot be parsed"
+    assert problem.format(failed) in message or f"(my_msgs/Few): {failed}: " in message
+
+
 def test_messages_that_are_not_of_their_type_are_dropped_and_counted(tmp_path, caplog):
     folder = typed_bag(
         tmp_path / "two",

@@ -28,7 +28,7 @@ from struct import Struct
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
-from ..foundation.errors import MessageError, beginning, counted, shortened
+from ..foundation.errors import MessageError, beginning, counted, place_at, shortened
 from ..foundation.ros_names import plain_type, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, ros2_type
 from ..messages.type_registry import Installed
@@ -575,6 +575,9 @@ MAX_METADATA_BYTES = 4_000_000
 _IDL_HEADING = re.compile(r"^(?:={20,}|IDL:.*)$", re.MULTILINE)
 """Lines between IDL definitions that are not part of IDL."""
 
+_IDL_PROBLEM = re.compile(r"\n(?P<offset>[0-9]{1,9})\n(?s:.*?)(?:\n\{(?P<expected>.*)\})?\Z")
+"""End of an error of the IDL parser of rosbags."""
+
 
 class _ConvertedTopic(NamedTuple):
     """A topic, and the conversion of its messages to ROS 1."""
@@ -734,16 +737,15 @@ class _Types:
 
     def _convert_idl(self, name: str, text: str) -> str:
         store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
+        # Lines are emptied and not removed, so that line numbers stay the same.
+        text = _IDL_HEADING.sub("", text)
         try:
             # The attribute depends on the version of rosbags.
             field_definitions = getattr(self._ros2_store, "fielddefs", None) or self._ros2_store.FIELDDEFS
-            store.register(
-                {**field_definitions, **self._typesys.get_types_from_idl(_IDL_HEADING.sub("", text))}
-            )
+            store.register({**field_definitions, **self._typesys.get_types_from_idl(text)})
             return str(store.generate_msgdef(name, ros_version=2)[0])
         except Exception as error:  # the IDL parser raises arbitrary exceptions for malformed text
-            problem = shortened(" ".join(describe_error(error).split()))
-            raise MessageError(f"its definition in IDL cannot be read: {problem}") from error
+            raise _idl_error(name, text, error) from error
 
     def _find(self, type_name: str) -> Optional[str]:
         name = "/msg/".join(type_name.split("/"))
@@ -751,6 +753,24 @@ class _Types:
             return str(self._ros2_store.generate_msgdef(name, ros_version=2)[0])
         installed = self._installed.text(type_name)
         return None if installed is None else installed[0]
+
+
+def _idl_error(name: str, text: str, error: Exception) -> MessageError:
+    """Return the error for a definition in IDL that rosbags cannot parse.
+
+    Its errors contain the complete text; in version 0.11 the offset of the first part that it cannot parse and the
+    expected tokens follow.
+    """
+    problem = str(error).partition(repr(text))[2] or describe_error(error)
+    match = _IDL_PROBLEM.match(problem)
+    if match is None:
+        reason = shortened(" ".join(problem.split())) if problem.strip() else "it is not IDL"
+        return MessageError(f"its definition in IDL cannot be parsed: {reason}")
+    expected = " or ".join(sorted(re.findall(r"'[^']*'|/[^/]*/", match["expected"] or ""))) or "IDL"
+    return MessageError(
+        f"its definition in IDL cannot be parsed: expected {beginning(expected)}",
+        place_at(plain_type(name), text, min(int(match["offset"]), len(text))),
+    )
 
 
 def _quote_if_invalid(name: str) -> str:
