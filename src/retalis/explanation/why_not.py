@@ -44,7 +44,6 @@ from ..events.language.pattern_tree import (
     occurrences,
 )
 from ..events.language.row_pattern_parser import step_term
-from ..events.language.sequence_aggregates import Collector
 from ..events.language.stream_parser import rate_operator_term, window_term
 from ..events.matches.partial_matches import NetworkOptions
 from ..events.network.event_rule import EventRule
@@ -52,6 +51,7 @@ from ..events.network.goal_evaluation import Evaluators
 from ..events.network.stream_compiler import rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
+from ..events.streams.aggregates import SequenceAggregate
 from ..events.streams.stream_operator import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import check_limits
@@ -309,7 +309,7 @@ class WhyNot:
         value = NIL if pattern.value is None else pattern.value
         names = variables(value)
         evaluate = Evaluators(self._rule).evaluating(pattern.kind, value, names)
-        collector = Collector(pattern.kind, lambda values: values[-1], evaluate)
+        aggregate = SequenceAggregate(pattern.kind, lambda values: values[-1], evaluate)
         matches: List[Candidate] = []
         results: List[str] = []
 
@@ -322,19 +322,19 @@ class WhyNot:
 
         problem = ""
         for match in first_part.matches:
-            state = collector.start
-            if collector.initial is not None:
-                add(match, match.end, collector.initial)
+            state = aggregate.start
+            if aggregate.empty_result is not None:
+                add(match, match.end, aggregate.empty_result)
             for _, last, values in self._find_ordered_pairs(
                 first_part._replace(matches=[match]), collected_part
             ):
                 measured = tuple([self._instantiate(values, term) for term in (*names, value)])
                 try:
-                    state = collector.add(state, measured)
+                    state = aggregate.add(state, measured)
                 except RuleError as error:
                     problem = f", {error.message}"
                     continue
-                add(match, last.end, collector.result(state))
+                add(match, last.end, aggregate.result(state))
         reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]

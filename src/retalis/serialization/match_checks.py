@@ -104,7 +104,7 @@ def _run_fits(node: KleeneNode, run: Any) -> bool:
         and len(run.open) == len(node.open_vars)
         and len(run.taken) == len(run.steps)
         and run.sound <= len(run.taken)
-        and (run.state is None if node.collector is None else node.collector.is_state(run.state))
+        and (run.state is None if node.aggregate is None else node.aggregate.is_state(run.state))
         and all(map(repeated.fits, run.taken))
         and all(len(values) == width and len(step) >= step_width for values, step in run.steps)
     )

@@ -93,9 +93,13 @@ class StreamCheck:
         self._of_terms = of_terms
         self._needs = needs
         self._shapes = shapes
-        make_scopes: Callable[[], Sequence[Any]] = getattr(stream, "make", lambda: ())
+        make_accumulators: Callable[[], Sequence[Any]] = getattr(stream, "make", lambda: ())
         scopes = getattr(stream, "scopes", None)
-        self._checks = [scope.check for scope in make_scopes() if scope.picky] if scopes is None else []
+        self._checks = (
+            [accumulator.check for accumulator in make_accumulators() if accumulator.checks_values]
+            if scopes is None
+            else []
+        )
 
     def item(self, value: Decoded, channel: int = 0) -> StreamElement:
         """Check an element of a channel."""

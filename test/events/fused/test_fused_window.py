@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from retalis import Engine, Settings, String, atom, functor, make_list
 from retalis.events.network import stream_node
-from retalis.events.streams.accumulators import ExactSum
+from retalis.events.streams.running_statistics import ExactSum
 from retalis.prolog.terms.timestamps import SECOND
 
 KINDS = st.lists(

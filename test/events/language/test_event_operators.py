@@ -12,7 +12,7 @@ from fuzz.kinds import rules as fuzzed
 
 import retalis
 from retalis.events.language.event_operators import EVENT_OPERATORS, OPERATORS, OperatorKind
-from retalis.events.language.sequence_aggregates import AGGREGATES
+from retalis.events.streams.aggregates import SEQUENCE_AGGREGATES
 
 SOURCE = Path(retalis.__file__).parent
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "reference" / "language"
@@ -63,7 +63,7 @@ def test_page_has_the_priorities():
 def test_page_names_the_aggregates():
     page = (PAGES / "repetition.md").read_text(encoding="utf-8")
     (found,) = re.findall(r"The kinds of aggregate are (.*)\. `", page)
-    assert re.findall(r"`([^`]+)`", found) == [one.form for one in AGGREGATES.values()]
+    assert re.findall(r"`([^`]+)`", found) == [one.notation for one in SEQUENCE_AGGREGATES.values()]
 
 
 def test_tests_know_all():
@@ -71,7 +71,7 @@ def test_tests_know_all():
     known = [one for one in EVENT_OPERATORS if one.kind not in (OperatorKind.RULE, OperatorKind.REFUSED)]
     names = {one.spellings[0] for one in known}
     assert set(OPERATORS) == set(operator_table.PAIRS)
-    assert set(AGGREGATES) == set(operator_table.AGGREGATES)
+    assert set(SEQUENCE_AGGREGATES) == set(operator_table.AGGREGATES)
     assert names <= {re.sub(r"\W.*", "", row) for row in operator_table.ROWS} | {
         "do",
         "aggregate",

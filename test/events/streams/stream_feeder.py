@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from retalis.events.streams.accumulators import MEASURES
+from retalis.events.streams.aggregates import AGGREGATES
 from retalis.events.streams.stream_operator import StreamElement
 
 
@@ -50,7 +50,7 @@ def item_of(came):
 
 def listing():
     """Make the measure that gives all values."""
-    return [MEASURES["list"].make(0, "list", None)]
+    return [AGGREGATES["list"].make_accumulator(0, None)]
 
 
 class Fed:

@@ -7,7 +7,7 @@ from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
 from retalis import RuleError
-from retalis.events.streams.accumulators import MEASURES
+from retalis.events.streams.aggregates import AGGREGATES
 from retalis.events.streams.windows import (
     AnchoredTumblingWindow,
     EagerTumblingWindow,
@@ -184,7 +184,7 @@ def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
 
 
 def test_a_refused_value_leaves_no_group():
-    window = SlidingTimeWindow(lambda: [MEASURES["sum"].make(0, "sum", None)], 10)
+    window = SlidingTimeWindow(lambda: [AGGREGATES["sum"].make_accumulator(0, None)], 10)
     with pytest.raises(RuleError, match="finite"):
         window.take(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
     assert (len(window), window.states) == (0, {})
@@ -196,7 +196,7 @@ def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
     numbers = [1e308, 1e308, 1.0, 2.0]
 
     def of_sum():
-        return [MEASURES["sum"].make(0, "sum", None)]
+        return [AGGREGATES["sum"].make_accumulator(0, None)]
 
     for one in make:
         window = one()

@@ -19,9 +19,8 @@ from ..language.event_operators import OperatorKind, names_of_kind
 from ..language.pattern_parser import EventTerm, PlaceLookup
 from ..language.pattern_tree import Occurs, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
-from ..language.sequence_aggregates import AGGREGATES
 from ..program.event_file_checker import nowhere
-from ..streams.accumulators import ELEMENTWISE
+from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
 from .event_flow_checks import event_of_kept, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrapped
 
@@ -59,7 +58,10 @@ _MESSAGE_PREDICATES = {
 }
 """Predicates whose first argument is a message, with its type."""
 
-_COLLECTED = frozenset(functor(kind.name, 1) for kind in AGGREGATES.values() if kind.numeric)
+_COLLECTED = frozenset(
+    functor(name, 1) for name, function in SEQUENCE_AGGREGATES.items() if function.is_numeric
+)
+_ELEMENTWISE = frozenset(name for name, function in AGGREGATES.items() if function.accepts_arrays)
 _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
 _WINDOW = functor(_AGGREGATE, 4)
 
@@ -274,7 +276,7 @@ def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names:
         slot is not None
         and slot.what == "a list"
         and subterm.parent[0] is _WINDOW
-        and subterm.term[0].name in ELEMENTWISE
+        and subterm.term[0].name in _ELEMENTWISE
     ):
         return
     if slot is not None and slot.what in _ADVICE and not slot.is_made:

@@ -12,7 +12,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.terms.term_traversal import PLAIN, term_key
 from ...prolog.terms.types import EventAction
-from ..streams.accumulators import Lowest
+from ..streams.running_statistics import Lowest
 from ..streams.stream_operator import StreamElement
 from ..streams.windows import KeyedWindow
 

@@ -16,7 +16,7 @@ from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import CONS, Atom, CompoundTerm, String, Term, Var, deref, functor, functor_name
-from ..streams.accumulators import MEASURES
+from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
 from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
@@ -49,7 +49,6 @@ from .pattern_tree import (
     occurrences,
     substitute_variables,
 )
-from .sequence_aggregates import AGGREGATES
 from .stream_parser import is_event, parse_rate_operator, parse_window, regroup_rate_operator
 
 PlaceLookup = Callable[..., Optional[Place]]
@@ -202,8 +201,8 @@ class PatternReader:
         function_term = deref(term[1])
         name = functor_name(function_term)
         arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
-        if name not in AGGREGATES or AGGREGATES[name].arity != arity:
-            forms = ", ".join(function.form for function in AGGREGATES.values())
+        if name not in SEQUENCE_AGGREGATES or SEQUENCE_AGGREGATES[name].arity != arity:
+            forms = ", ".join(function.notation for function in SEQUENCE_AGGREGATES.values())
             raise self.error(
                 f"there is no such aggregate; the aggregates are {forms}", function_term if arity else term
             )
@@ -354,7 +353,7 @@ def check_aggregate(
     first, collected = set(bound_by(aggregate.first)), set(bound_by(aggregate.collected))
     mentioned = [] if aggregate.value is None else variables(aggregate.value)
     unbound = [var for var in mentioned if var not in first and var not in collected]
-    numeric = AGGREGATES[aggregate.kind].numeric
+    numeric = AGGREGATES[aggregate.kind].is_numeric
     if not numeric:
         # An aggregate of terms may collect a variable that another part of the pattern binds later; only a variable
         # that occurs nowhere else stays unbound.
@@ -404,7 +403,7 @@ def check_window(
         RuleError: if a numeric measure gets a value that can never be a number.
     """
     for kind, value in zip(windowed.kinds, windowed.values):
-        if value is not None and MEASURES[kind].numeric and not _may_be_numeric(value):
+        if value is not None and AGGREGATES[kind].is_numeric and not _may_be_numeric(value):
             raise RuleError(
                 f"{kind} needs numbers or arithmetic expressions", place_of(deref(term[1])) or place_of(term)
             )

@@ -16,7 +16,7 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
-from ..streams.accumulators import MEASURES
+from ..streams.aggregates import AGGREGATES
 from .event_operators import SPELLINGS
 from .likely_mistakes import bracket_advice, near
 from .pattern_tree import Occurs, Pattern, Shaped, Windowed, WindowForm, bound_by
@@ -88,7 +88,7 @@ def is_event(term: CompoundTerm) -> bool:
         return False
     function, window = deref(term[1]), deref(term[4])
     name = functor_name(function)
-    is_aggregate = name in MEASURES or name == _STEP_RESTRICTION or list_items(function) is not None
+    is_aggregate = name in AGGREGATES or name == _STEP_RESTRICTION or list_items(function) is not None
     # Both the kind and the window must look foreign: a misspelt kind with a proper window is reported as an error,
     # instead of being taken for an event that never occurs.
     return not is_aggregate and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
@@ -210,14 +210,14 @@ def _parse_measure(
     name = functor_name(function)
     arguments: Sequence[Term] = function[1:] if function.__class__ is tuple else ()
     error_position = (function,) if function.__class__ is tuple else (term, 1)
-    measure = MEASURES.get(name)
-    if measure is None or len(arguments) != measure.settings + measure.takes:
-        notations = ", ".join(argument.form for argument in MEASURES.values())
+    measure = AGGREGATES.get(name)
+    if measure is None or len(arguments) != measure.arity:
+        notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
         raise reader.error(
-            f"there is no such aggregate; the aggregates are {notations}{near(name, MEASURES)}",
+            f"there is no such aggregate; the aggregates are {notations}{near(name, AGGREGATES)}",
             *error_position,
         )
-    settings = [deref(argument) for argument in arguments[: measure.settings]]
+    settings = [deref(argument) for argument in arguments[: measure.setting_count]]
     setting: Any = None
     if name == "quantile":
         setting = settings[0]
@@ -226,8 +226,8 @@ def _parse_measure(
     elif settings:
         setting = tuple(settings)
         if not all(argument.__class__ is Atom for argument in settings):
-            raise reader.error(f"{measure.form} needs the names of three predicates", *error_position)
-    return name, setting, deref(arguments[-1]) if measure.takes else None
+            raise reader.error(f"{measure.notation} needs the names of three predicates", *error_position)
+    return name, setting, deref(arguments[-1]) if measure.has_value else None
 
 
 def _parse_window_term(

@@ -29,7 +29,7 @@ from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, d
 from ..fused.fused_single_event import Continuation, goal_action
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
-from ..streams.accumulators import ADDING, array_length, is_number, is_number_expression, unfit
+from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, unfit
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -358,7 +358,7 @@ class Evaluators:
         goal: List[CompiledGoal] = []
         places = positions(names)
         inputs = [places[var] for var in variables(measured) if var in places]
-        fits = is_number_expression if aggregate in ADDING else is_number
+        fits = is_number_expression if AGGREGATES[aggregate].value_rule.accepts_expressions else is_number
 
         def evaluate(term: Term, values: Values) -> Term:
             if may_be_array and array_length(term) is not None:

@@ -38,7 +38,6 @@ from ...prolog.terms.types import Frame, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.pattern_tree import SEQ
-from ..language.sequence_aggregates import Collector
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
@@ -55,6 +54,7 @@ from ..matches.partial_matches import (
 )
 from ..matches.revived_matches import RetainedMatches, earlier_partners, is_revived, is_valid
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
+from ..streams.aggregates import SequenceAggregate
 from .deferred_conditions import RepetitionItems, append_item
 from .goal_evaluation import Buffer, Test
 from .pattern_nodes import IdentityFunction, NetworkNode, computed_values_getter
@@ -102,7 +102,7 @@ class KleeneValues(NetworkNode):
     def finish(
         self,
         outside: AbstractSet[Var],
-        collector: Optional[Collector],
+        aggregate: Optional[SequenceAggregate],
         result: Optional[Term],
         items: Optional[RepetitionItems],
     ) -> None:
@@ -110,7 +110,7 @@ class KleeneValues(NetworkNode):
 
         Args:
             outside: variables that are used elsewhere in the rule.
-            collector: accumulator of an aggregate; None for ``star_times``.
+            aggregate: accumulator of an aggregate; None for ``star_times``.
             result: term of an aggregate's result.
             items: layout of the values of each repetition, if conditions on repetitions are tested further up; else
                 None.
@@ -118,8 +118,8 @@ class KleeneValues(NetworkNode):
         own = self.first.vars
         of_first = set(own)
         of_step = positions(self.step_vars)
-        self.collector = collector
-        self.empty = None if collector is None else collector.start
+        self.aggregate = aggregate
+        self.empty = None if aggregate is None else aggregate.start
         self.fixed = [var for var in self.step_vars if var in outside and var not in of_first]
         self.fixed_at = [of_step[var] for var in self.fixed]
         self.items = items
@@ -133,7 +133,7 @@ class KleeneValues(NetworkNode):
             self._same_at += 1
         places = positions(known)
         self._open_at = [places[var] for var in self.open_vars]
-        if collector is not None and result is not None:
+        if aggregate is not None and result is not None:
             self.result_is_open = result.__class__ is Var and result not in places
             self.result_new = [var for var in variables(result) if var not in places]
             self._result_at = len(known)
@@ -186,9 +186,9 @@ class KleeneValues(NetworkNode):
         """Return the result of a run in its present state, or None if it is not to be emitted."""
         result_values: Any = values
         start, end = run.start, run.last
-        collector = self.collector
-        if collector is not None:
-            value = collector.result(run.state)
+        aggregate = self.aggregate
+        if aggregate is not None:
+            value = aggregate.result(run.state)
             if self.open_vars:
                 result_values, value = self._with_open(run, result_values, value)
             result_values = self._with_result(result_values, value)
@@ -322,8 +322,8 @@ class KleeneNode(KleeneValues):
 
     def _start(self, out: Emit) -> Emit:
         buffer = self.buffer
-        collector = self.collector
-        fires = collector is None or collector.initial is not None
+        aggregate = self.aggregate
+        fires = aggregate is None or aggregate.empty_result is not None
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             run = Run(match, self.empty, len(self.open_vars))
@@ -429,7 +429,7 @@ class KleeneNode(KleeneValues):
         """
         # `star_times` requires each repetition to follow the one before it; an aggregate only requires it to follow
         # the start.
-        if match.start <= (run.last if self.collector is None else run.end):
+        if match.start <= (run.last if self.aggregate is None else run.end):
             return False, None
         last = run.last if run.last >= match.end else match.end
         span = self.span
@@ -483,9 +483,9 @@ class KleeneNode(KleeneValues):
         if fitted is None:
             return False, None
         state = run.state
-        if self.collector is not None:
+        if self.aggregate is not None:
             try:
-                state = self.collector.add(state, step)
+                state = self.aggregate.add(state, step)
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None

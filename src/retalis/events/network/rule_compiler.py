@@ -40,7 +40,7 @@ from ..language.pattern_tree import (
     bound_by,
     occurrences,
 )
-from ..language.sequence_aggregates import Collector
+from ..streams.aggregates import SequenceAggregate
 from .deferred_conditions import (
     BuiltPattern,
     DeferredConditions,
@@ -450,7 +450,7 @@ class RuleCompiler(StreamCompiler):
         carried = items if further else None
         self.keep.add(items.var)
         if isinstance(core, Aggregate):
-            node.finish(outside, self._collector(core, node.step_vars), core.result, carried)
+            node.finish(outside, self._sequence_aggregate(core, node.step_vars), core.result, carried)
         else:
             node.finish(outside, None, None, carried)
         conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
@@ -470,8 +470,10 @@ class RuleCompiler(StreamCompiler):
         inside = occurrences(list(values), pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
 
-    def _collector(self, core: Aggregate, names: List[Var]) -> Collector:
+    def _sequence_aggregate(self, core: Aggregate, names: List[Var]) -> SequenceAggregate:
         if core.value is None:
-            return Collector(core.kind, lambda values: NIL, lambda term, values: term)
+            return SequenceAggregate(core.kind, lambda values: NIL, lambda term, values: term)
         value = compile_builder(core.value, names, "value of an aggregate")
-        return Collector(core.kind, value, Evaluators(self.rule).evaluating(core.kind, core.value, names))
+        return SequenceAggregate(
+            core.kind, value, Evaluators(self.rule).evaluating(core.kind, core.value, names)
+        )

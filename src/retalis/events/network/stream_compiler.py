@@ -38,7 +38,7 @@ from ..language.row_pattern_parser import conditions
 from ..matches.match_buffer import key_function
 from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides
 from ..streams.absence_timeout import AbsenceTimeout, Correlation
-from ..streams.accumulators import ELEMENTWISE, MEASURES
+from ..streams.aggregates import AGGREGATES
 from ..streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from ..streams.row_pattern import (
     RowPatternNFA,
@@ -196,8 +196,8 @@ def window_node_spec(
     looked_at = part.window.looked_at
     build, seen = _builder(taken, names), [places[var] for var in looked_at]
     numeric = [
-        _lenient_evaluation(asking.evaluating(kind, value, names, kind in ELEMENTWISE), scope)
-        if MEASURES[kind].numeric
+        _lenient_evaluation(asking.evaluating(kind, value, names, AGGREGATES[kind].accepts_arrays), scope)
+        if AGGREGATES[kind].is_numeric
         else None
         for kind, value, scope in zip(part.kinds, part.values, part.scopes)
         if value is not None
@@ -293,7 +293,7 @@ def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], 
             setting = Fraction(part.window.span, SECOND) if part.window.span else None
         elif kind == "fold":
             setting = folded(setting)
-        makers.append(partial(MEASURES[kind].make, place, kind, setting))
+        makers.append(partial(AGGREGATES[kind].make_accumulator, place, setting))
         place += value is not None
     return lambda: [make() for make in makers]
 

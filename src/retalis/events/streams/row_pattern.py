@@ -18,7 +18,7 @@ from collections import OrderedDict, deque
 from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 from ...prolog.terms.types import Values
-from .accumulators import Accumulator
+from .aggregates import Accumulator
 from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
 from .windows import MAX_TRACKED_ITEMS, measured
 
@@ -360,7 +360,7 @@ class RowPatternWindow(KeyedOperator):
         self._checks: List[_ValueCheck] = []
         self._checks_of: List[List[_ValueCheck]] = [[] for _ in plan.steps]
         for measure, scope in zip(make(), scopes):
-            if measure.picky:
+            if measure.checks_values:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
         self.states: OrderedDict[Hashable, PartitionState] = OrderedDict()
         self._number = 0
@@ -574,7 +574,7 @@ class RowPatternWindow(KeyedOperator):
             members = deque([item for item, step in pairs if scope is None or step == scope])
             for item in members:
                 measure.add(item)
-            result = measure.result(members, len(members)) if members or measure.of_none else None
+            result = measure.result(members, len(members)) if members or measure.accepts_empty else None
             if result is None:
                 return None
             results.append(result)

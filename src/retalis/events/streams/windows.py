@@ -22,7 +22,8 @@ from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
-from .accumulators import Accumulator, Lowest
+from .aggregates import Accumulator
+from .running_statistics import Lowest
 from .stream_operator import KeyedOperator, KnownState, StreamElement, StreamOutput
 
 MAX_TRACKED_ITEMS = 100
@@ -58,7 +59,7 @@ class KeyedWindow:
         self.members: Deque[StreamElement] = deque()
         self.holes = 0
         self.measures = measures
-        self.checks = [measure.check for measure in measures if measure.picky]
+        self.checks = [measure.check for measure in measures if measure.checks_values]
         self.since = since
         self.starts: Optional[Lowest] = None
         self.ends: Optional[Lowest] = None
@@ -179,7 +180,7 @@ class Window(KeyedOperator):
         super().__init__()
         self.make = make
         self.states: OrderedDict[Hashable, KeyedWindow] = OrderedDict()
-        self._lists = any(measure.lists for measure in make())
+        self._lists = any(measure.visits_all for measure in make())
         self.number = 0
         self.last_order = 0
 

@@ -11,7 +11,7 @@ from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
 from retalis import RuleError, atom, list_items
-from retalis.events.streams.accumulators import MEASURES
+from retalis.events.streams.aggregates import AGGREGATES
 from retalis.events.streams.stream_operator import StreamElement
 from retalis.events.streams.windows import SlidingTimeWindow
 from retalis.prolog.terms.term_traversal import term_key
@@ -46,7 +46,7 @@ def deviation(values):
 
 
 def of(name, setting=None, at=0):
-    return MEASURES[name].make(at, name, setting)
+    return AGGREGATES[name].make_accumulator(at, setting)
 
 
 def measured(arrivals, makers, span=SPAN):

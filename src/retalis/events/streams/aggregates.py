@@ -1,22 +1,22 @@
-"""Accumulators of window aggregates: incremental state of ``sum``, ``median``, ``rate`` and the other measures.
+"""Aggregate functions: the table of all of them, and their implementations.
 
-An accumulator is updated when an element enters or leaves a window, so the cost of a result does not grow with the
-window, except for measures that list their values. Three structures make removal possible:
+`AGGREGATES` is read by the parser, the checks and the network. An aggregate function has up to two implementations:
 
-* `ExactSum` holds a sum of floats as an integer over a power of two. Adding and removing are exact, and only the
-  result is rounded, so errors do not build up in a window that slides for days.
-* `Lowest` is a heap with lazy deletion for minimum and maximum.
-* `Ranked` is a pair of heaps around a quantile.
+* An `Accumulator` is its incremental state for a window. It is updated when an element enters or leaves the window,
+  so the cost of a result does not grow with the window, except for aggregates that list their values. The structures
+  that make removal possible are those of `running_statistics`.
+* A `Fold` is its form for repeated events (``P seq aggregate(K, Q, R)``), which only grow. `Fold.add` maps a state
+  and a value to the next state and never changes a state in place: partial matches with a common prefix share the
+  state of that prefix, so each of them can be extended without a copy of the collected values.
+
+A `ValueRule` states which values an aggregate accepts.
 
 `sum`, `avg`, `min` and `max` of arrays are computed element by element from the arrays of the window: removing floats
 from running sums would let errors build up, and an `ExactSum` for each element takes longer than adding the arrays.
-
-`MEASURES` is the table of all measures.
 """
 
-import heapq
 from fractions import Fraction
-from math import inf, isfinite, isqrt, nan, sqrt
+from math import isfinite
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -28,10 +28,9 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
     Set,
     Tuple,
-    Union,
+    Type,
 )
 
 from ...foundation.errors import RuleError, UsageError, beginning, counted
@@ -44,107 +43,15 @@ from ...prolog.terms.array_terms import array_term, element_count, list_array
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
-from ...prolog.terms.types import CONS, NIL, Term, deref
+from ...prolog.terms.types import CONS, NIL, Term, Values, deref
+from .running_statistics import ExactSum, Lowest, Ranked, deviation
 from .stream_operator import StreamElement
 
 if TYPE_CHECKING:
     from ...prolog.terms.array_terms import Array
 
-Number = Union[int, float]
-_SMALL, _LARGE = 1e-290, 1e290
-_MAX_BITS = 1024
 _MAX_INTEGER = (1 << 63) - 1
-
-
-class ExactSum:
-    """Exact sum of the numbers that were added and not removed, as an integer over a power of two.
-
-    Every finite float is such a fraction, so removing a number restores the earlier sum exactly.
-
-    Attributes:
-        total: the sum times two to the power of ``scale``.
-        scale: the exponent, which never decreases.
-        factor: two to the power of ``scale`` as a float, or nan if that is too large. The product of this factor and
-            a float is exact if it is an integer.
-        integers: number of integers among the numbers.
-    """
-
-    __slots__ = ("total", "scale", "factor", "integers")
-
-    def __init__(self) -> None:
-        self.total = 0
-        self.scale = 0
-        self.factor = 1.0
-        self.integers = 0
-
-    def change(self, value: Number, by: int) -> None:
-        """Add a number ``by`` times; -1 removes it."""
-        if value.__class__ is int:
-            self.total += by * int(value) << self.scale
-            self.integers += by
-            return
-        over, under = value.as_integer_ratio()
-        self.change_fraction(over, under.bit_length() - 1, by)
-
-    def change_fraction(self, over: int, bits: int, by: int) -> None:
-        """Add ``over / 2 ** bits``, ``by`` times."""
-        if bits > self.scale:
-            # The scale only grows: numbers of other magnitudes come again, and rescaling is linear in the digits.
-            self.total <<= bits - self.scale
-            self.scale = bits
-            self.factor = 2.0**bits if bits < _MAX_BITS else nan
-        self.total += by * over << self.scale - bits
-
-    def over(self, divisor: int, number: int) -> Number:
-        """Return the sum of ``number`` numbers divided by ``divisor``.
-
-        The result is an integer if it is exact and no number is a float.
-        """
-        whole = divisor << self.scale
-        if self.integers == number:
-            quotient, rest = divmod(self.total, whole)
-            if not rest:
-                # Integers stay exact, of any size.
-                return quotient
-        return self.total / whole
-
-
-def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
-    """Return the standard deviation of a sample of two or more numbers, given their sum and the sum of their squares.
-
-    The formula is the square root of ``(n * squares - total ** 2) / (n * (n - 1))``, computed exactly up to the root.
-    """
-    # Both terms of the numerator as integers over the same power of two: their difference is exact, so numbers that
-    # are large and close to each other lose no digits.
-    bits = max(2 * total.scale, squares.scale)
-    spread = number * squares.total << bits - squares.scale
-    spread -= total.total**2 << bits - 2 * total.scale
-    under = number * (number - 1) << bits
-    try:
-        square = spread / under
-    except OverflowError:
-        square = inf
-    # Outside of this range the quotient is subnormal or infinite although its root is an ordinary float.
-    return sqrt(square) if _SMALL < square < _LARGE or not spread else _root(spread, under)
-
-
-def _root(over: int, under: int) -> float:
-    """Return the square root of a fraction that is outside of the range of floats."""
-    # 64 bits more than the quotient has: the integer root is exact to more digits than a float has.
-    bits = (under.bit_length() - over.bit_length()) // 2 + 64
-    if bits >= 0:
-        return isqrt((over << 2 * bits) // under) / (1 << bits)
-    return float(isqrt(over // (under << -2 * bits)) << -bits)
-
-
-ADDING = frozenset(("sum", "avg", "stddev"))
-"""Aggregates that add their values; these may be arithmetic expressions such as ``1 + 2``."""
-
-
 _NUMBER_CLASSES = (int, float)
-
-ELEMENTWISE = frozenset(("sum", "avg", "min", "max"))
-"""Measures of windows that take arrays as well as numbers."""
 
 
 def unfit(name: str, value: Term, expected: str = "a number") -> RuleError:
@@ -219,123 +126,32 @@ def array_length(value: Term) -> Optional[int]:
     if term.__class__ is not tuple or term[0] is not CONS or is_number(term):
         return None
     items = list_items(term)
-    are_numbers = items is not None and all(deref(item).__class__ in (int, float) for item in items)
+    are_numbers = items is not None and all(deref(item).__class__ in _NUMBER_CLASSES for item in items)
     return len(items) if items is not None and are_numbers else None
 
 
-RankedNumber = Tuple[Number, int, Any]
-"""Number, order of its element, and the element. Of equal numbers, the one that arrived first is the lowest."""
+class ValueRule(NamedTuple):
+    """Values that an aggregate accepts.
 
-
-class Lowest:
-    """Heap of the numbers of elements in a window, with lazy deletion."""
-
-    __slots__ = ("heap", "live")
-
-    def __init__(self) -> None:
-        self.heap: List[RankedNumber] = []
-        self.live = 0
-
-    def add(self, value: Number, item: Any) -> None:
-        """Add the number of an element."""
-        self.live += 1
-        heapq.heappush(self.heap, (value, item.order, item))
-
-    def remove(self) -> None:
-        """Count a removal; the element itself must be marked with `StreamElement.gone`."""
-        self.live -= 1
-        # Compacting after half of the entries were removed costs amortised constant time per removal.
-        if len(self.heap) > 2 * self.live + 64:
-            self.heap = [entry for entry in self.heap if not entry[2].gone]
-            heapq.heapify(self.heap)
-
-    def top(self) -> Optional[RankedNumber]:
-        """Return the lowest entry, or None."""
-        heap = self.heap
-        while heap and heap[0][2].gone:
-            heapq.heappop(heap)
-        return heap[0] if heap else None
-
-    def pop(self) -> RankedNumber:
-        """Remove and return the lowest entry; the heap must not be empty."""
-        self.top()
-        self.live -= 1
-        return heapq.heappop(self.heap)
-
-
-class Ranked:
-    """Quantile of the numbers of elements in a window: one heap for those up to the quantile, one for those above.
-
-    Between two numbers the result is interpolated linearly, as numpy does by default.
-
-    Args:
-        part: the quantile, from 0 to 1; 0.5 is the median.
+    Attributes:
+        check: raises an error for an unsuitable value, given the value and the name of the aggregate; None if every
+            term is suitable.
+        accepts_expressions: whether a variable may be bound to an arithmetic expression of numbers, such as
+            ``1 + 2``, instead of a number.
     """
 
-    __slots__ = ("part", "below", "above", "_is_below")
+    check: Optional[Callable[[Any, str], None]]
+    accepts_expressions: bool = False
 
-    def __init__(self, part: float):
-        self.part = part
-        # Numbers are negated, so the highest is on top.
-        self.below = Lowest()
-        self.above = Lowest()
-        self._is_below: Any = {}
 
-    def add(self, value: Number, item: Any) -> None:
-        """Add the number of an element."""
-        top = self.below.top()
-        # Equal numbers go to the lower heap; which of them is irrelevant to the value of the quantile.
-        low = top is None or value <= -top[0]
-        self._put(value, item, low)
-        self._balance()
-
-    def remove(self, item: Any) -> None:
-        """Remove an element that is marked as gone."""
-        (self.below if self._is_below.pop(item.order) else self.above).remove()
-        self._balance()
-
-    def _put(self, value: Number, item: Any, low: bool) -> None:
-        self._is_below[item.order] = low
-        if low:
-            self.below.add(-value, item)
-        else:
-            self.above.add(value, item)
-
-    def _balance(self) -> None:
-        number = self.below.live + self.above.live
-        # The lower heap ends with the number at rank ``floor(part * (n - 1))``; the next one is on top of the other
-        # heap, so both neighbours of the quantile are available in constant time.
-        wanted = int(self.part * (number - 1)) + 1 if number else 0
-        while self.below.live < wanted:
-            value, _, item = self.above.pop()
-            self._put(value, item, True)
-        while self.below.live > wanted:
-            value, _, item = self.below.pop()
-            self._put(-value, item, False)
-
-    def value(self) -> Optional[Number]:
-        """Return the quantile, or None if there are no numbers."""
-        top = self.below.top()
-        if top is None:
-            return None
-        low = -top[0]
-        rank = self.part * (self.below.live + self.above.live - 1)
-        fraction = rank - int(rank)
-        if not fraction:
-            return low
-        entry = self.above.top()
-        # A rank between two numbers has one above it.
-        assert entry is not None
-        interpolated = low + (entry[0] - low) * fraction
-        # The difference is infinite for two huge numbers of opposite sign; ``inf - inf`` is nan, which differs from
-        # 0.
-        if interpolated - interpolated == 0:
-            return interpolated
-        return low * (1 - fraction) + entry[0] * fraction
+ANY_TERM = ValueRule(None)
+SUMMAND = ValueRule(check_finite, True)
+FINITE_NUMBER = ValueRule(check_finite)
+COMPARABLE_NUMBER = ValueRule(check_ordered)
 
 
 Setting = Any
-"""Setting of a measure: a number, or a function that calls predicates of the program; None for most measures."""
+"""Setting of an aggregate: a number, or a function that calls predicates of the program; None for most of them."""
 Members = Deque[StreamElement]
 """Elements of a window in order of arrival; elements marked as gone may remain for a while."""
 
@@ -345,83 +161,75 @@ def live(members: Members) -> Iterator[StreamElement]:
     return (item for item in members if not item.gone)
 
 
-class Accumulator(Protocol):
-    """Incremental state of one measure for one window.
+class Accumulator:
+    """Incremental state of one aggregate for one window; this base class has no state.
 
-    `check` is called for all measures before an element is added to any of them, so a rejected value leaves no
+    `check` is called for all aggregates before an element is added to any of them, so a rejected value leaves no
     accumulator half updated.
 
     Attributes:
-        picky: whether `check` rejects some values.
-        of_none: whether an empty window has a result.
-        lists: whether computing the result visits every element.
+        value_rule: the values that the aggregate accepts.
+        accepts_arrays: whether arrays are accepted as well as numbers.
+        accepts_empty: whether an empty window has a result.
+        visits_all: whether computing the result visits every element.
     """
 
-    picky: bool
-    of_none: bool
-    lists: bool
-
-    def check(self, item: StreamElement, /) -> None:
-        """Reject the value of an element.
-
-        Raises:
-            RuleError: if the measure cannot process the value.
-        """
-
-    def add(self, item: StreamElement, /) -> Optional[bool]:
-        """Add an element; return True if its value is an array."""
-
-    def remove(self, item: StreamElement, /) -> None:
-        """Remove an element that is marked as gone."""
-
-    def result(self, members: Members, number: int, /) -> Optional[Term]:
-        """Return the result, or None if there is none.
-
-        Args:
-            members: the elements.
-            number: number of elements that are not gone; at least 1 unless `of_none`.
-        """
-
-
-class _StatelessMeasure:
-    """Base class, for measures without state of their own."""
-
-    picky = False
-    of_none = False
-    lists = False
+    value_rule = ANY_TERM
+    accepts_arrays = False
+    accepts_empty = False
+    visits_all = False
 
     def __init__(self, index: int, name: str, setting: Setting):
         self.index = index
         self.name = name
         self.setting = setting
 
+    @property
+    def checks_values(self) -> bool:
+        """Whether `check` rejects some values."""
+        return self.value_rule.check is not None
+
     def check(self, item: StreamElement) -> None:
-        """See `Accumulator.check`."""
+        """Reject the value of an element.
+
+        Raises:
+            RuleError: if the aggregate cannot process the value.
+        """
+        check = self.value_rule.check
+        if check is not None:
+            check(item.values[self.index], self.name)
 
     def add(self, item: StreamElement) -> Optional[bool]:
-        """See `Accumulator.add`."""
+        """Add an element; return True if its value is an array."""
         return None
 
     def remove(self, item: StreamElement) -> None:
-        """See `Accumulator.remove`."""
+        """Remove an element that is marked as gone."""
+
+    def result(self, members: Members, count: int) -> Optional[Term]:
+        """Return the result, or None if there is none.
+
+        Args:
+            members: the elements.
+            count: number of elements that are not gone; at least 1 unless `accepts_empty`.
+        """
+        raise NotImplementedError
 
 
-class _Count(_StatelessMeasure):
-    of_none = True
+class _CountAccumulator(Accumulator):
+    accepts_empty = True
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
-        return number
+    def result(self, members: Members, count: int) -> Optional[Term]:
+        return count
 
 
-class _ElementwiseMeasure(_StatelessMeasure):
-    """Base class, for measures whose values are numbers, or arrays of equal length.
+class _ElementwiseAccumulator(Accumulator):
+    """Base class, for aggregates whose values are numbers, or arrays of equal length.
 
     Attributes:
         arrays: number of elements whose value is an array.
         length: number of elements of these arrays.
     """
-
-    picky = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
@@ -432,9 +240,9 @@ class _ElementwiseMeasure(_StatelessMeasure):
         """Reject the value of an element unless it is an array like those of the window, if any.
 
         Raises:
-            RuleError: if the measure cannot process the value.
+            RuleError: if the aggregate cannot process the value.
         """
-        length = array_length(value) if self.name in ELEMENTWISE else None
+        length = array_length(value) if self.accepts_arrays else None
         if self.arrays and length != self.length:
             raise unfit(self.name, value, f"an array of {counted(self.length, 'element')}")
         if length is None:
@@ -446,9 +254,9 @@ class _ElementwiseMeasure(_StatelessMeasure):
         self.length = array_length(value) or 0
         return True
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         if not self.arrays:
-            return self.result_of_numbers(number)
+            return self.result_of_numbers(count)
         try:
             arrays = [array_of(item.values[self.index]) for item in live(members)]
         except PrologError:
@@ -461,7 +269,7 @@ class _ElementwiseMeasure(_StatelessMeasure):
         with np.errstate(all="ignore"):
             return array_term(self.combine(arrays))
 
-    def result_of_numbers(self, number: int) -> Optional[Term]:
+    def result_of_numbers(self, count: int) -> Optional[Term]:
         """Return the result of a window of numbers; see `result`."""
 
     def combine(self, arrays: "List[Array]") -> "Array":
@@ -490,8 +298,10 @@ def _sum_of_arrays(arrays: "List[Array]") -> "Array":
     return total
 
 
-class _Sum(_ElementwiseMeasure):
-    of_none = True
+class _SumAccumulator(_ElementwiseAccumulator):
+    value_rule = SUMMAND
+    accepts_arrays = True
+    accepts_empty = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
@@ -518,25 +328,26 @@ class _Sum(_ElementwiseMeasure):
         else:
             self.arrays -= 1
 
-    def result_of_numbers(self, number: int) -> Optional[Term]:
-        return self.sum.over(1, number)
+    def result_of_numbers(self, count: int) -> Optional[Term]:
+        return self.sum.over(1, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
         return _sum_of_arrays(arrays)
 
 
-class _Average(_Sum):
-    of_none = False
+class _AverageAccumulator(_SumAccumulator):
+    accepts_empty = False
 
-    def result_of_numbers(self, number: int) -> Optional[Term]:
-        return self.sum.over(number, number)
+    def result_of_numbers(self, count: int) -> Optional[Term]:
+        return self.sum.over(count, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
         return _sum_of_arrays(arrays) / len(arrays)
 
 
-class _Deviation(_Sum):
-    of_none = False
+class _DeviationAccumulator(_SumAccumulator):
+    accepts_arrays = False
+    accepts_empty = False
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
@@ -555,11 +366,13 @@ class _Deviation(_Sum):
         super().remove(item)
         self._square(item, -1)
 
-    def result_of_numbers(self, number: int) -> Optional[Term]:
-        return deviation(self.sum, self.squares, number) if number > 1 else None
+    def result_of_numbers(self, count: int) -> Optional[Term]:
+        return deviation(self.sum, self.squares, count) if count > 1 else None
 
 
-class _Minimum(_ElementwiseMeasure):
+class _MinimumAccumulator(_ElementwiseAccumulator):
+    value_rule = COMPARABLE_NUMBER
+    accepts_arrays = True
     sign = 1
 
     def __init__(self, index: int, name: str, setting: Setting):
@@ -586,7 +399,7 @@ class _Minimum(_ElementwiseMeasure):
         else:
             self.arrays -= 1
 
-    def result_of_numbers(self, number: int) -> Optional[Term]:
+    def result_of_numbers(self, count: int) -> Optional[Term]:
         top = self.lowest.top()
         return None if top is None else top[2].values[self.index]
 
@@ -597,7 +410,7 @@ class _Minimum(_ElementwiseMeasure):
         return result
 
 
-class _Maximum(_Minimum):
+class _MaximumAccumulator(_MinimumAccumulator):
     sign = -1
 
     def combine(self, arrays: "List[Array]") -> "Array":
@@ -607,15 +420,12 @@ class _Maximum(_Minimum):
         return result
 
 
-class _Quantile(_StatelessMeasure):
-    picky = True
+class _QuantileAccumulator(Accumulator):
+    value_rule = FINITE_NUMBER
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.ranked = Ranked(setting)
-
-    def check(self, item: StreamElement) -> None:
-        check_finite(item.values[self.index], self.name)
 
     def add(self, item: StreamElement) -> None:
         self.ranked.add(item.values[self.index], item)
@@ -623,32 +433,37 @@ class _Quantile(_StatelessMeasure):
     def remove(self, item: StreamElement) -> None:
         self.ranked.remove(item)
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         return self.ranked.value()
 
 
-class _First(_StatelessMeasure):
-    def result(self, members: Members, number: int) -> Optional[Term]:
+class _MedianAccumulator(_QuantileAccumulator):
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, 0.5)
+
+
+class _FirstAccumulator(Accumulator):
+    def result(self, members: Members, count: int) -> Optional[Term]:
         value: Term = next(live(members)).values[self.index]
         return value
 
 
-class _Last(_StatelessMeasure):
-    def result(self, members: Members, number: int) -> Optional[Term]:
+class _LastAccumulator(Accumulator):
+    def result(self, members: Members, count: int) -> Optional[Term]:
         value: Term = next(item for item in reversed(members) if not item.gone).values[self.index]
         return value
 
 
-class _List(_StatelessMeasure):
-    of_none = True
-    lists = True
+class _ListAccumulator(Accumulator):
+    accepts_empty = True
+    visits_all = True
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         return make_list([item.values[self.index] for item in live(members)])
 
 
-class _CountDistinct(_StatelessMeasure):
-    of_none = True
+class _CountDistinctAccumulator(Accumulator):
+    accepts_empty = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
@@ -665,7 +480,7 @@ class _CountDistinct(_StatelessMeasure):
         if not self.numbers[key]:
             del self.numbers[key]
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         return len(self.numbers)
 
 
@@ -699,11 +514,11 @@ class _EqualValues:
         return self.items[self.at]
 
 
-class _Distinct(_StatelessMeasure):
+class _DistinctAccumulator(Accumulator):
     """List of distinct values; each value is visited once, however many elements have it."""
 
-    of_none = True
-    lists = True
+    accepts_empty = True
+    visits_all = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
@@ -721,7 +536,7 @@ class _Distinct(_StatelessMeasure):
         if not same_value.live:
             del self.alike[key]
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         # In the order of first occurrence, as a list of distinct values is expected to be.
         firsts = sorted([same_value.first() for same_value in self.alike.values()], key=_place)
         return make_list([item.values[self.index] for _, item in firsts])
@@ -731,7 +546,7 @@ def _place(entry: Tuple[int, StreamElement]) -> int:
     return entry[0]
 
 
-class _Rate(_StatelessMeasure):
+class _RateAccumulator(Accumulator):
     """Number of elements per second, rounded once.
 
     The duration is that of the window (``setting``), or else the time from the first end to the last one.
@@ -753,60 +568,236 @@ class _Rate(_StatelessMeasure):
             self.first.remove()
             self.last.remove()
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         if self.seconds is not None:
-            return number * self.seconds.denominator / self.seconds.numerator
+            return count * self.seconds.denominator / self.seconds.numerator
         low, high = self.first.top(), self.last.top()
         # The window is not empty.
         assert low is not None and high is not None
         # n elements span n - 1 intervals.
         span = high[2].end - low[2].end
-        return (number - 1) * SECOND / span if span else None
+        return (count - 1) * SECOND / span if span else None
 
 
-class _Fold(_StatelessMeasure):
+class _UserFoldAccumulator(Accumulator):
     """Aggregate that the program defines: ``setting`` computes the result from the values, oldest first."""
 
-    lists = True
+    visits_all = True
 
-    def result(self, members: Members, number: int) -> Optional[Term]:
+    def result(self, members: Members, count: int) -> Optional[Term]:
         result: Optional[Term] = self.setting([item.values[self.index] for item in live(members)])
         return result
 
 
-class AccumulatorKind(NamedTuple):
-    """Kind of measure.
+class Fold(NamedTuple):
+    """Aggregate function over a growing sequence of values.
 
     Attributes:
-        form: notation in rules; the last argument is the measured value.
-        settings: number of arguments before the measured value.
-        takes: whether elements have a measured value.
-        numeric: whether the values must be numbers.
-        make: creates an accumulator from the index of its value in an element, its name and its setting.
+        start: state without any value.
+        empty_result: result without any value; None if there is none.
+        add: returns the state with one more value.
+        result: returns the result of a state.
     """
 
-    form: str
-    settings: int
-    takes: bool
-    numeric: bool
-    make: Callable[[int, str, Any], Any]
+    start: Any
+    empty_result: Optional[Term]
+    add: Callable[[Any, Term], Any]
+    result: Callable[[Any], Term]
 
 
-MEASURES: Dict[str, AccumulatorKind] = {
-    "count": AccumulatorKind("count", 0, False, False, _Count),
-    "sum": AccumulatorKind("sum(X)", 0, True, True, _Sum),
-    "min": AccumulatorKind("min(X)", 0, True, True, _Minimum),
-    "max": AccumulatorKind("max(X)", 0, True, True, _Maximum),
-    "avg": AccumulatorKind("avg(X)", 0, True, True, _Average),
-    "stddev": AccumulatorKind("stddev(X)", 0, True, True, _Deviation),
-    "median": AccumulatorKind("median(X)", 0, True, True, lambda index, name, _: _Quantile(index, name, 0.5)),
-    "quantile": AccumulatorKind("quantile(P, X)", 1, True, True, _Quantile),
-    "first": AccumulatorKind("first(X)", 0, True, False, _First),
-    "last": AccumulatorKind("last(X)", 0, True, False, _Last),
-    "list": AccumulatorKind("list(X)", 0, True, False, _List),
-    "distinct": AccumulatorKind("distinct(X)", 0, True, False, _Distinct),
-    "count_distinct": AccumulatorKind("count_distinct(X)", 0, True, False, _CountDistinct),
-    "rate": AccumulatorKind("rate", 0, False, False, _Rate),
-    "fold": AccumulatorKind("fold(Init, Step, Result, X)", 3, True, False, _Fold),
+def _state_result(state: Term) -> Term:
+    return state
+
+
+def _minimum(state: Any, value: Any) -> Any:
+    return value if state is None or value < state else state
+
+
+def _maximum(state: Any, value: Any) -> Any:
+    return value if state is None or value > state else state
+
+
+def _sum(state: Any, value: Any) -> Any:
+    """Return the sum of two finite numbers.
+
+    Raises:
+        OverflowError: if it is too large for a float.
+    """
+    total = state + value
+    # An infinite sum would stay infinite, whatever is added later, so it is reported instead.
+    if total.__class__ is float and not isfinite(total):
+        raise OverflowError
+    return total
+
+
+def _average(state: Tuple[float, int]) -> Term:
+    total, count = state
+    # Integers whose average is an integer stay exact, as `avg` of integers of any size.
+    if total.__class__ is int and total % count == 0:
+        return total // count
+    return total / count
+
+
+def _list_result(state: Any) -> Term:
+    """Return the list of a state, which is nested pairs, newest value outermost: adding takes constant time."""
+    items = []
+    while state:
+        state, value = state
+        items.append(value)
+    items.reverse()
+    return make_list(items)
+
+
+class AggregateFunction(NamedTuple):
+    """Aggregate function of the event language.
+
+    Attributes:
+        name: name in rules.
+        notation: notation in rules; the last argument is the aggregated value.
+        setting_count: number of arguments before the aggregated value.
+        has_value: whether it has an aggregated value.
+        accumulator: implementation for windows.
+        fold: implementation for repeated events; None if it is an aggregate of windows only.
+    """
+
+    name: str
+    notation: str
+    setting_count: int
+    has_value: bool
+    accumulator: Type[Accumulator]
+    fold: Optional[Fold] = None
+
+    @property
+    def arity(self) -> int:
+        """Number of arguments."""
+        return self.setting_count + self.has_value
+
+    @property
+    def value_rule(self) -> ValueRule:
+        """Values that it accepts."""
+        return self.accumulator.value_rule
+
+    @property
+    def accepts_arrays(self) -> bool:
+        """True if windows accept arrays as well as numbers."""
+        return self.accumulator.accepts_arrays
+
+    @property
+    def is_numeric(self) -> bool:
+        """True if values must be numbers."""
+        return self.value_rule.check is not None
+
+    def make_accumulator(self, index: int, setting: Setting) -> Accumulator:
+        """Return the accumulator of a window, given the index of its value in an element and its setting."""
+        return self.accumulator(index, self.name, setting)
+
+
+AGGREGATES: Dict[str, AggregateFunction] = {
+    function.name: function
+    for function in (
+        AggregateFunction(
+            "count",
+            "count",
+            0,
+            False,
+            _CountAccumulator,
+            Fold(0, 0, lambda count, value: count + 1, _state_result),
+        ),
+        AggregateFunction("sum", "sum(X)", 0, True, _SumAccumulator, Fold(0, 0, _sum, _state_result)),
+        AggregateFunction(
+            "min", "min(X)", 0, True, _MinimumAccumulator, Fold(None, None, _minimum, _state_result)
+        ),
+        AggregateFunction(
+            "max", "max(X)", 0, True, _MaximumAccumulator, Fold(None, None, _maximum, _state_result)
+        ),
+        AggregateFunction(
+            "avg",
+            "avg(X)",
+            0,
+            True,
+            _AverageAccumulator,
+            Fold((0, 0), None, lambda state, value: (_sum(state[0], value), state[1] + 1), _average),
+        ),
+        AggregateFunction("stddev", "stddev(X)", 0, True, _DeviationAccumulator),
+        AggregateFunction("median", "median(X)", 0, True, _MedianAccumulator),
+        AggregateFunction("quantile", "quantile(P, X)", 1, True, _QuantileAccumulator),
+        AggregateFunction("first", "first(X)", 0, True, _FirstAccumulator),
+        AggregateFunction("last", "last(X)", 0, True, _LastAccumulator),
+        AggregateFunction(
+            "list",
+            "list(X)",
+            0,
+            True,
+            _ListAccumulator,
+            Fold((), NIL, lambda values, value: (values, value), _list_result),
+        ),
+        AggregateFunction("distinct", "distinct(X)", 0, True, _DistinctAccumulator),
+        AggregateFunction("count_distinct", "count_distinct(X)", 0, True, _CountDistinctAccumulator),
+        AggregateFunction("rate", "rate", 0, False, _RateAccumulator),
+        AggregateFunction("fold", "fold(Init, Step, Result, X)", 3, True, _UserFoldAccumulator),
+    )
 }
-"""Measures by name."""
+"""All aggregate functions by name."""
+SEQUENCE_AGGREGATES = {name: function for name, function in AGGREGATES.items() if function.fold is not None}
+"""Aggregate functions of repeated events, by name."""
+
+
+class SequenceAggregate:
+    """Aggregate over the repeated events of one rule: the function, and the access to the value in a match.
+
+    Args:
+        name: name of the function, in `SEQUENCE_AGGREGATES`.
+        value: returns the aggregated term from the values of a match.
+        evaluate: returns the number that an arithmetic expression has with the values of the match.
+    """
+
+    def __init__(self, name: str, value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]):
+        function = SEQUENCE_AGGREGATES[name]
+        # The table contains only functions with a fold.
+        assert function.fold is not None
+        self.name = name
+        self.start, self.empty_result, self._add, self.result = function.fold
+        self._check = function.value_rule.check
+        self._value = value
+        self._evaluate = evaluate
+
+    def is_state(self, state: Any) -> bool:
+        """Return whether a value is a valid state of the aggregate; used for states that are read from a file."""
+        try:
+            if self._check is None:
+                if self.name == "count":
+                    return state.__class__ is int
+                # A list is stored as nested pairs, which end in the empty tuple.
+                while state.__class__ is tuple and len(state) == 2:
+                    state = state[0]
+                return state == ()  # type: ignore[no-any-return]
+            # The state of ``avg`` is the sum and the count.
+            if self.start == (0, 0):
+                if state.__class__ is not tuple or len(state) != 2:
+                    return False
+                state, count = state
+                if count.__class__ is not int or count < 0:
+                    return False
+            if state is not self.start:
+                self._check(state, self.name)
+        except RuleError:
+            return False
+        return True
+
+    def add(self, state: Any, values: Values) -> Any:
+        """Return the state with the value of one more match.
+
+        Raises:
+            RuleError: if a numeric aggregate gets a value that is not a number.
+        """
+        value = self._value(values)
+        check = self._check
+        if check is not None:
+            # Plain numbers are by far the most frequent values, and need no evaluation.
+            if value.__class__ not in (int, float):
+                value = self._evaluate(value, values)
+            check(value, self.name)
+        try:
+            return self._add(state, value)
+        except OverflowError:
+            raise RuleError(f"aggregate {self.name}: a number is too large") from None

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.events.streams.accumulators import ExactSum, Lowest, Ranked, deviation
+from retalis.events.streams.running_statistics import ExactSum, Lowest, Ranked, deviation
 from retalis.events.streams.stream_operator import StreamElement
 
 FINITE = st.one_of(st.integers(-(10**30), 10**30), st.floats(allow_nan=False, allow_infinity=False, width=32))
