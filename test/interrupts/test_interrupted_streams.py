@@ -71,8 +71,8 @@ def taken(stream, rows):
     """Return what is given on at each of these instants, and of which items."""
     found = []
     for at, key in rows:
-        outputs = stream.advance_to(at) + stream.take(item_of(Came(at, key, at, at, at, 0, at)), at, 0)
-        found += [(one.start, one.end, repr(one.found)) for one in outputs]
+        outputs = stream.advance_to(at) + stream.process(item_of(Came(at, key, at, at, at, 0, at)), at, 0)
+        found += [(one.start, one.end, repr(one.results)) for one in outputs]
     return found
 
 
@@ -84,7 +84,7 @@ def one_more(make, ring, take):
     def work():
         stream.advance_to(ring)
         if take:
-            stream.take(item_of(Came(15, "a", 15, 15, 15, 0, 15)), 15, 0)
+            stream.process(item_of(Came(15, "a", 15, 15, 15, 0, 15)), 15, 0)
 
     return stream, work
 

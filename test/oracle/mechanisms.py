@@ -228,18 +228,18 @@ def nothing(*_: Any) -> None:
 class Unchanged(DistinctUntilChanged):
     """Lets everything through."""
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         return [StreamOutput((item,), item.start, item.end)]
 
 
 class Unsettled(Debounce):
     """Has everything wait by itself."""
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         item.key = object()
-        return super().take(item, now, channel)
+        return super().process(item, now, channel)
 
 
 @contextmanager
@@ -303,7 +303,7 @@ def never_reluctant(plan: Any, at: int, enough: bool, more: bool) -> Any:
 
 def never_over(stream: Any, instant: int) -> List[StreamOutput]:
     """Have no window be over."""
-    stream.next = None
+    stream.next_deadline = None
     return []
 
 

@@ -308,7 +308,7 @@ class WhyNot:
         first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
         names = variables(value)
-        evaluate = Evaluators(self._rule).evaluating(pattern.kind, value, names)
+        evaluate = Evaluators(self._rule).compile_expression(pattern.kind, value, names)
         aggregate = SequenceAggregate(pattern.kind, lambda values: values[-1], evaluate)
         matches: List[Candidate] = []
         results: List[str] = []
@@ -409,20 +409,20 @@ class WhyNot:
         # The state of the rule's own window depends on consumption, so a new window is run over the matches.
         window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
         for match in part.matches:
-            window.take(match)
+            window.process(match)
         outputs = window.finish(self._current_time)
         matches = []
         results = []
         for output in outputs:
             values = None
-            if node.making.result is not None:
-                values = node.making.result(output.items[-1].by, output.found)
+            if node.spec.result is not None:
+                values = node.spec.result(output.items[-1].by, output.results)
             extended = (
                 None if values is None else self._extend(self._rule_variables, list(zip(node.vars, values)))
             )
             if extended is not None:
                 matches.append(Candidate(extended, output.start, output.end))
-            shown_results = ", ".join(self._shorten(result) for result in output.found)
+            shown_results = ", ".join(self._shorten(result) for result in output.results)
             results.append(f"{shown_results} {self._times.format_interval(output.start, output.end)}")
         parts = [part]
         reason = self._format_other_results(results) or "no window has ended"
@@ -465,7 +465,7 @@ class WhyNot:
             keys = tuple([self._instantiate(match.values, term) for term in pattern.by])
             value = () if pattern.value is None else (self._instantiate(match.values, pattern.value),)
             outputs += stream.advance_to(match.end)
-            outputs += stream.take(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
+            outputs += stream.process(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
         # Operators with deadlines emit at the current time, even without a further event.
         outputs += stream.advance_to(self._current_time)
         matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
@@ -635,22 +635,22 @@ class _WindowEvaluation:
 
     def __init__(self, node: StreamNode, steps: int, instantiate: Callable[[Term, Term], Term]):
         self._node = node
-        self._stream = node.making.stream(NetworkOptions())
+        self._stream = node.spec.stream(NetworkOptions())
         self._stream.set_bounds(node.stream.bounds)
         self._instantiate = instantiate
         self._outputs: List[StreamOutput] = []
         self.progress = [0] * steps
         self.problem = ""
 
-    def take(self, match: Candidate) -> None:
+    def process(self, match: Candidate) -> None:
         """Pass a match to the window, after emitting the results that are due before it."""
         check_limits(1)
         # Alarms that are due before the match come first, as in the engine.
         self._outputs += self._stream.advance_to(match.end)
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:
-            element = StreamElement(match, match.start, match.end, *self._node.making.item(values))
-            self._outputs += self._stream.take(element, match.end, 0)
+            element = StreamElement(match, match.start, match.end, *self._node.spec.item(values))
+            self._outputs += self._stream.process(element, match.end, 0)
         except RuleError as error:
             self.problem = f", {error.message}"
         if self.progress:
@@ -683,7 +683,7 @@ def _get_progress_key(counts: Sequence[int]) -> Tuple[int, int]:
 def _spans(operator: EventOperator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
     """Return the function from the intervals of a pair to that of the result, or None if they do not satisfy it."""
     lines = [
-        "def made(s1, e1, s2, e2):",
+        "def generated(s1, e1, s2, e2):",
         f"    if not ({operator.fits}):",
         "        return None",
         f"    return ({operator.start}), ({operator.end})",

@@ -170,7 +170,7 @@ def define(source: str, names: Dict[str, Any], title: str) -> Dict[str, Any]:
     return names
 
 
-def function(lines: Iterable[str], names: Mapping[str, object], title: str, name: str = "made") -> Any:
+def function(lines: Iterable[str], names: Mapping[str, object], title: str, name: str = "generated") -> Any:
     """Return the function that ``lines`` define under ``name``; see `define`.
 
     The function is removed from its own globals. Otherwise the two would form a reference cycle, and memory would be
@@ -180,7 +180,7 @@ def function(lines: Iterable[str], names: Mapping[str, object], title: str, name
 
 
 def shared_function(source: str, names: Mapping[str, object], title: str) -> Any:
-    """Return the function that ``source`` defines as ``made``; functions with the same source share their code
+    """Return the function that ``source`` defines as ``generated``; functions with the same source share their code
     object.
 
     Rules that differ in constants only then share what CPython's adaptive interpreter has specialized, and occupy
@@ -200,7 +200,7 @@ def _make_factory(source: str, names: Tuple[str, ...], title: str) -> Callable[.
         if not _NAME.match(name):
             raise ValueError(f"{shortened(name)} is not a name for generated source")
     lines = ["    " + line for line in source.splitlines(True)]
-    text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return made\n"])
+    text = "".join([f"def maker({', '.join(names)}):\n", *lines, "\n    return generated\n"])
     factory: Callable[..., Any] = define(text, {}, title).pop("maker")
     return factory
 

@@ -120,7 +120,7 @@ class StreamCheck:
             raise wrong(element.values, "values")
         for check in self._checks:
             check(element)
-        element.file()
+        element.restore_key()
         return element
 
     def _check_distinct(self, elements: Sequence[StreamElement], order: int) -> None:
@@ -129,7 +129,7 @@ class StreamCheck:
         if len(orders) != len(elements) or not all(1 <= number <= order for number in orders):
             raise wrong(sorted(item.order for item in elements), "elements with distinct sequence numbers")
 
-    def known(self, value: Decoded) -> Decoded:
+    def operator_state(self, value: Decoded) -> Decoded:
         """Check the complete state of the operator; see `StreamOperator.snapshot`."""
         stream = self._stream
         elements = each(self.item)
@@ -178,11 +178,11 @@ class StreamCheck:
             raise wrong(len(keys), "distinct partitions, each with one key")
 
     def _row_pattern_state(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
-        step = integer(0, len(stream.plan.steps) - 1)
+        step = integer(0, len(stream.nfa.steps) - 1)
         steps = each(step, tuple)
         pairs = each(fixed(count, step), tuple)
         computation_state = fixed(
-            integer(-1, len(stream.plan.steps) - 1),
+            integer(-1, len(stream.nfa.steps) - 1),
             count,
             optional(steps),
             each(optional(count), tuple),
@@ -192,7 +192,7 @@ class StreamCheck:
         group = fixed(instant, each(self.item), each(computation_state, tuple), each(pairs, tuple))
         state = fixed(count, count, instant, each(group))(value)
         # The operator relies on these invariants: computation states and completed matches refer to elements of
-        # their partition, in order, and each state has a value for each mark.
+        # their partition, in order, and each state has an element for each navigation.
         self._groups([entry[1] for entry in state[3]], [], state[1])
         for _, members, states, complete in state[3]:
             orders = [item.order for item in members]
@@ -206,14 +206,14 @@ class StreamCheck:
                 or not all(complete)
                 or orders != sorted(orders)
                 or not {*marked, *assigned} <= set(orders)
-                or any(len(entry[3]) != len(stream.plan.marks) for entry in states)
+                or any(len(entry[3]) != len(stream.nfa.navigations) for entry in states)
                 or any(bool(entry[4]) != (entry[0] >= 0) for entry in states)
                 or any(entry[2] is not None and not entry[2] for entry in states)
                 or any(list(entry[4]) != sorted(entry[4], key=lambda pair: pair[0]) for entry in states)
                 or positions != sorted(positions)
                 or len(complete) != positions[-1] - positions[0]
                 # Without either, a partition could lose its last state, and have none to continue with.
-                or not any(entry[0] == SCANNING or _is_certain(stream.plan, entry) for entry in states)
+                or not any(entry[0] == SCANNING or _is_certain(stream.nfa, entry) for entry in states)
             ):
                 raise wrong(states, "valid computation states of a row pattern")
         return state
@@ -233,11 +233,11 @@ def _check_next_window(stream: HoppingWindow, state: Decoded) -> None:
         raise wrong(due, "the end of the next window")
 
 
-def _is_certain(plan: RowPatternNFA, entry: Decoded) -> bool:
+def _is_certain(nfa: RowPatternNFA, entry: Decoded) -> bool:
     """Return whether a computation state, given as data, is certain to complete."""
     step, count, remaining = entry[:3]
-    steps = plan.choices(step, count).steps if remaining is None else tuple(remaining)
-    return bool(steps) and plan.is_sure(steps)
+    steps = nfa.transitions_after(step, count).steps if remaining is None else tuple(remaining)
+    return bool(steps) and nfa.is_certain_to_complete(steps)
 
 
 def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:
@@ -314,8 +314,8 @@ def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
 
 def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
-    keys, values = node.making.item((1,) * len(child.vars))
-    needs_match = node.making.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
+    keys, values = node.spec.item((1,) * len(child.vars))
+    needs_match = node.spec.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
     shapes = [MatchShape(child) for child in node.children]
     stream = StreamCheck(graph, node.stream, (len(keys), len(values)), False, needs_match, shapes)
 
@@ -335,10 +335,10 @@ def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     emitted = fixed(output, graph.ref("tracked match"))
 
     def base(value: Decoded) -> Decoded:
-        return stream.known(value) if items(value) else ()
+        return stream.operator_state(value) if items(value) else ()
 
     replay = fixed(base, each(received), each(emitted))
-    return fixed(stream.known, count, optional(replay))
+    return fixed(stream.operator_state, count, optional(replay))
 
 
 def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, Any]:
@@ -570,7 +570,7 @@ class _CheckedState:
             stream = StreamCheck(
                 self._graph, subscription.rate.stream, subscription.rate.widths, of_terms=True
             )
-            states.append(optional(fixed(stream.known, count, count))(rate_state))
+            states.append(optional(fixed(stream.operator_state, count, count))(rate_state))
         return states
 
     def _check_orders(self) -> None:

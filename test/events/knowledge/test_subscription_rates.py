@@ -194,7 +194,7 @@ def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
     engine.event("a(1)", 1)
     rate = engine.knowledge.subscriptions.items()[0][1].rate
     engine.rules.deadlines.clear()
-    rate.woken = None
+    rate.wakeup_time = None
     engine.rules.repair()
     engine.knowledge.repair()
     engine.event("b", 9)

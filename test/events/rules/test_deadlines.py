@@ -19,17 +19,17 @@ class Node:
         self.name = name
         self.rule = SimpleNamespace(serial=serial, active=True)
         self.place = place
-        self.woken = None
+        self.wakeup_time = None
         self.more = []
 
     def ask(self, instant):
-        """Be woken at an instant, if not earlier."""
-        if self.woken is None or instant < self.woken:
-            self.woken = instant
+        """Be wakeup_time at an instant, if not earlier."""
+        if self.wakeup_time is None or instant < self.wakeup_time:
+            self.wakeup_time = instant
             self.bench.deadlines.add(self, instant)
 
     def on_alarm(self, instant, after):
-        self.woken = None
+        self.wakeup_time = None
         self.bench.rung.append((instant, self.name))
         for one in self.more[:1]:
             del self.more[:1]
@@ -126,7 +126,7 @@ def test_a_clock_that_goes_back_clears():
     node.ask(50)
     bench.clock.reset()
     bench.deadlines.clear()
-    node.woken = None
+    node.wakeup_time = None
     assert (len(bench.deadlines), bench.reach(60)) == (0, ([], []))
     node.ask(70)
     assert bench.reach(80) == ([(70, "a")], [])
@@ -141,7 +141,7 @@ def test_its_alarm_rings_before_others_of_the_same_instant():
 
 
 def test_neither_wishes_nor_alarms_pile_up():
-    """One node that waits for what is far away, and is woken before again and again, waits for it once."""
+    """One node that waits for what is far away, and is wakeup_time before again and again, waits for it once."""
     bench = Bench()
     nodes = [bench.node(number, number) for number in range(3)]
     for node in nodes:

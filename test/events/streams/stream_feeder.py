@@ -80,16 +80,16 @@ class Fed:
                 other = self._begin()
                 other.restore(self.stream.snapshot())
                 self.stream = other
-            self.said += map(_shown, self.stream.take(item_of(came), came.now, came.channel))
+            self.said += map(_shown, self.stream.process(item_of(came), came.now, came.channel))
         self.ring(1 << 40)
         return self.said
 
     def ring(self, now):
         """Let the operator ring at each instant for which it asks, up to now."""
-        while self.stream.next is not None and self.stream.next <= now:
-            before = self.stream.next
+        while self.stream.next_deadline is not None and self.stream.next_deadline <= now:
+            before = self.stream.next_deadline
             self.said += sorted(map(_shown, self.stream.advance_to(before)))
-            assert self.stream.next is None or self.stream.next > before
+            assert self.stream.next_deadline is None or self.stream.next_deadline > before
 
 
 def entries(one):

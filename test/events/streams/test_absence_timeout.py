@@ -42,7 +42,7 @@ def given_on(arrivals, span, agreement):
             and one.end < other.start
             and other.end < one.end + span
             and other.now < one.end + span
-            and agreement.rules_out(one.at, other.at)
+            and agreement.cancels(one.at, other.at)
         ]
         if not absent:
             found.append(((one.at,), one.start, one.end + span))
@@ -56,7 +56,7 @@ def test_of_one_key(arrivals, cut, span):
     fed = Fed(lambda: AbsenceTimeout(span, agreement), cut)
     assert sorted(fed.feed(arrivals)) == sorted(given_on(arrivals, span, agreement))
     late = [one for one in arrivals if not one.channel and one.end + span <= one.now]
-    assert cut < len(arrivals) or fed.stream.late == len(late)
+    assert cut < len(arrivals) or fed.stream.late_count == len(late)
 
 
 @some
@@ -107,7 +107,7 @@ def taking(span, arrivals):
     operator = AbsenceTimeout(span, agreement_of(arrivals, True))
     for came in arrivals:
         operator.advance_to(came.now)
-        operator.take(item_of(came), came.now, came.channel)
+        operator.process(item_of(came), came.now, came.channel)
     return operator
 
 
@@ -117,7 +117,7 @@ def test_what_must_not_happen_is_held_no_longer_than_it_may_rule_out():
     operator = taking(100, arrivals)
     assert len(operator) <= 5
     assert entries(operator) <= 110
-    operator.take(item_of(arrivals[0]), 10_000, 0)
+    operator.process(item_of(arrivals[0]), 10_000, 0)
     assert len(operator) == 0
 
 
@@ -126,13 +126,13 @@ def test_many_that_are_not_superfluous_are_held_no_longer_either():
     arrivals = [Came(at, "a", at, at, 1, 1, at) for at in range(2000)]
     operator = AbsenceTimeout(300, agreement_of(arrivals, False))
     for came in arrivals:
-        operator.take(item_of(came), came.now, came.channel)
+        operator.process(item_of(came), came.now, came.channel)
         assert len(operator) == min(came.at + 1, 300)
     (border,) = operator._forbidden.values()  # noqa: SLF001
     assert border.number == 300 and len(border.items) <= 600
-    operator.take(item_of(arrivals[0]), 2270, 0)
+    operator.process(item_of(arrivals[0]), 2270, 0)
     assert len(operator) == len(border.items) == 29
-    operator.take(item_of(arrivals[0]), 9000, 0)
+    operator.process(item_of(arrivals[0]), 9000, 0)
     assert len(operator) == 0 and not operator._forbidden  # noqa: SLF001
 
 
@@ -156,4 +156,4 @@ def test_the_oldest_that_waits_is_dropped_first():
     for left in range(4, -1, -1):
         operator.drop_oldest()
         assert len(operator) == left
-    assert operator.next is None
+    assert operator.next_deadline is None

@@ -54,10 +54,10 @@ def measured(arrivals, makers, span=SPAN):
     window = SlidingTimeWindow(lambda: [make() for make in makers], span)
     window.tracked = True
     for came in arrivals:
-        for output in window.take(
+        for output in window.process(
             StreamElement(came, came.start, came.end, (came.key,), (came.value,)), 0, 0
         ):
-            yield [item.match for item in output.items], output.found
+            yield [item.match for item in output.items], output.results
 
 
 @example_settings(max_examples=50)
@@ -161,8 +161,8 @@ def test_the_infinities_have_an_order(name):
 def test_several_measures_have_their_own_values():
     window = SlidingTimeWindow(lambda: [of("sum"), of("max", None, 1), of("count", None, 2)], 10)
     for at in range(3):
-        outputs = window.take(StreamElement(None, at, at, (), (at, -at)), 0, 0)
-    assert outputs[0].found == (3, 0, 3)
+        outputs = window.process(StreamElement(None, at, at, (), (at, -at)), 0, 0)
+    assert outputs[0].results == (3, 0, 3)
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def test_debounce_of_ends_ahead_of_the_clock(rows, cut, span):
 def test_what_is_forgotten_is_the_oldest():
     for shape in (Throttle(100, False), Throttle(100, True), DistinctUntilChanged(), Debounce(100)):
         for at in range(5):
-            shape.take(item_of(Came(at, f"k{at}", at, at, 1, 0, at)), at, 0)
+            shape.process(item_of(Came(at, f"k{at}", at, at, 1, 0, at)), at, 0)
         for left in (4, 3, 2):
             shape.drop_oldest()
             assert len(shape) == left
@@ -123,12 +123,12 @@ def test_the_oldest_goes_of_what_was_overtaken_too():
     """Of a key that came again and again: what it was before is in no heap's way."""
     for shape in (Throttle(1000, True), Debounce(1000)):
         for at in range(20):
-            shape.take(item_of(Came(at, "ab"[at % 2], at, at, 1, 0, at)), at, 0)
+            shape.process(item_of(Came(at, "ab"[at % 2], at, at, 1, 0, at)), at, 0)
         shape.drop_oldest()
         assert [item.by for item in shape.snapshot()[-1]] == [("b",)]
         shape.drop_oldest()
         assert len(shape) == 0
-        assert shape.next is None
+        assert shape.next_deadline is None
 
 
 def test_nothing_grows_with_what_came():
@@ -138,14 +138,14 @@ def test_nothing_grows_with_what_came():
             for at in range(1000):
                 key = f"k{at}" if span == 3 else "k"
                 shape.advance_to(at)
-                shape.take(item_of(Came(at, key, at, at, 1, 0, at)), at, 0)
+                shape.process(item_of(Came(at, key, at, at, 1, 0, at)), at, 0)
             assert len(shape) <= 3
             assert entries(shape) <= 80
 
 
 def test_a_stamp_of_a_wrong_clock_forgets_nobody():
     shape = Throttle(5, False)
-    shape.allowed = lambda: 100
-    assert shape.take(item_of(Came(0, "a", 50, 50, 1, 0, 50)), 50, 0)
-    assert shape.take(item_of(Came(1, "b", 9000, 9000, 1, 0, 51)), 51, 0)
-    assert not shape.take(item_of(Came(2, "a", 52, 52, 1, 0, 52)), 52, 0)
+    shape.latest_allowed_end = lambda: 100
+    assert shape.process(item_of(Came(0, "a", 50, 50, 1, 0, 50)), 50, 0)
+    assert shape.process(item_of(Came(1, "b", 9000, 9000, 1, 0, 51)), 51, 0)
+    assert not shape.process(item_of(Came(2, "a", 52, 52, 1, 0, 52)), 52, 0)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis.events.streams.running_statistics import ExactSum, Lowest, Ranked, deviation
+from retalis.events.streams.running_statistics import ExactSum, LazyMinHeap, QuantileHeaps, standard_deviation
 from retalis.events.streams.stream_operator import StreamElement
 
 FINITE = st.one_of(st.integers(-(10**30), 10**30), st.floats(allow_nan=False, allow_infinity=False, width=32))
@@ -23,12 +23,12 @@ some = example_settings(max_examples=30)
 def test_a_sum_is_exact_however_many_have_gone(steps, number):
     total, inside = ExactSum(), []
     for value, goes, which in steps:
-        total.change(value, 1)
+        total.add_times(value, 1)
         inside.append(value)
         if goes:
-            total.change(inside.pop(which % len(inside)), -1)
+            total.add_times(inside.pop(which % len(inside)), -1)
         expected = Fraction(sum(map(Fraction, inside))) / number
-        found = total.over(number, len(inside))
+        found = total.divided_by(number, len(inside))
         assert found == (expected if isinstance(found, int) else float(expected))
         whole = all(isinstance(one, int) for one in inside) and expected.denominator == 1
         assert isinstance(found, int) == whole
@@ -37,8 +37,8 @@ def test_a_sum_is_exact_however_many_have_gone(steps, number):
 def test_floats_that_have_gone_leave_an_integer():
     total = ExactSum()
     for value, by in ((3, 1), (0.1, 1), (1e300, 1), (0.1, -1), (1e300, -1)):
-        total.change(value, by)
-    assert repr(total.over(1, 1)) == "3"
+        total.add_times(value, by)
+    assert repr(total.divided_by(1, 1)) == "3"
 
 
 @some
@@ -47,12 +47,14 @@ def test_the_deviation_does_not_suffer_from_a_large_mean(values, mean):
     total, squares = ExactSum(), ExactSum()
     exact = [Fraction(value + mean) for value in values]
     for value in exact:
-        total.change(float(value), 1)
+        total.add_times(float(value), 1)
         over, under = float(value).as_integer_ratio()
-        squares.change_fraction(over * over, 2 * (under.bit_length() - 1), 1)
+        squares.add_fraction(over * over, 2 * (under.bit_length() - 1), 1)
     middle = sum(exact) / len(exact)
     spread = sum((one - middle) ** 2 for one in exact) / (len(exact) - 1)
-    assert deviation(total, squares, len(values)) == pytest.approx(math.sqrt(spread), rel=1e-15, abs=1e-140)
+    assert standard_deviation(total, squares, len(values)) == pytest.approx(
+        math.sqrt(spread), rel=1e-15, abs=1e-140
+    )
 
 
 @pytest.mark.parametrize("size", [1e-200, 5e-324, 1e200, 8e307])
@@ -60,10 +62,12 @@ def test_the_deviation_of_very_small_and_very_large_numbers(size):
     """The squares of these are beyond what a float can be."""
     total, squares = ExactSum(), ExactSum()
     for value in (size, -size, size, -size):
-        total.change(value, 1)
+        total.add_times(value, 1)
         over, under = value.as_integer_ratio()
-        squares.change_fraction(over * over, 2 * (under.bit_length() - 1), 1)
-    assert deviation(total, squares, 4) == pytest.approx(size * math.sqrt(4 / 3), rel=1e-15, abs=5e-324)
+        squares.add_fraction(over * over, 2 * (under.bit_length() - 1), 1)
+    assert standard_deviation(total, squares, 4) == pytest.approx(
+        size * math.sqrt(4 / 3), rel=1e-15, abs=5e-324
+    )
 
 
 def entering(steps):
@@ -84,7 +88,7 @@ def entering(steps):
 @some
 @given(STEPS)
 def test_the_lowest_is_the_first_of_equal_ones(steps):
-    lowest = Lowest()
+    lowest = LazyMinHeap()
     for inside, came, gone in entering(steps):
         if came is not None:
             lowest.add(came.values[0], came)
@@ -98,7 +102,7 @@ def test_the_lowest_is_the_first_of_equal_ones(steps):
 @some
 @given(STEPS, st.sampled_from([0, 0.1, 0.25, 0.5, 0.75, 0.99, 1]))
 def test_a_quantile_is_linear_between_two(steps, part):
-    ranked = Ranked(part)
+    ranked = QuantileHeaps(part)
     for inside, came, gone in entering(steps):
         if came is not None:
             ranked.add(came.values[0], came)
@@ -117,7 +121,7 @@ def test_quantiles_are_those_of_numpy():
     numpy = pytest.importorskip("numpy")
     values = [(7 * at * at) % 101 / 3 for at in range(50)]
     for part in (0, 0.1, 0.33, 0.5, 0.875, 1):
-        ranked = Ranked(part)
+        ranked = QuantileHeaps(part)
         for at, value in enumerate(values):
             item = StreamElement(None, 0, 0, (), (value,))
             item.order = at
@@ -128,7 +132,7 @@ def test_quantiles_are_those_of_numpy():
 @pytest.mark.parametrize("kind", ["rising", "falling"])
 def test_what_has_gone_is_not_held(kind):
     """Of a long stream through a short window the heaps hold little more than the window."""
-    lowest, ranked = Lowest(), Ranked(0.5)
+    lowest, ranked = LazyMinHeap(), QuantileHeaps(0.5)
     inside = []
     for at in range(1500):
         item = StreamElement(None, 0, 0, (), (at if kind == "rising" else -at,))

@@ -87,7 +87,7 @@ def test_at_instants(arrivals, cut, span, every):
     assert [end for _, _, end in said] == sorted(end for _, _, end in said)
     assert len(fed.stream) == 0
     late = [one for one in arrivals if (one.end + span) // every * every <= one.now // every * every]
-    assert cut < len(arrivals) or fed.stream.late == len(late)
+    assert cut < len(arrivals) or fed.stream.late_count == len(late)
 
 
 @some
@@ -146,7 +146,7 @@ def test_the_oldest_can_be_dropped(kind):
     fed = Fed(WINDOWS[kind])
     arrivals = [Came(at, "ab"[at % 2], 10 + at, 10 + at, at, 0, 10 + at) for at in range(10)]
     for number, came in enumerate(arrivals[:6], 1):
-        fed.stream.take(item_of(came), came.now, 0)
+        fed.stream.process(item_of(came), came.now, 0)
         assert len(fed.stream) == number
     for left in range(5, -1, -1):
         fed.stream.drop_oldest()
@@ -160,7 +160,7 @@ def test_what_was_dropped_is_held_nowhere(kind):
     """Where a window takes more than may be held, for as long as it takes."""
     window = WINDOWS[kind]()
     for at in range(1500):
-        window.take(item_of(Came(at, f"k{at // 3}", 10, 10, at, 0, 10)), 10, 0)
+        window.process(item_of(Came(at, f"k{at // 3}", 10, 10, at, 0, 10)), 10, 0)
         if len(window) > 5:
             window.drop_oldest()
     assert len(window) == 5
@@ -171,13 +171,13 @@ def test_what_was_dropped_is_held_nowhere(kind):
 def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
     """One stamp of a wrong clock neither empties a window nor makes what comes after it late."""
     window = WINDOWS[kind]()
-    window.tracked, window.allowed = True, lambda: 1000
+    window.tracked, window.latest_allowed_end = True, lambda: 1000
     for at in range(3):
-        window.take(item_of(Came(at, "a", 900 + at, 900 + at, at, 0, 900)), 900, 0)
-    window.take(item_of(Came(3, "b", 9000, 9000, 3, 0, 903)), 903, 0)
-    late = window.late
-    said = window.take(item_of(Came(4, "a", 904, 904, 4, 0, 904)), 904, 0)
-    assert window.late == late
+        window.process(item_of(Came(at, "a", 900 + at, 900 + at, at, 0, 900)), 900, 0)
+    window.process(item_of(Came(3, "b", 9000, 9000, 3, 0, 903)), 903, 0)
+    late = window.late_count
+    said = window.process(item_of(Came(4, "a", 904, 904, 4, 0, 904)), 904, 0)
+    assert window.late_count == late
     said = said or window.advance_to(1010)
     if kind != "batches":
         assert [tuple([one.match for one in output.items]) for output in said][-1] == (0, 1, 2, 4)
@@ -186,7 +186,7 @@ def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
 def test_a_refused_value_leaves_no_group():
     window = SlidingTimeWindow(lambda: [AGGREGATES["sum"].make_accumulator(0, None)], 10)
     with pytest.raises(RuleError, match="finite"):
-        window.take(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
+        window.process(item_of(Came(0, "a", 1, 1, float("inf"), 0, 1)), 1, 0)
     assert (len(window), window.states) == (0, {})
 
 
@@ -203,9 +203,9 @@ def test_what_cannot_be_measured_is_said_and_the_next_is_measured():
         outputs = []
         for at, number in enumerate(numbers):
             came = Came(at, "a", 5 * at, 5 * at, number, 0, 5 * at)
-            outputs += window.advance_to(came.now) + window.take(item_of(came), came.now, 0)
+            outputs += window.advance_to(came.now) + window.process(item_of(came), came.now, 0)
         outputs += window.advance_to(100)
-        assert [output.found for output in outputs] == [(), (3.0,)]
+        assert [output.results for output in outputs] == [(), (3.0,)]
         assert "too large" in outputs[0].error.message
         assert outputs[1].error is None
 
@@ -217,7 +217,7 @@ def test_what_has_left_costs_nothing():
         end = 5 * at - (7 if at % 3 == 0 else 0)
         for window in (sliding, hopping):
             window.advance_to(5 * at)
-            window.take(item_of(Came(at, "a", end, end, at, 0, 5 * at)), 5 * at, 0)
+            window.process(item_of(Came(at, "a", end, end, at, 0, 5 * at)), 5 * at, 0)
     for window in (sliding, hopping):
         assert len(window) <= 5
         assert entries(window) <= 80

@@ -251,7 +251,7 @@ def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Pa
         f"return plan is not NOBODY or not ({_VALID_TIME_TEST})",
     ]
     source = source_of(
-        [Block("def made(event_filter):", [Block(f"def passes({parameters}):", body), "return passes"])]
+        [Block("def generated(event_filter):", [Block(f"def passes({parameters}):", body), "return passes"])]
     )
     factory: Callable[[PushdownFilter], Passes] = shared_function(source, _FILTER_NAMES, "event_filter")
     return factory

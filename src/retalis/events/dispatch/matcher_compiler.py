@@ -65,7 +65,7 @@ class _MatcherGenerator:
             pending.extend(reversed(self._emit_unpacking(*pending.pop())))
         values = ", ".join(self.places[var] for var in order)
         self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
-        source = "def made(term):\n" + "\n".join(self.lines) + "\n"
+        source = "def generated(term):\n" + "\n".join(self.lines) + "\n"
         matcher: Matcher = shared_function(source, self.names, "matcher")
         return matcher
 
@@ -163,7 +163,7 @@ def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[V
         return lambda values: copy(term, dict(zip(order, values)))
     names = codegen.BoundNames({})
     lines, result = builder_source(term, {var: f"v[{index}]" for index, var in enumerate(order)}, names)
-    source = "\n    ".join(["def made(v):", *lines, f"return {result}"]) + "\n"
+    source = "\n    ".join(["def generated(v):", *lines, f"return {result}"]) + "\n"
     builder: Callable[[Values], Term] = shared_function(source, names.values, title)
     return builder
 

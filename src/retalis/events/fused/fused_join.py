@@ -171,7 +171,7 @@ class _ActionGenerator:
 
     def made(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
         """Return the compiled action."""
-        source = source_of([Block("def made(term, values, s, e, after):", body)])
+        source = source_of([Block("def generated(term, values, s, e, after):", body)])
         action: EventAction = shared_function(source, names, title)
         return action
 

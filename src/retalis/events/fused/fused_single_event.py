@@ -85,7 +85,7 @@ def firing_action(
             Block("if steps_left < 0 and stops(rule):", ["return after"]),
         ]
         names.values.update(pattern_steps=budget.pattern_steps, stops=budget.stops, rule=rule)
-    source = source_of([Block("def made(term, values, start, end, after):", body)])
+    source = source_of([Block("def generated(term, values, start, end, after):", body)])
     action: EventAction = shared_function(source, names.values, "head of a rule")
     return action
 
@@ -197,7 +197,7 @@ def _goal_source(inputs: int) -> str:
         ),
         f"return solved(term, ({values},), start, end, after)",
     ]
-    return source_of([Block("def made(term, values, start, end, after):", body)])
+    return source_of([Block("def generated(term, values, start, end, after):", body)])
 
 
 def question_action(

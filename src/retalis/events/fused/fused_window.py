@@ -1,9 +1,9 @@
 """Fused sliding windows: one generated function that adds a match to a time window and emits the results.
 
-The general path is `SlidingTimeWindow.take` with a `KeyedWindow` and its accumulators. The function generated here
+The general path is `SlidingTimeWindow.process` with a `KeyedWindow` and its accumulators. The function generated here
 does the same to the same objects if elements arrive in order, their key has a window already, and all measured values
-are plain numbers. All other cases (`_NEEDS_GENERAL_PATH`, and the checks of the measures) call the general path
-before anything has changed.
+are plain numbers. All other cases (`_NEEDS_GENERAL_PATH`, and the checks of the measures) call the general
+path before anything has changed.
 """
 
 from heapq import heappush
@@ -12,16 +12,16 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
 from ...prolog.terms.term_traversal import PLAIN, term_key
 from ...prolog.terms.types import EventAction
-from ..streams.running_statistics import Lowest
+from ..streams.running_statistics import LazyMinHeap
 from ..streams.stream_operator import StreamElement
 from ..streams.windows import KeyedWindow
 
-_GENERAL_PATH = "return plain(term, values, start, end, after)"
+_GENERAL_PATH = "return general_path(term, values, start, end, after)"
 _METERED_STEPS = 2
 """Pattern work that the general path counts per element, without that of the derived event."""
 
 _NO_WINDOW = KeyedWindow(())
-_NO_WINDOW.starts = Lowest()
+_NO_WINDOW.starts = LazyMinHeap()
 """Replacement for the window of a key without elements: one with heaps, for which `_NEEDS_GENERAL_PATH` is true."""
 
 
@@ -72,7 +72,7 @@ def _sum_source(number: int, position: int) -> _MeasureSource:
                 f"if {x}.__class__ is float:",
                 [
                     # See `ExactSum.factor`: the product is exact if it is an integer. Otherwise the scale must grow
-                    # first, which is left to `ExactSum.change`.
+                    # first, which is left to `ExactSum.add_times`.
                     f"{scaled} = {x} * {total}.factor",
                     Block(f"if not {scaled}.is_integer():", [_GENERAL_PATH]),
                     f"{scaled} = {scaled}.__trunc__()",
@@ -92,17 +92,20 @@ def _sum_source(number: int, position: int) -> _MeasureSource:
                 "if value.__class__ is float and (scaled := value * total.factor).is_integer():",
                 ["total.total -= scaled.__trunc__()"],
             ),
-            Block("else:", ["total.change(value, -1)"]),
+            Block("else:", ["total.add_times(value, -1)"]),
         ],
-        f"{total}.over(1, number)",
+        f"{total}.divided_by(1, number)",
     )
 
 
 def _mean_source(number: int, position: int) -> _MeasureSource:
     total = f"s{number}"
-    # `ExactSum.over` without the call, for floats only, whose average is a float in any case.
+    # `ExactSum.divided_by` without the call, for floats only, whose average is a float in any case.
     return _sum_source(number, position)._replace(
-        result=f"{total}.over(number, number) if {total}.integers else {total}.total / (number << {total}.scale)"
+        result=(
+            f"{total}.divided_by(number, number) if {total}.integers "
+            f"else {total}.total / (number << {total}.scale)"
+        )
     )
 
 
@@ -116,7 +119,7 @@ def _min_source(number: int, position: int, sign: str = "") -> _MeasureSource:
         ],
         [
             f"{heap} = group.measures[{number}].lowest",
-            f"{heap}.live += 1",
+            f"{heap}.count += 1",
             f"heappush({heap}.heap, ({sign}{x}, order, item))",
         ],
         [f"left.measures[{number}].lowest.remove()"],
@@ -129,7 +132,7 @@ def _max_source(number: int, position: int) -> _MeasureSource:
     return _min_source(number, position, "-")
 
 
-_MEASURES: Dict[str, Callable[[int, int], _MeasureSource]] = {
+_MEASURE_SOURCES: Dict[str, Callable[[int, int], _MeasureSource]] = {
     "count": _count_source,
     "sum": _sum_source,
     "avg": _mean_source,
@@ -140,17 +143,17 @@ _MEASURES: Dict[str, Callable[[int, int], _MeasureSource]] = {
 
 def has_fused_measures(kinds: Sequence[str]) -> bool:
     """Return whether all measures can be fused."""
-    return all(kind in _MEASURES for kind in kinds)
+    return all(kind in _MEASURE_SOURCES for kind in kinds)
 
 
 def fused_window(
     window: FusedWindow,
     limit: Optional[int],
     node: Any,
-    plain: EventAction,
+    general_path: EventAction,
     complete: EventAction,
     too_large: Callable[[Any, Any], Any],
-    whole: bool,
+    values_are_arguments: bool,
 ) -> EventAction:
     """Return the action that adds the values of an event to a sliding window.
 
@@ -158,17 +161,18 @@ def fused_window(
         window: the window.
         limit: maximum interval of an output in ns; None for no limit.
         node: the stream node: its ``stream`` is the `SlidingTimeWindow`, its network limits the number of elements.
-        plain: the general path.
+        general_path: the general path.
         complete: receives the values of the key and the results.
         too_large: reports a window whose results exceed the range of floats.
-        whole: whether the values are the arguments of the event, so that the action accepts None for them.
+        values_are_arguments: whether the values are the arguments of the event, so that the action accepts None for
+            them.
     """
     names: Dict[str, Any] = {
         "node": node,
         "network": node.rule.network,
         "span": window.span,
         "limit": limit,
-        "plain": plain,
+        "general_path": general_path,
         "complete": complete,
         "too_large": too_large,
         "new": object.__new__,
@@ -183,24 +187,24 @@ def fused_window(
     metered = node.rule.meter is not None
     if metered:
         names["pattern_steps"] = node.rule.network.logic.machine.budget.pattern_steps
-    source = _window_source(window, whole, limit is not None, metered)
+    source = _window_source(window, values_are_arguments, limit is not None, metered)
     action: EventAction = shared_function(source, names, "window")
     return action
 
 
-def _window_source(window: FusedWindow, whole: bool, limited: bool, metered: bool) -> str:
+def _window_source(window: FusedWindow, values_are_arguments: bool, limited: bool, metered: bool) -> str:
     """Return the source; of the program, it contains only numbers and indices."""
     measures = []
     for number, measure_kind in enumerate(window.kinds):
         # `StreamElement.values` contains the values of those measures that have one.
         position = sum(index is not None for index in window.values[:number])
-        measures.append(_MEASURES[measure_kind](number, position))
+        measures.append(_MEASURE_SOURCES[measure_kind](number, position))
     results = [
         *(f"k{number}" for number in range(len(window.groups))),
         *(measure.result for measure in measures),
     ]
     body: List[Statement] = [
-        *_value_statements(window, whole),
+        *_value_statements(window, values_are_arguments),
         "stream = node.stream",
         "queue = stream.queue",
         "groups = stream.states",
@@ -255,14 +259,18 @@ def _window_source(window: FusedWindow, whole: bool, limited: bool, metered: boo
         "queue.append(item)",
         "number = len(members)",
         *(statement for measure in measures for statement in measure.add),
-        Block("try:", [f"found = {tuple_source(results)}"]),
+        Block("try:", [f"results = {tuple_source(results)}"]),
         Block("except OverflowError:", ["return too_large(group, after)"]),
         *([Block("if end - members[0].start > limit:", ["return after"])] if limited else []),
-        "return complete(None, found, members[0].start, end, after)",
+        "return complete(None, results, members[0].start, end, after)",
     ]
-    source = source_of([Block("def made(term, values, start, end, after):", body)])
+    source = source_of([Block("def generated(term, values, start, end, after):", body)])
     # The general path expects the values also if they are the arguments of the event.
-    return source.replace(_GENERAL_PATH, _GENERAL_PATH.replace("values", "term[1:]")) if whole else source
+    return (
+        source.replace(_GENERAL_PATH, _GENERAL_PATH.replace("values", "term[1:]"))
+        if values_are_arguments
+        else source
+    )
 
 
 _NEEDS_GENERAL_PATH = " or ".join(
@@ -292,11 +300,11 @@ def _value_names(window: FusedWindow) -> List[str]:
     return [f"x{number}" for number, position in enumerate(window.values) if position is not None]
 
 
-def _value_statements(window: FusedWindow, whole: bool) -> List[Statement]:
+def _value_statements(window: FusedWindow, values_are_arguments: bool) -> List[Statement]:
     """Return statements that read the values of the measures and compute the key."""
 
     def value(position: int) -> str:
-        return f"term[{position + 1}]" if whole else f"values[{position}]"
+        return f"term[{position + 1}]" if values_are_arguments else f"values[{position}]"
 
     keys = ["key"] if len(window.groups) == 1 else [f"key{number}" for number in range(len(window.groups))]
     statements: List[Statement] = []

@@ -144,7 +144,7 @@ def compile_conditions(
             "    if not ends or ends[-1] < instant:",
             "        missing.append((memory, instant))",
         ]
-    source = "\n".join(["def made(values):", *lines, "    return missing", ""])
+    source = "\n".join(["def generated(values):", *lines, "    return missing", ""])
     function: Callable[[Values], MissingMemories] = shared_function(
         source, namespace, "conditions of a synchronized query"
     )

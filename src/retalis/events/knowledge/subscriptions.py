@@ -66,7 +66,7 @@ class OutputRateLimiter:
         send: sends the term of an event.
         serial: position among the rules.
         active: whether it may be called by the clock.
-        woken: instant of its next alarm; None if no alarm is set.
+        wakeup_time: instant of its next alarm; None if no alarm is set.
         late: number of events that arrived too late.
         dropped: number of events that were dropped because there were too many.
         widths: number of values in its key, and number of other values that it uses.
@@ -85,13 +85,13 @@ class OutputRateLimiter:
         self.send: Callable[[Term], None] = lambda term: None
         self.place = position
         self.active = True
-        self.woken: Optional[int] = None
+        self.wakeup_time: Optional[int] = None
         self.late = self.dropped = self._evicted_count = 0
         self._stream = self._create_stream()
 
     def _create_stream(self) -> StreamOperator:
         stream = self._spec.stream(NetworkOptions())
-        stream.allowed = self._clock.newest_allowed
+        stream.latest_allowed_end = self._clock.newest_allowed
         stream.set_bounds(self._clock.key_bounds)
         self._evicted_count = 0
         return stream
@@ -121,15 +121,15 @@ class OutputRateLimiter:
         """
         now = self._clock.time() if self._spec.clocked else 0
         stream = self._stream
-        previous_late = stream.late
+        previous_late = stream.late_count
         # A flag may have changed the bounds, which are replaced as a whole.
         if stream.bounds is not self._clock.key_bounds:
             stream.set_bounds(self._clock.key_bounds)
         # The element contains the term that is sent; the operator only reads its key, values and interval.
-        outputs = stream.take(StreamElement(term, start, end, *self._spec.item(values)), now, 0)
-        if stream.late != previous_late:
+        outputs = stream.process(StreamElement(term, start, end, *self._spec.item(values)), now, 0)
+        if stream.late_count != previous_late:
             self.late += 1
-            self._warn(f"{self._name}: {self._spec.past}; {self.late} so far", ("late", self._name))
+            self._warn(f"{self._name}: {self._spec.late_report}; {self.late} so far", ("late", self._name))
         if len(stream) > self._clock.cap:
             outputs = [*outputs, *stream.drop_oldest()]
             self.dropped += 1
@@ -137,9 +137,9 @@ class OutputRateLimiter:
                 f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"
             )
             self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
-        if stream.evicted != self._evicted_count:
-            self.dropped += stream.evicted - self._evicted_count
-            self._evicted_count = stream.evicted
+        if stream.evicted_count != self._evicted_count:
+            self.dropped += stream.evicted_count - self._evicted_count
+            self._evicted_count = stream.evicted_count
             reason = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
             self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
         self._set_alarm()
@@ -147,7 +147,7 @@ class OutputRateLimiter:
 
     def on_alarm(self, instant: int, after: Frame) -> Frame:
         """Send the events that are due at an instant; see `TimedNode`."""
-        self.woken = None
+        self.wakeup_time = None
         outputs = self._stream.advance_to(instant)
         self._set_alarm()
         self._send(outputs)
@@ -158,9 +158,9 @@ class OutputRateLimiter:
             self.send(output.items[-1].match)
 
     def _set_alarm(self) -> None:
-        instant = self._stream.next
-        if self.active and instant is not None and (self.woken is None or instant < self.woken):
-            self.woken = instant
+        instant = self._stream.next_deadline
+        if self.active and instant is not None and (self.wakeup_time is None or instant < self.wakeup_time):
+            self.wakeup_time = instant
             self._clock.wake(self, instant)
 
     # ---- state ---------------------------------------------------------------------------------------
@@ -168,12 +168,12 @@ class OutputRateLimiter:
     def stop(self) -> None:
         """Stop the operator; alarms have no effect any more."""
         self.active = False
-        self.woken = None
+        self.wakeup_time = None
 
     def clear(self) -> None:
         """Reset the operator, because the clock went back or the program requires it."""
         self._stream = self._create_stream()
-        self.woken = None
+        self.wakeup_time = None
 
     def repair(self) -> None:
         """Repair the operator after an interrupt."""
@@ -188,7 +188,7 @@ class OutputRateLimiter:
         stream_state, self.late, self.dropped = saved
         self._stream = self._create_stream()
         self._stream.restore(stream_state)
-        self.woken = None
+        self.wakeup_time = None
         self._set_alarm()
 
 

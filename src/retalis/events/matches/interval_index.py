@@ -284,7 +284,7 @@ def interval_bounds(name: str, span: Optional[int], is_left: bool) -> Optional[I
     for instant in "se":
         parts += [_tightest("max", lower[instant]) or "LEAST", _tightest("min", upper[instant]) or "MOST"]
     given = "s1, e1" if is_left else "s2, e2"
-    source = f"def made({given}):\n    return ({', '.join(parts)})\n"
+    source = f"def generated({given}):\n    return ({', '.join(parts)})\n"
     limits = shared_function(source, {"LEAST": MIN_VALUE, "MOST": MAX_VALUE}, f"partners of {operator.name}")
     by_end = len(lower["e"]) + len(upper["e"]) > len(lower["s"]) + len(upper["s"])
     return IntervalBounds(limits, by_end)

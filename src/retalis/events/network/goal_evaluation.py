@@ -29,7 +29,7 @@ from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, d
 from ..fused.fused_single_event import Continuation, goal_action
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
-from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, unfit
+from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, unsuitable_value
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -70,11 +70,11 @@ class TimedNode(Protocol):
     """A node that the clock wakes.
 
     Attributes:
-        woken: the instant of its next alarm; None without one.
+        wakeup_time: the instant of its next alarm; None without one.
         place: position among the nodes of the same owner.
     """
 
-    woken: Optional[int]
+    wakeup_time: Optional[int]
     place: int
 
     @property
@@ -322,9 +322,9 @@ _IS = functor("is", 2)
 
 Evaluate = Callable[[Term, Values], Term]
 """Returns the value of an expression, given the expression and the values of the match that it was made from."""
-Folding = Callable[[Sequence[Term]], Optional[Term]]
+FoldFunction = Callable[[Sequence[Term]], Optional[Term]]
 """Returns the result of a user-defined aggregate for values, oldest first."""
-Holding = Callable[[Values], bool]
+GoalTest = Callable[[Values], bool]
 """Returns whether a goal has a solution for values."""
 
 
@@ -338,7 +338,7 @@ class Evaluators:
     def __init__(self, rule: "EventRule"):
         self._rule = rule
 
-    def evaluating(
+    def compile_expression(
         self, aggregate: str, measured: Term, names: Sequence[Var], may_be_array: bool = False
     ) -> Evaluate:
         """Return a function that evaluates the expression of an aggregate by `is`.
@@ -365,7 +365,7 @@ class Evaluators:
                 return term
             for position in inputs:
                 if not fits(values[position]):
-                    raise unfit(aggregate, values[position])
+                    raise unsuitable_value(aggregate, values[position])
             # Compiled at the first use: most expressions are variables whose values are numbers already.
             if not goal:
                 logic = self._rule.network.logic
@@ -374,14 +374,14 @@ class Evaluators:
                 solution = goal[0].test((term,))
             except PrologError as error:
                 keep_back(error)
-                raise RuleError(f"{unfit(aggregate, term).message}: {error.message}") from error
+                raise RuleError(f"{unsuitable_value(aggregate, term).message}: {error.message}") from error
             if solution is None:
-                raise unfit(aggregate, term)
+                raise unsuitable_value(aggregate, term)
             return solution[0]
 
         return evaluate
 
-    def holding(self, goal: Term, names: Sequence[Var], called: str) -> Holding:
+    def compile_test(self, goal: Term, names: Sequence[Var], called: str) -> GoalTest:
         """Return a function that calls a goal, given the values of some variables."""
         compiled = self._rule.network.logic.compile_goal(goal, list(names), [])
 
@@ -394,7 +394,7 @@ class Evaluators:
 
         return holds
 
-    def folded(self, names: Tuple[Atom, Atom, Atom]) -> Folding:
+    def compile_fold(self, names: Tuple[Atom, Atom, Atom]) -> FoldFunction:
         """Return a function that calls the predicates of a user-defined aggregate.
 
         It returns None if one predicate fails.

@@ -338,7 +338,7 @@ class JoinNode(NetworkNode):
         names: Dict[str, Any] = {"Match": PartialMatch}
         # The order of the lines is from cheap to expensive: interval, span, negations, conditions.
         lines = [
-            f"def made({'l, r' if left_arrives else 'r, l'}):",
+            f"def generated({'l, r' if left_arrives else 'r, l'}):",
             "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
             f"    if not ({operator.fits}):",
             "        return None",

@@ -475,5 +475,5 @@ class RuleCompiler(StreamCompiler):
             return SequenceAggregate(core.kind, lambda values: NIL, lambda term, values: term)
         value = compile_builder(core.value, names, "value of an aggregate")
         return SequenceAggregate(
-            core.kind, value, Evaluators(self.rule).evaluating(core.kind, core.value, names)
+            core.kind, value, Evaluators(self.rule).compile_expression(core.kind, core.value, names)
         )

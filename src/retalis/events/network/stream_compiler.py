@@ -57,7 +57,7 @@ from ..streams.windows import (
     TumblingCountWindow,
 )
 from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, negation_buffer_for
-from .goal_evaluation import Evaluate, Evaluators, Folding, Holding
+from .goal_evaluation import Evaluate, Evaluators, FoldFunction, GoalTest
 from .pattern_nodes import MatchKeys
 from .retention import UNLIMITED, Retention
 from .stream_node import Result, StreamNode, StreamNodeSpec
@@ -66,29 +66,29 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-GivenGoal = Callable[[Term, Sequence[Var], str], Holding]
+GivenGoal = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def compile_row_pattern(form: WindowForm, before: int, holding: GivenGoal) -> RowPatternNFA:
+def compile_row_pattern(form: WindowForm, before: int, goal_test: GivenGoal) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:
         form: the window.
         before: number of values of an element that precede those that conditions use.
-        holding: returns a function that calls a goal.
+        goal_test: returns a function that calls a goal.
     """
-    places = {var: position for position, var in enumerate(form.looked_at, before)}
+    position_of = {var: position for position, var in enumerate(form.looked_at, before)}
     names = [step_form.name for step_form in form.steps]
     marks: Dict[StepNavigation, int] = {}
 
     def test(goal: Term, position: int, called: str) -> Tuple[StepTest, ...]:
         tests = []
-        for condition in conditions(goal, names, position, places):
-            own = [var for var in variables(condition.goal) if var in places]
-            holds = holding(
+        for condition in conditions(goal, names, position, position_of):
+            own_vars = [var for var in variables(condition.goal) if var in position_of]
+            is_satisfied = goal_test(
                 condition.goal,
-                [*own, *(navigation.placeholder for navigation in condition.navigations)],
+                [*own_vars, *(navigation.placeholder for navigation in condition.navigations)],
                 called,
             )
             # Each navigation (PREV, LAST of a step) is registered once for the whole pattern, and conditions refer
@@ -101,10 +101,10 @@ def compile_row_pattern(form: WindowForm, before: int, holding: GivenGoal) -> Ro
                 for navigation in condition.navigations
             ]
             values = (
-                [places[var] for var in own],
-                [places[navigation.var] for navigation in condition.navigations],
+                [position_of[var] for var in own_vars],
+                [position_of[navigation.var] for navigation in condition.navigations],
             )
-            tests.append(StepTest(tuple(navigations), partial(_holds, holds, *values)))
+            tests.append(StepTest(tuple(navigations), partial(_holds, is_satisfied, *values)))
         return tuple(tests)
 
     def step(position: int, step_form: StepForm) -> RowPatternVariable:
@@ -121,17 +121,17 @@ def compile_row_pattern(form: WindowForm, before: int, holding: GivenGoal) -> Ro
 
 
 def _holds(
-    holds: Holding,
-    own: Sequence[int],
-    backs: Sequence[int],
+    is_satisfied: GoalTest,
+    own_vars: Sequence[int],
+    navigation_positions: Sequence[int],
     item: StreamElement,
     targets: Sequence[StreamElement],
 ) -> bool:
     """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
-    values = [item.values[position] for position in own]
-    if backs:
-        values += [element.values[position] for element, position in zip(targets, backs)]
-    return holds(tuple(values))
+    values = [item.values[position] for position in own_vars]
+    if navigation_positions:
+        values += [element.values[position] for element, position in zip(targets, navigation_positions)]
+    return is_satisfied(tuple(values))
 
 
 _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
@@ -178,7 +178,7 @@ def window_node_spec(
     names: Sequence[Var],
     groups: Sequence[Var],
     result: Result,
-    asking: Evaluators,
+    evaluators: Evaluators,
 ) -> StreamNodeSpec:
     """Return the specification of a node of ``aggregate(K, Q, R, W)``, given the variables of Q's matches.
 
@@ -187,79 +187,86 @@ def window_node_spec(
         names: variables of Q's matches.
         groups: those that are used elsewhere in the rule; they are the key.
         result: returns the values of its matches.
-        asking: compiles the goals.
+        evaluators: compiles the goals.
     """
-    places = positions(names)
-    key_positions = [places[var] for var in groups]
-    only = key_positions[0] if len(key_positions) == 1 else None
-    taken = [value for value in part.values if value is not None]
+    position_of = positions(names)
+    key_positions = [position_of[var] for var in groups]
+    single_position = key_positions[0] if len(key_positions) == 1 else None
+    measured_terms = [value for value in part.values if value is not None]
     looked_at = part.window.looked_at
-    build, seen = _builder(taken, names), [places[var] for var in looked_at]
-    numeric = [
-        _lenient_evaluation(asking.evaluating(kind, value, names, AGGREGATES[kind].accepts_arrays), scope)
+    build, navigated_positions = _builder(measured_terms, names), [position_of[var] for var in looked_at]
+    evaluate_values = [
+        _lenient_evaluation(
+            evaluators.compile_expression(kind, value, names, AGGREGATES[kind].accepts_arrays), scope
+        )
         if AGGREGATES[kind].is_numeric
         else None
         for kind, value, scope in zip(part.kinds, part.values, part.scopes)
         if value is not None
     ]
-    numbers = any(numeric)
+    has_numeric_values = any(evaluate_values)
 
     def item(values: Values) -> Tuple[Values, Values]:
         measured = build(values)
         # Values are nearly always numbers, so expressions are evaluated only if one is not.
-        if numbers:
+        if has_numeric_values:
             for value in measured:
                 if value.__class__ not in (int, float):
                     measured = tuple(
-                        [_number(element, evaluate, values) for element, evaluate in zip(measured, numeric)]
+                        [
+                            _number(element, evaluate, values)
+                            for element, evaluate in zip(measured, evaluate_values)
+                        ]
                     )
                     break
-        if seen:
-            measured = (*measured, *(values[place] for place in seen))
+        if navigated_positions:
+            measured = (*measured, *(values[position] for position in navigated_positions))
         return (
-            (values[only],) if only is not None else tuple([values[place] for place in key_positions])
+            (values[single_position],)
+            if single_position is not None
+            else tuple([values[position] for position in key_positions])
         ), measured
 
-    measures = _measures(part, asking.folded)
+    measures = _measures(part, evaluators.compile_fold)
     form = part.window
     if form.kind == "steps":
-        plan = compile_row_pattern(form, len(taken), asking.holding)
+        nfa = compile_row_pattern(form, len(measured_terms), evaluators.compile_test)
         return StreamNodeSpec(
-            lambda mode: RowPatternWindow(measures, part.scopes, plan),
+            lambda mode: RowPatternWindow(measures, part.scopes, nfa),
             item,
             result,
             False,
             _LATE,
-            any(variable.tests or variable.until for variable in plan.steps),
+            any(variable.tests or variable.until for variable in nfa.steps),
         )
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
-    calls, fused = "fold" in part.kinds, _fused_form(part, places, groups)
+    calls, fused = "fold" in part.kinds, _fused_form(part, position_of, groups)
     return StreamNodeSpec(lambda mode: make(), item, result, clocked, _LATE, calls, fused)
 
 
-def _fused_form(part: Windowed, places: Dict[Var, int], groups: Sequence[Var]) -> Optional[FusedWindow]:
+def _fused_form(part: Windowed, position_of: Dict[Var, int], groups: Sequence[Var]) -> Optional[FusedWindow]:
     """Return the form of a window that `fused_window` takes: only variables are measured; None for other windows."""
     if (
         part.window.kind != "last"
         or part.listed
         or not has_fused_measures(part.kinds)
-        or _fresh(part, groups) is None
+        or _distinct_new_vars(part, groups) is None
     ):
         return None
     values: List[Optional[int]] = []
     for value in part.values:
         # Expressions need Prolog evaluation, which the fused code does not contain.
-        if value is not None and (value.__class__ is not Var or value not in places):
+        if value is not None and (value.__class__ is not Var or value not in position_of):
             return None
-        values.append(None if value is None else places[value])
-    return FusedWindow(part.window.span, [places[var] for var in groups], part.kinds, values)
+        values.append(None if value is None else position_of[value])
+    return FusedWindow(part.window.span, [position_of[var] for var in groups], part.kinds, values)
 
 
-def _fresh(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
+def _distinct_new_vars(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
     """Return the terms of the results if these are different new variables, else None."""
-    fresh = [term for term in part.results if term.__class__ is Var and term not in groups]
-    return fresh if len(set(fresh)) == len(part.results) else None
+    new_vars = [term for term in part.results if term.__class__ is Var and term not in groups]
+    return new_vars if len(set(new_vars)) == len(part.results) else None
 
 
 def _lenient_evaluation(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
@@ -284,17 +291,17 @@ def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
     return value if evaluate is None or value.__class__ in (int, float) else evaluate(value, values)
 
 
-def _measures(part: Windowed, folded: Callable[[Any], Folding]) -> Callable[[], List[Any]]:
+def _measures(part: Windowed, folded: Callable[[Any], FoldFunction]) -> Callable[[], List[Any]]:
     """Return a function that creates the accumulators of one key."""
     makers = []
-    place = 0
+    position = 0
     for kind, setting, value in zip(part.kinds, part.settings, part.values):
         if kind == "rate":
             setting = Fraction(part.window.span, SECOND) if part.window.span else None
         elif kind == "fold":
             setting = folded(setting)
-        makers.append(partial(AGGREGATES[kind].make_accumulator, place, setting))
-        place += value is not None
+        makers.append(partial(AGGREGATES[kind].make_accumulator, position, setting))
+        position += value is not None
     return lambda: [make() for make in makers]
 
 
@@ -314,8 +321,8 @@ def absence_node_spec(
         condition: tests the values of P and a match of Q, if Q has conditions on P; else None.
         name: returns the identity of a match of P.
     """
-    places = positions(names)
-    shared = [(position, places[var]) for position, var in enumerate(absent) if var in places]
+    position_of = positions(names)
+    shared = [(position, position_of[var]) for position, var in enumerate(absent) if var in position_of]
     keys = [
         key_function(tuple(match_position for _, match_position in shared)),
         key_function(tuple(absent_position for absent_position, _ in shared)),
@@ -334,8 +341,8 @@ def absence_node_spec(
         return condition is None or condition(sides[1].values, sides[0])
 
     def stream(mode: NetworkOptions) -> StreamOperator:
-        agreement = Correlation(key, rules_out, condition is None, name if mode.policy.replacing else None)
-        return AbsenceTimeout(span, agreement)
+        correlation = Correlation(key, rules_out, condition is None, name if mode.policy.replacing else None)
+        return AbsenceTimeout(span, correlation)
 
     return StreamNodeSpec(stream, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None)
 
@@ -346,8 +353,8 @@ def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], 
     if not built:
         return lambda values: ()
     if len(built) == 1:
-        only = built[0]
-        return lambda values: (only(values),)
+        single_builder = built[0]
+        return lambda values: (single_builder(values),)
     return lambda values: tuple([build(values) for build in built])
 
 
@@ -357,27 +364,27 @@ def window_result(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Res
     The function takes the values of the key and the results. It returns None if the term of a result does not unify
     with it.
     """
-    listed, terms, known = part.listed, part.results, set(groups)
-    fresh = _fresh(part, groups)
-    if fresh is not None:
+    listed, terms, known_vars = part.listed, part.results, set(groups)
+    new_vars = _distinct_new_vars(part, groups)
+    if new_vars is not None:
         if listed:
-            return [*groups, *fresh], lambda by, output: (*by, make_list(list(output)))
-        return [*groups, *fresh], lambda by, output: (*by, *output)
+            return [*groups, *new_vars], lambda by, output: (*by, make_list(list(output)))
+        return [*groups, *new_vars], lambda by, output: (*by, *output)
     new = [
         var
         for var in dict.fromkeys(element for term in terms for element in variables(term))
-        if var not in known
+        if var not in known_vars
     ]
     names = [*groups, *new]
     builders = [compile_builder(term, names, "result of an aggregate") for term in terms]
 
     def fitted(by: Values, output: Values) -> Optional[Values]:
-        own = (*by, *(Var() for _ in new))
+        result_values = (*by, *(Var() for _ in new))
         results = (make_list(list(output)),) if listed else output
         trail: List[Any] = []
         unified = None
-        if all(unify(build(own), value, trail) for build, value in zip(builders, results)):
-            unified = tuple([resolve(element) for element in own])
+        if all(unify(build(result_values), value, trail) for build, value in zip(builders, results)):
+            unified = tuple([resolve(element) for element in result_values])
         undo(trail, 0)
         return unified
 
@@ -439,10 +446,12 @@ class StreamCompiler:
         values = [value for value in core.values if value is not None]
         outside = self._outside(pattern, [*values, *core.window.looked_at])
         groups = [var for var in names if var in outside]
-        own, result = window_result(core, groups)
-        asking = Evaluators(self.rule)
-        making = window_node_spec(core, names, groups, result, asking)
-        node = self._add(StreamNode(self.rule, [below.node], own, making, core), None, Retention(part, part))
+        own_vars, result = window_result(core, groups)
+        evaluators = Evaluators(self.rule)
+        spec = window_node_spec(core, names, groups, result, evaluators)
+        node = self._add(
+            StreamNode(self.rule, [below.node], own_vars, spec, core), None, Retention(part, part)
+        )
         return BuiltPattern(node, [], below.leaves, [])
 
     def _build_absence(self, core: Awaited, context: VarSet) -> BuiltPattern:
@@ -450,17 +459,17 @@ class StreamCompiler:
         below = self._build(core.pattern, context, UNLIMITED)
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
-        sure = always_bound_by(core.pattern, False, True)
+        always_bound = always_bound_by(core.pattern, False, True)
         names = below.node.vars
         # The timeout has no left operand whose variables could become known later.
-        if negated.needs(inner_context, set(names)) | negated.needs(context, sure):
+        if negated.needs(inner_context, set(names)) | negated.needs(context, always_bound):
             message = "the pattern of absent uses a variable that the pattern before it does not bind"
             raise RuleError(message, self.rule.place)
         built = negated.make()
         absence = negation_buffer_for(self.rule, built, names, False)
         name = self._match_keys.name(names, core.pattern)
-        making = absence_node_spec(core.span, names, built.node.vars, absence.condition, name)
-        node = StreamNode(self.rule, [below.node, built.node], names, making, core)
+        spec = absence_node_spec(core.span, names, built.node.vars, absence.condition, name)
+        node = StreamNode(self.rule, [below.node, built.node], names, spec, core)
         node.carried = absence.carried
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

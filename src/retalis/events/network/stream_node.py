@@ -52,8 +52,8 @@ from ..matches.partial_matches import (
     is_retracted,
 )
 from ..provenance.event_log import known_in
-from ..streams.row_pattern import MAX_WAYS_PER_START
-from ..streams.stream_operator import KeyBounds, KnownState, StreamElement, StreamOperator, StreamOutput
+from ..streams.row_pattern import MAX_STATES_PER_START
+from ..streams.stream_operator import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
 from .goal_evaluation import Buffer
 from .pattern_nodes import NetworkNode
@@ -124,37 +124,37 @@ class Replay:
     """Log of the elements that an operator has received and of its outputs, to run it again after a retraction.
 
     Args:
-        begin: creates the operator.
-        known: its state so far, which is final.
+        create_operator: creates the operator.
+        operator_state: its state so far, which is final.
     """
 
-    def __init__(self, begin: Callable[[], StreamOperator], known: KnownState = ()):
-        self._begin = begin
-        self._base: KnownState = _copy_state(known)
-        self._taken: List[Tuple[int, StreamElement, int]] = []
-        self._given: List[Tuple[StreamOutput, TrackedMatch]] = []
+    def __init__(self, create_operator: Callable[[], StreamOperator], operator_state: OperatorState = ()):
+        self._create_operator = create_operator
+        self._base: OperatorState = _copy_state(operator_state)
+        self._elements: List[Tuple[int, StreamElement, int]] = []
+        self._outputs: List[Tuple[StreamOutput, TrackedMatch]] = []
         self._new: List[StreamOutput] = []
         self._forgotten: Dict[int, PartialMatch] = {}
 
     def __len__(self) -> int:
-        return len(self._taken)
+        return len(self._elements)
 
     def begin_step(self, stream: StreamOperator) -> None:
         """Make the log part of the final state if it is long.
 
         Called before the operator processes an element or an alarm.
         """
-        if len(self._taken) >= MAX_REPLAYED_ELEMENTS or len(self._given) >= MAX_REPLAYED_ELEMENTS:
+        if len(self._elements) >= MAX_REPLAYED_ELEMENTS or len(self._outputs) >= MAX_REPLAYED_ELEMENTS:
             self._base = _copy_state(stream.snapshot())
-            self._taken, self._given = [], []
+            self._elements, self._outputs = [], []
 
-    def took(self, channel: int, item: StreamElement, now: int) -> None:
+    def record_element(self, channel: int, item: StreamElement, now: int) -> None:
         """Record an element."""
-        self._taken.append((channel, _fresh_element(item), now))
+        self._elements.append((channel, _fresh_element(item), now))
 
-    def gave(self, output: StreamOutput, held: TrackedMatch) -> None:
+    def record_output(self, output: StreamOutput, held: TrackedMatch) -> None:
         """Record an output, and the object that represents it in the lineage."""
-        self._given.append((output, held))
+        self._outputs.append((output, held))
 
     def forget(self, match: PartialMatch) -> bool:
         """Exclude a match when the operator is run again; return True, because that may change its outputs."""
@@ -176,15 +176,15 @@ class Replay:
             retracted.
         """
         forgotten = self._forgotten
-        self._taken = [entry for entry in self._taken if id(entry[1].match) not in forgotten]
+        self._elements = [entry for entry in self._elements if id(entry[1].match) not in forgotten]
         self._forgotten = {}
-        stream = self._begin()
+        stream = self._create_operator()
         if self._base:
             stream.restore(_without_retracted(_copy_state(self._base)))
         outputs: List[StreamOutput] = []
-        for channel, item, instant in metered(self._taken, meter):
+        for channel, item, instant in metered(self._elements, meter):
             outputs += stream.advance_to(instant)
-            outputs += stream.take(_fresh_element(item), instant, channel)
+            outputs += stream.process(_fresh_element(item), instant, channel)
         outputs += stream.advance_to(now)
         if meter is not None and meter(0):
             return None
@@ -193,18 +193,18 @@ class Replay:
         # Outputs are compared as multisets: equal outputs may occur several times, and each old one needs its own
         # counterpart.
         counts = Counter(_key(output) for output in outputs)
-        stand: List[Tuple[StreamOutput, TrackedMatch]] = []
-        lost: List[TrackedMatch] = []
-        for output, held in self._given:
+        remaining: List[Tuple[StreamOutput, TrackedMatch]] = []
+        missing: List[TrackedMatch] = []
+        for output, held in self._outputs:
             if held.gone:
                 continue
             key = _key(output)
             if counts[key]:
                 counts[key] -= 1
-                stand.append((output, held))
+                remaining.append((output, held))
             else:
-                lost.append(held)
-        self._given = stand
+                missing.append(held)
+        self._outputs = remaining
         self._new = []
         # Of equal outputs, the last ones are new.
         for output in reversed(outputs):
@@ -212,7 +212,7 @@ class Replay:
                 counts[_key(output)] -= 1
                 self._new.append(output)
         self._new.reverse()
-        return stream, lost
+        return stream, missing
 
     def take_new(self) -> List[StreamOutput]:
         """Return the outputs that are new after `run_again`, once."""
@@ -221,16 +221,18 @@ class Replay:
 
     def snapshot(self) -> Tuple[Any, ...]:
         """Return the log; see `restore`."""
-        given = [((list(output.items), *output[1:]), held) for output, held in self._given]
-        return (self._base, self._taken, given)
+        outputs_and_matches = [((list(output.items), *output[1:]), held) for output, held in self._outputs]
+        return (self._base, self._elements, outputs_and_matches)
 
     def restore(self, saved: Tuple[Any, ...]) -> None:
         """Set the log that another one returned."""
-        self._base, self._taken, given = saved
-        self._given = [(StreamOutput(tuple(items), *rest), held) for (items, *rest), held in given]
+        self._base, self._elements, outputs_and_matches = saved
+        self._outputs = [
+            (StreamOutput(tuple(items), *rest), held) for (items, *rest), held in outputs_and_matches
+        ]
         # A state that cannot be restored must fail now, not at a retraction.
         if self._base:
-            self._begin().restore(_copy_state(self._base))
+            self._create_operator().restore(_copy_state(self._base))
 
 
 def _fresh_element(item: StreamElement) -> StreamElement:
@@ -271,13 +273,13 @@ def _without_retracted(data: Any) -> Any:
 def _key(output: StreamOutput) -> Hashable:
     """Return the identity of an output: its last element, its interval, and its results."""
     last = output.items[-1]
-    named = last.by if output.found else ()
-    results = tuple([term_key(term) for term in (*named, *output.found)])
-    return (id(last.match) if not output.found else None, output.start, output.end, results)
+    named = last.by if output.results else ()
+    results = tuple([term_key(term) for term in (*named, *output.results)])
+    return (id(last.match) if not output.results else None, output.start, output.end, results)
 
 
 Result = Callable[[Values, Values], Optional[Values]]
-Take = Callable[[Optional[PartialMatch], Values, int, int], List[StreamOutput]]
+OperatorInput = Callable[[Optional[PartialMatch], Values, int, int], List[StreamOutput]]
 
 
 class StreamNodeSpec(NamedTuple):
@@ -289,8 +291,8 @@ class StreamNodeSpec(NamedTuple):
         result: returns the values of a match from the key and the results, or None if these do not unify with the
             terms of the rule; None if the node emits the matches that it received.
         clocked: whether elements are processed at the present instant.
-        past: text of reports about elements that arrive too late.
-        calls: whether the operator calls goals of the program.
+        late_report: text of reports about elements that arrive too late.
+        calls_goals: whether the operator calls goals of the program.
         fused: the window, if it can be fused; else None.
     """
 
@@ -298,8 +300,8 @@ class StreamNodeSpec(NamedTuple):
     item: Callable[[Values], Tuple[Values, Values]]
     result: "Optional[Result]"
     clocked: bool
-    past: str
-    calls: bool = False
+    late_report: str
+    calls_goals: bool = False
     fused: Optional[FusedWindow] = None
 
 
@@ -308,15 +310,15 @@ class StreamNode(NetworkNode):
 
     Args:
         rule: the rule that it belongs to.
-        children: nodes of the patterns, by channel; see `StreamOperator.take`.
+        children: nodes of the patterns, by channel; see `StreamOperator.process`.
         names: variables of its values.
-        making: its specification.
+        spec: its specification.
         pattern: the part of the rule's pattern that it evaluates.
 
     Attributes:
-        woken: instant at which the clock wakes it next; None if it does not.
+        wakeup_time: instant at which the clock wakes it next; None if it does not.
         late: number of matches that arrived too late.
-        evicted: number of keys that were dropped because there were too many.
+        evicted_count: number of keys that were dropped because there were too many.
         place: position among the nodes of the rule.
         carried: negation buffers in the conditions of a negated pattern, with the nodes of their negated patterns.
     """
@@ -326,33 +328,33 @@ class StreamNode(NetworkNode):
         rule: "EventRule",
         children: Sequence[NetworkNode],
         names: Sequence[Var],
-        making: StreamNodeSpec,
+        spec: StreamNodeSpec,
         pattern: Pattern,
     ):
         self.rule = rule
         self.pattern = pattern
         self.children = list(children)
         self.vars = list(names)
-        self.making = making
+        self.spec = spec
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
-        self.alone = len(self.children) == 1 and self.children[0].alone and not making.calls
-        self._reentrancy = ReentrancyQueue(rule.network.dispatcher) if making.calls else None
+        self.alone = len(self.children) == 1 and self.children[0].alone and not spec.calls_goals
+        self._reentrancy = ReentrancyQueue(rule.network.dispatcher) if spec.calls_goals else None
         self._arrivals: Dict[int, Emit] = {}
         self.place = 0
         self.span: Optional[int] = None
         self._bounds = KeyBounds()
-        self.woken: Optional[int] = None
-        self.late = self.evicted = 0
-        self._began: Optional[NetworkOptions] = None
-        self.stream = self._begin(NetworkOptions(), rule.meter)
+        self.wakeup_time: Optional[int] = None
+        self.late = self.evicted_count = 0
+        self._options: Optional[NetworkOptions] = None
+        self.stream = self._create_operator(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
         self.out: Emit = lambda match, after: after
 
-    def _begin(self, mode: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
-        stream = self.making.stream(mode)
+    def _create_operator(self, mode: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
+        stream = self.spec.stream(mode)
         stream.meter = meter
         stream.tracked = mode.tracked
-        stream.allowed = self.rule.network.newest_allowed
+        stream.latest_allowed_end = self.rule.network.newest_allowed
         stream.set_bounds(self._bounds)
         return stream
 
@@ -378,26 +380,26 @@ class StreamNode(NetworkNode):
             lambda match, after: complete(match.term, match.values, match.start, match.end, after),
             self.rule.mode,
         )
-        result, take = self.making.result, self._operator_input(0, self.rule.mode)
+        result, process = self.spec.result, self._operator_input(0, self.rule.mode)
 
         def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             match = PartialMatch(values, start, end, None, term, None) if result is None else None
-            outputs = take(match, values, start, end)
+            outputs = process(match, values, start, end)
             if not outputs:
                 return after
             if result is None or len(outputs) > 1 or outputs[0].error is not None:
-                return self._give(outputs, after)
+                return self._emit_outputs(outputs, after)
             output = outputs[0]
-            result_values = result(output.items[-1].by, output.found)
+            result_values = result(output.items[-1].by, output.results)
             if result_values is None or (self.span is not None and output.end - output.start > self.span):
                 return after
             return complete(None, result_values, output.start, output.end, after)  # type: ignore[arg-type]
 
         def too_large(group: KeyedWindow, after: Frame) -> Frame:
             output = group.output(False)
-            return after if output is None else self._give([output], after)
+            return after if output is None else self._emit_outputs([output], after)
 
-        fused = self.making.fused
+        fused = self.spec.fused
         action: EventAction = arrive
         # Without fusion an event takes twice the time.
         if fused is not None and not self.rule.mode.revised:
@@ -408,50 +410,50 @@ class StreamNode(NetworkNode):
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:
         """Set the action for results, and the options; the operator's state remains."""
         self.out = out
-        if mode != self._began:
-            self._change(mode)
-        self.woken = None
+        if mode != self._options:
+            self._set_options(mode)
+        self.wakeup_time = None
         self._wake()
 
-    def _change(self, mode: NetworkOptions) -> None:
+    def _set_options(self, mode: NetworkOptions) -> None:
         """Run the operator with other options."""
-        if not self._is_deferred(lambda: self._change(mode)):
-            self._began = mode
+        if not self._is_deferred(lambda: self._set_options(mode)):
+            self._options = mode
             self._rebuild()
             self.replay = (
-                Replay(partial(self._begin, mode, self.rule.meter), self.stream.snapshot())
+                Replay(partial(self._create_operator, mode, self.rule.meter), self.stream.snapshot())
                 if mode.revised
                 else None
             )
 
     def _is_deferred(self, work: Callable[[], None]) -> bool:
         """Defer work if the operator is running; return whether it was deferred."""
-        postponing = self._reentrancy
-        if postponing is None or not postponing.is_running:
+        reentrancy = self._reentrancy
+        if reentrancy is None or not reentrancy.is_running:
             return False
 
         def step(after: Frame) -> Frame:
             work()
             return after
 
-        postponing.defer(step)
+        reentrancy.defer(step)
         return True
 
     def _rebuild(self) -> None:
         """Replace the operator by a new one with the same state: for other options, or after an interrupt."""
         saved = self.stream.snapshot()
-        self.stream = self._begin(self._began or NetworkOptions(), self.rule.meter)
+        self.stream = self._create_operator(self._options or NetworkOptions(), self.rule.meter)
         self.stream.restore(saved)
-        self.stream.late, self.stream.evicted = self.late, self.evicted
+        self.stream.late_count, self.stream.evicted_count = self.late, self.evicted_count
 
     def repair(self) -> None:
         """Repair the operator after an interrupt: its state is counted and indexed again."""
         if self._reentrancy is not None:
             self._reentrancy.clear()
-            if self._began not in (None, self.rule.mode):
-                self._change(self.rule.mode)
+            if self._options not in (None, self.rule.mode):
+                self._set_options(self.rule.mode)
         self._rebuild()
-        self.woken = None
+        self.wakeup_time = None
         self._wake()
 
     def buffers(self) -> Sequence[Buffer]:
@@ -460,66 +462,70 @@ class StreamNode(NetworkNode):
 
     def _arrival_action(self, channel: int, mode: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""
-        take = self._operator_input(channel, mode)
-        with_match = mode.tracked or self.making.result is None
-        postponing = self._reentrancy
+        process = self._operator_input(channel, mode)
+        with_match = mode.tracked or self.spec.result is None
+        reentrancy = self._reentrancy
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             taken = match if with_match else None
-            if postponing is None:
-                outputs = take(taken, match.values, match.start, match.end)
-            elif postponing.is_running:
-                postponing.defer(lambda frame: self._arrivals[channel](match, frame))
+            if reentrancy is None:
+                outputs = process(taken, match.values, match.start, match.end)
+            elif reentrancy.is_running:
+                reentrancy.defer(lambda frame: self._arrivals[channel](match, frame))
                 return after
             else:
-                outputs = postponing.run_operator(lambda: take(taken, match.values, match.start, match.end))
-                after = postponing.before(after)
+                outputs = reentrancy.run_operator(
+                    lambda: process(taken, match.values, match.start, match.end)
+                )
+                after = reentrancy.before(after)
             if not outputs:
                 return after
-            return self._give(outputs, after, arrival(match) if mode.tracked else 0)
+            return self._emit_outputs(outputs, after, arrival(match) if mode.tracked else 0)
 
         self._arrivals[channel] = arrive
         return arrive
 
-    def _operator_input(self, channel: int, mode: NetworkOptions) -> "Take":
+    def _operator_input(self, channel: int, mode: NetworkOptions) -> "OperatorInput":
         """Return a function that passes a match to the operator and returns its outputs.
 
         The match itself is optional; its values and interval are required.
         """
-        make, clocked = self.making.item, self.making.clocked or mode.revised
+        make, clocked = self.spec.item, self.spec.clocked or mode.revised
         network = self.rule.network
         meter = self.rule.meter
 
-        def take(match: Optional[PartialMatch], values: Values, start: int, end: int) -> List[StreamOutput]:
+        def process(
+            match: Optional[PartialMatch], values: Values, start: int, end: int
+        ) -> List[StreamOutput]:
             if meter is not None and meter(1):
                 return []
             # Reading the clock is avoided for operators that depend on time stamps only.
             now = network.time() if clocked else 0
             stream = self.stream
-            crowded = stream.crowded
+            pruned_count = stream.pruned_count
             if self.replay is not None:
                 self.replay.begin_step(stream)
             try:
                 item = StreamElement(match, start, end, *make(values))
-                outputs = stream.take(item, now, channel)
+                outputs = stream.process(item, now, channel)
             except RuleError as error:
                 network.rule_failed(self.rule, error)
                 return []
             if self.replay is not None:
-                self._note(channel, item, now)
-            if stream.late != self.late:
-                self.late = stream.late
-                network.came_late(self.rule, self.making.past)
-            if stream.crowded != crowded or stream.evicted != self.evicted:
-                self._report_dropped(stream.crowded - crowded)
+                self._record_element(channel, item, now)
+            if stream.late_count != self.late:
+                self.late = stream.late_count
+                network.came_late(self.rule, self.spec.late_report)
+            if stream.pruned_count != pruned_count or stream.evicted_count != self.evicted_count:
+                self._report_dropped(stream.pruned_count - pruned_count)
             # One element can add several partial matches to a row pattern.
             while len(stream) > network.cap:
                 outputs = [*outputs, *self._drop()]
-            if stream.next is not None:
+            if stream.next_deadline is not None:
                 self._wake()
             return outputs
 
-        return take
+        return process
 
     def _drop(self) -> List[StreamOutput]:
         """Drop the oldest element with its partial matches; return the outputs that follow from that."""
@@ -527,47 +533,47 @@ class StreamNode(NetworkNode):
         self.rule.network.dropped(self.rule)
         return self.stream.drop_oldest()
 
-    def _report_dropped(self, ways: int = 0) -> None:
+    def _report_dropped(self, pruned_count: int = 0) -> None:
         """Count and report dropped partial matches of row patterns, and keys that the operator has dropped.
 
         Only drops caused by an event are reported: a replay or an explanation processes the same elements again.
         """
-        for _ in range(ways):
+        for _ in range(pruned_count):
             self.rule.dropped += 1
-            self.rule.network.dropped(self.rule, MAX_WAYS_PER_START)
-        for _ in range(self.stream.evicted - self.evicted):
+            self.rule.network.dropped(self.rule, MAX_STATES_PER_START)
+        for _ in range(self.stream.evicted_count - self.evicted_count):
             self.rule.dropped += 1
             self.rule.network.dropped_key(self.rule)
-        self.evicted = self.stream.evicted
+        self.evicted_count = self.stream.evicted_count
 
     def _wake(self) -> None:
-        instant = self.stream.next
+        instant = self.stream.next_deadline
         # A wake-up that is set already for an earlier instant sets the next one.
-        if instant is not None and (self.woken is None or instant < self.woken):
-            self.woken = instant
+        if instant is not None and (self.wakeup_time is None or instant < self.wakeup_time):
+            self.wakeup_time = instant
             self.rule.network.wake(self, instant)
 
     def on_alarm(self, instant: int, after: Frame) -> Frame:
         """Return the frame that emits the outputs that are due, and continues with ``after``."""
-        self.woken = None
+        self.wakeup_time = None
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
         if self.rule.skipping is not None:
             self.rule.skipping.wakes()
         if self.replay is not None:
             self.replay.begin_step(self.stream)
-        postponing = self._reentrancy
-        if postponing is None:
+        reentrancy = self._reentrancy
+        if reentrancy is None:
             outputs = self.stream.advance_to(instant)
         else:
-            outputs = postponing.run_operator(lambda: self.stream.advance_to(instant))
-            after = postponing.before(after)
-        if self.stream.evicted != self.evicted:
+            outputs = reentrancy.run_operator(lambda: self.stream.advance_to(instant))
+            after = reentrancy.before(after)
+        if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._wake()
         arrival_number = self.rule.network.tracker.wakes() if self.stream.tracked else 0
-        return self._give(outputs, after, arrival_number)
+        return self._emit_outputs(outputs, after, arrival_number)
 
-    def _give(self, outputs: List[StreamOutput], after: Frame, arrival_number: int = 0) -> Frame:
+    def _emit_outputs(self, outputs: List[StreamOutput], after: Frame, arrival_number: int = 0) -> Frame:
         return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.out, after)
 
     def _matches(self, outputs: Iterable[StreamOutput], arrival_number: int = 0) -> Iterator[PartialMatch]:
@@ -590,8 +596,8 @@ class StreamNode(NetworkNode):
             self.rule.network.rule_failed(self.rule, output.error)
             return None
         last = output.items[-1]
-        result = self.making.result
-        values = () if result is None else result(last.by, output.found)
+        result = self.spec.result
+        values = () if result is None else result(last.by, output.results)
         if values is None:
             return None
         # Each output has its own lineage object, so it can be retracted without the others that contain the same
@@ -618,15 +624,15 @@ class StreamNode(NetworkNode):
         held = TrackedMatch(PartialMatch((), output.start, output.end, None, None, parts), NOTHING_HELD)
         held.number = max(held.number, arrival_number)
         if self.replay is not None:
-            self.replay.gave(output, held)
+            self.replay.record_output(output, held)
         return (held,)
 
     # ---- retracted events ----------------------------------------------------------------------------
 
-    def _note(self, channel: int, item: StreamElement, now: int) -> None:
+    def _record_element(self, channel: int, item: StreamElement, now: int) -> None:
         """Record an element, and register it with the events that it contains."""
         assert self.replay is not None
-        self.replay.took(channel, item, now)
+        self.replay.record_element(channel, item, now)
         for occurrence in known_in(item.match):
             occurrence.held.append((self, self, item.match))
 
@@ -641,12 +647,12 @@ class StreamNode(NetworkNode):
         rerun = self.replay.run_again(self.rule.network.time(), self.rule.meter)
         if rerun is None:
             # Its outputs so far remain valid.
-            self._begin_anew()
+            self._reset_operator()
             return []
-        self.stream, lost = rerun
-        self.late, self.evicted = self.stream.late, self.stream.evicted
+        self.stream, missing = rerun
+        self.late, self.evicted_count = self.stream.late_count, self.stream.evicted_count
         self._wake()
-        return lost
+        return missing
 
     def results_again(self, node: "StreamNode") -> List[PartialMatch]:
         """Return the matches that are valid without the excluded matches and were not before."""
@@ -663,14 +669,14 @@ class StreamNode(NetworkNode):
     def clear(self) -> None:
         """Reset the operator."""
         if not self._is_deferred(self.clear):
-            self._begin_anew()
+            self._reset_operator()
 
-    def _begin_anew(self) -> None:
-        mode = self._began or NetworkOptions()
-        self.stream = self._begin(mode, self.rule.meter)
-        self.replay = Replay(partial(self._begin, mode, self.rule.meter)) if mode.revised else None
-        self.woken = None
-        self.late = self.evicted = 0
+    def _reset_operator(self) -> None:
+        mode = self._options or NetworkOptions()
+        self.stream = self._create_operator(mode, self.rule.meter)
+        self.replay = Replay(partial(self._create_operator, mode, self.rule.meter)) if mode.revised else None
+        self.wakeup_time = None
+        self.late = self.evicted_count = 0
 
     def held(self) -> int:
         """Return the number of matches, or keys, in the operator's state."""
@@ -690,8 +696,8 @@ class StreamNode(NetworkNode):
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        known, self.late, replayed = saved
-        self.stream.restore(known)
+        operator_state, self.late, replayed = saved
+        self.stream.restore(operator_state)
         if self.replay is not None and replayed is not None:
             self.replay.restore(replayed)
         self._wake()

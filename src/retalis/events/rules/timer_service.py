@@ -105,7 +105,7 @@ class NodeTimers:
 
     def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
-        # An entry is stale if its node has asked for another instant since, or has been woken.
+        # An entry is stale if its node has asked for another instant since, or has been wakeup_time.
         heap = self._heap
         while heap and not _is_current(heap[0]):
             heapq.heappop(heap)
@@ -130,20 +130,20 @@ class NodeTimers:
         try:
             if heap and heap[0][0] <= instant:
                 due_instant, *_, node = heapq.heappop(heap)
-                node.woken = None
+                node.wakeup_time = None
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
                     self._rules.dispatcher.apart(
                         lambda: machine.run(node.on_alarm(due_instant, machine.done))
                     )
-        # Also after an error or interrupt, otherwise no later node would be woken.
+        # Also after an error or interrupt, otherwise no later node would be wakeup_time.
         finally:
             self._arm()
 
 
 def _is_current(entry: _Deadline) -> bool:
-    return entry[-1].woken == entry[0]
+    return entry[-1].wakeup_time == entry[0]
 
 
 class RuleAlarm:

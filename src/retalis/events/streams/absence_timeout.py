@@ -13,7 +13,7 @@ every pending element that it would cancel (see `_ForbiddenElements`).
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
 
-from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
+from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
 
 _SMALL_QUEUE = 32
 """Length up to which a list is compacted at every removal."""
@@ -25,15 +25,16 @@ class Correlation(NamedTuple):
     Attributes:
         key: returns the values that a match shares with the other channel, given the match and its channel; None if
             these contain variables, so that all elements must be compared.
-        rules_out: returns whether a forbidden match that lies in the span cancels a pending match.
-        alike: whether equal keys without variables are sufficient to cancel.
-        name: returns a key under which a new match replaces a pending one; None if no match replaces another.
+        cancels: returns whether a forbidden match that lies in the span cancels a pending match.
+        key_is_sufficient: whether equal keys without variables are sufficient to cancel.
+        replacement_key: returns a key under which a new match replaces a pending one; None if no match replaces
+            another.
     """
 
     key: Callable[[Any, int], Hashable]
-    rules_out: Callable[[Any, Any], bool]
-    alike: bool
-    name: Optional[Callable[[Any], Hashable]]
+    cancels: Callable[[Any, Any], bool]
+    key_is_sufficient: bool
+    replacement_key: Optional[Callable[[Any], Hashable]]
 
 
 class _ForbiddenElements:
@@ -79,18 +80,18 @@ class AbsenceTimeout(KeyedOperator):
 
     Args:
         span: time in ns without a forbidden element.
-        agreement: correlation of pending and forbidden elements.
+        correlation: correlation of pending and forbidden elements.
     """
 
-    def __init__(self, span: int, agreement: Correlation):
+    def __init__(self, span: int, correlation: Correlation):
         super().__init__()
         self.span = span
-        self.agreement = agreement
+        self.correlation = correlation
         self._pending: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
         self._forbidden: Dict[Hashable, _ForbiddenElements] = {}
         self._number = 0
-        self._reached = NEVER
-        self._due: List[Tuple[int, int, StreamElement]] = []
+        self._latest_now = NEVER
+        self._deadlines: List[Tuple[int, int, StreamElement]] = []
         self._by_start: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
 
@@ -107,8 +108,8 @@ class AbsenceTimeout(KeyedOperator):
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; pending elements are dropped before forbidden ones."""
         self._update_deadline()
-        if self._due:
-            self._drop_pending(self._due[0][2])
+        if self._deadlines:
+            self._drop_pending(self._deadlines[0][2])
             self._update_deadline()
         else:
             while self._by_start[0][2].gone:
@@ -116,23 +117,23 @@ class AbsenceTimeout(KeyedOperator):
             self._drop_forbidden_before(self._by_start[0][0])
         return []
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
-        if now > self._reached:
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
+        if now > self._latest_now:
             # The maximum, because an alarm may raise an event in the past, after elements of that time were dropped.
-            self._reached = now
+            self._latest_now = now
         # A pending element ends after ``reached - span``, or its deadline has passed. A forbidden element must start
         # after that end, so older ones are useless.
-        self._drop_forbidden_before(self._reached - self.span)
+        self._drop_forbidden_before(self._latest_now - self.span)
         self._order += 1
         item.order = self._order
-        key = self.agreement.key(item.match, channel)
+        key = self.correlation.key(item.match, channel)
         if channel:
             self._cancel_pending(item, key)
             self._store_forbidden(item, key)
         # The deadline has passed: forbidden elements that would cancel this element may have been dropped already.
-        elif item.end + self.span <= self._reached:
-            self.late += 1
+        elif item.end + self.span <= self._latest_now:
+            self.late_count += 1
         else:
             self._replace(item, key)
             if not self._is_cancelled(item, key):
@@ -143,39 +144,39 @@ class AbsenceTimeout(KeyedOperator):
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
         outputs = []
-        while self.next is not None and self.next <= instant:
-            due, _, item = self._due[0]
+        while self.next_deadline is not None and self.next_deadline <= instant:
+            due, _, item = self._deadlines[0]
             self._drop_pending(item)
             outputs.append(StreamOutput((item,), item.start, due))
             self._update_deadline()
         return outputs
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
-        waiting = [item for _, _, item in self._due if not item.gone]
-        absent = [item for _, _, item in self._by_start if not item.gone]
-        return (self._order, self._reached, sorted(waiting, key=_order), sorted(absent, key=_order))
+        pending = [item for _, _, item in self._deadlines if not item.gone]
+        forbidden = [item for _, _, item in self._by_start if not item.gone]
+        return (self._order, self._latest_now, sorted(pending, key=_order), sorted(forbidden, key=_order))
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
-        self._order, self._reached, waiting, absent = saved
-        self._pending, self._forbidden, self._due, self._by_start, self._number = {}, {}, [], [], 0
-        for item in [*waiting, *absent]:
+        self._order, self._latest_now, pending, forbidden = saved
+        self._pending, self._forbidden, self._deadlines, self._by_start, self._number = {}, {}, [], [], 0
+        for item in [*pending, *forbidden]:
             # Keys are not part of the saved state: they follow from the values.
-            item.file()
-        for item in waiting:
-            self._replace(item, self.agreement.key(item.match, 0))
+            item.restore_key()
+        for item in pending:
+            self._replace(item, self.correlation.key(item.match, 0))
             self._add_pending(item)
-        for item in absent:
-            self._store_forbidden(item, self.agreement.key(item.match, 1))
+        for item in forbidden:
+            self._store_forbidden(item, self.correlation.key(item.match, 1))
         self._update_deadline()
 
     def _replace(self, item: StreamElement, key: Hashable) -> None:
         """Set the key of an element, and drop the pending element that it replaces."""
-        name = self.agreement.name
-        name_key = item.order if name is None else name(item.match)
-        item.key = (key, name_key)
-        replaced = self._pending.get(key, {}).get(name_key)
+        make_key = self.correlation.replacement_key
+        replacement_key = item.order if make_key is None else make_key(item.match)
+        item.key = (key, replacement_key)
+        replaced = self._pending.get(key, {}).get(replacement_key)
         if replaced is not None:
             self._drop_pending(replaced)
 
@@ -183,31 +184,31 @@ class AbsenceTimeout(KeyedOperator):
         key: Any = item.key
         self._pending.setdefault(key[0], {})[key[1]] = item
         self._number += 1
-        _push(self._due, item.end + self.span, item, self._number)
+        _push(self._deadlines, item.end + self.span, item, self._number)
 
     def _drop_pending(self, item: StreamElement) -> None:
         item.gone = True
         key: Any = item.key
-        waiting = self._pending[key[0]]
-        del waiting[key[1]]
-        if not waiting:
+        pending = self._pending[key[0]]
+        del pending[key[1]]
+        if not pending:
             del self._pending[key[0]]
         self._number -= 1
 
     def _update_deadline(self) -> None:
         """Remove dropped elements from the top of the heap, and set the next deadline."""
-        while self._due and self._due[0][2].gone:
-            heapq.heappop(self._due)
-        self.next = self._due[0][0] if self._due else None
+        while self._deadlines and self._deadlines[0][2].gone:
+            heapq.heappop(self._deadlines)
+        self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 
-    def _cancel_pending(self, absent: StreamElement, key: Hashable) -> None:
+    def _cancel_pending(self, forbidden: StreamElement, key: Hashable) -> None:
         """Drop all pending elements that a forbidden one cancels."""
-        waiting = list(self._candidates(key))
+        pending = list(self._candidates(key))
         if self.meter is not None:
             # The work is counted before the loop: an interrupt within it would leave cancelled elements pending.
-            self.meter(len(waiting))
-        for item in waiting:
-            if self._lies_after(absent, item):
+            self.meter(len(pending))
+        for item in pending:
+            if self._lies_after(forbidden, item):
                 self._drop_pending(item)
 
     def _candidates(self, key: Hashable) -> Iterator[StreamElement]:
@@ -224,27 +225,27 @@ class AbsenceTimeout(KeyedOperator):
         if self.meter is not None:
             self.meter(sum(len(group.items) for group in forbidden_groups))
         return any(
-            self._lies_after(absent, item)
+            self._lies_after(forbidden, item)
             for group in forbidden_groups
             if group.newest > item.end
-            for absent in group.items
-            if not absent.gone
+            for forbidden in group.items
+            if not forbidden.gone
         )
 
-    def _lies_after(self, absent: StreamElement, item: StreamElement) -> bool:
-        if not (item.end < absent.start and absent.end < item.end + self.span):
+    def _lies_after(self, forbidden: StreamElement, item: StreamElement) -> bool:
+        if not (item.end < forbidden.start and forbidden.end < item.end + self.span):
             return False
-        agreement = self.agreement
+        correlation = self.correlation
         key: Any = item.key
         # The candidates were found by their key, so equality needs no further test.
-        if agreement.alike and key is not None and absent.key is not None:
+        if correlation.key_is_sufficient and key is not None and forbidden.key is not None:
             return True
-        return agreement.rules_out(item.match, absent.match)
+        return correlation.cancels(item.match, forbidden.match)
 
     def _store_forbidden(self, item: StreamElement, key: Hashable) -> None:
         item.key = key
         group = self._forbidden.setdefault(key, _ForbiddenElements())
-        may_thin = self.agreement.alike and key is not None
+        may_thin = self.correlation.key_is_sufficient and key is not None
         self._number += 1
         for redundant in group.add(item, self.span, may_thin):
             redundant.gone = True

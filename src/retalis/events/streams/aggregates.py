@@ -44,7 +44,7 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import CONS, NIL, Term, Values, deref
-from .running_statistics import ExactSum, Lowest, Ranked, deviation
+from .running_statistics import ExactSum, LazyMinHeap, QuantileHeaps, standard_deviation
 from .stream_operator import StreamElement
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ _MAX_INTEGER = (1 << 63) - 1
 _NUMBER_CLASSES = (int, float)
 
 
-def unfit(name: str, value: Term, expected: str = "a number") -> RuleError:
+def unsuitable_value(name: str, value: Term, expected: str = "a number") -> RuleError:
     """Return the error for a value that an aggregate cannot process."""
     return RuleError(f"aggregate {name}: the value is '{beginning(write_term(value))}': expected {expected}")
 
@@ -66,9 +66,9 @@ def check_finite(value: Any, name: str) -> None:
         RuleError: if the value is not a finite number.
     """
     if not isinstance(value, (int, float)):
-        raise unfit(name, value)
+        raise unsuitable_value(name, value)
     if value.__class__ is float and not isfinite(value):
-        raise unfit(name, value, "a finite number")
+        raise unsuitable_value(name, value, "a finite number")
 
 
 def check_ordered(value: Any, name: str) -> None:
@@ -78,7 +78,7 @@ def check_ordered(value: Any, name: str) -> None:
         RuleError: if the value is not a number, or is nan.
     """
     if not isinstance(value, (int, float)) or value != value:
-        raise unfit(name, value)
+        raise unsuitable_value(name, value)
 
 
 def is_number(value: Term) -> bool:
@@ -156,7 +156,7 @@ Members = Deque[StreamElement]
 """Elements of a window in order of arrival; elements marked as gone may remain for a while."""
 
 
-def live(members: Members) -> Iterator[StreamElement]:
+def present_elements(members: Members) -> Iterator[StreamElement]:
     """Yield the elements that are in the window, the oldest first."""
     return (item for item in members if not item.gone)
 
@@ -244,9 +244,9 @@ class _ElementwiseAccumulator(Accumulator):
         """
         length = array_length(value) if self.accepts_arrays else None
         if self.arrays and length != self.length:
-            raise unfit(self.name, value, f"an array of {counted(self.length, 'element')}")
+            raise unsuitable_value(self.name, value, f"an array of {counted(self.length, 'element')}")
         if length is None:
-            raise unfit(self.name, value)
+            raise unsuitable_value(self.name, value)
 
     def add_array(self, value: Term) -> bool:
         """Add an array."""
@@ -258,7 +258,7 @@ class _ElementwiseAccumulator(Accumulator):
         if not self.arrays:
             return self.result_of_numbers(count)
         try:
-            arrays = [array_of(item.values[self.index]) for item in live(members)]
+            arrays = [array_of(item.values[self.index]) for item in present_elements(members)]
         except PrologError:
             raise RuleError(f"aggregate {self.name}: a window has both numbers and arrays") from None
         if len({len(array) for array in arrays}) > 1:
@@ -318,18 +318,18 @@ class _SumAccumulator(_ElementwiseAccumulator):
         value = item.values[self.index]
         if value.__class__ not in _NUMBER_CLASSES:
             return self.add_array(value)
-        self.sum.change(value, 1)
+        self.sum.add_times(value, 1)
         return None
 
     def remove(self, item: StreamElement) -> None:
         value = item.values[self.index]
         if value.__class__ in _NUMBER_CLASSES:
-            self.sum.change(value, -1)
+            self.sum.add_times(value, -1)
         else:
             self.arrays -= 1
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        return self.sum.over(1, count)
+        return self.sum.divided_by(1, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
         return _sum_of_arrays(arrays)
@@ -339,7 +339,7 @@ class _AverageAccumulator(_SumAccumulator):
     accepts_empty = False
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        return self.sum.over(count, count)
+        return self.sum.divided_by(count, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
         return _sum_of_arrays(arrays) / len(arrays)
@@ -353,9 +353,9 @@ class _DeviationAccumulator(_SumAccumulator):
         super().__init__(index, name, setting)
         self.squares = ExactSum()
 
-    def _square(self, item: StreamElement, by: int) -> None:
-        over, under = item.values[self.index].as_integer_ratio()
-        self.squares.change_fraction(over * over, 2 * (under.bit_length() - 1), by)
+    def _square(self, item: StreamElement, times: int) -> None:
+        numerator, denominator = item.values[self.index].as_integer_ratio()
+        self.squares.add_fraction(numerator * numerator, 2 * (denominator.bit_length() - 1), times)
 
     def add(self, item: StreamElement) -> Optional[bool]:
         super().add(item)
@@ -367,7 +367,7 @@ class _DeviationAccumulator(_SumAccumulator):
         self._square(item, -1)
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        return deviation(self.sum, self.squares, count) if count > 1 else None
+        return standard_deviation(self.sum, self.squares, count) if count > 1 else None
 
 
 class _MinimumAccumulator(_ElementwiseAccumulator):
@@ -377,7 +377,7 @@ class _MinimumAccumulator(_ElementwiseAccumulator):
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.lowest = Lowest()
+        self.lowest = LazyMinHeap()
 
     def check(self, item: StreamElement) -> None:
         value = item.values[self.index]
@@ -425,7 +425,7 @@ class _QuantileAccumulator(Accumulator):
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.ranked = Ranked(setting)
+        self.ranked = QuantileHeaps(setting)
 
     def add(self, item: StreamElement) -> None:
         self.ranked.add(item.values[self.index], item)
@@ -444,7 +444,7 @@ class _MedianAccumulator(_QuantileAccumulator):
 
 class _FirstAccumulator(Accumulator):
     def result(self, members: Members, count: int) -> Optional[Term]:
-        value: Term = next(live(members)).values[self.index]
+        value: Term = next(present_elements(members)).values[self.index]
         return value
 
 
@@ -459,7 +459,7 @@ class _ListAccumulator(Accumulator):
     visits_all = True
 
     def result(self, members: Members, count: int) -> Optional[Term]:
-        return make_list([item.values[self.index] for item in live(members)])
+        return make_list([item.values[self.index] for item in present_elements(members)])
 
 
 class _CountDistinctAccumulator(Accumulator):
@@ -467,51 +467,51 @@ class _CountDistinctAccumulator(Accumulator):
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.numbers: Dict[Hashable, int] = {}
+        self.counts: Dict[Hashable, int] = {}
 
     def add(self, item: StreamElement) -> None:
         key = term_key(item.values[self.index])
         # A count per value: a value leaves when its last element does.
-        self.numbers[key] = self.numbers.get(key, 0) + 1
+        self.counts[key] = self.counts.get(key, 0) + 1
 
     def remove(self, item: StreamElement) -> None:
         key = term_key(item.values[self.index])
-        self.numbers[key] -= 1
-        if not self.numbers[key]:
-            del self.numbers[key]
+        self.counts[key] -= 1
+        if not self.counts[key]:
+            del self.counts[key]
 
     def result(self, members: Members, count: int) -> Optional[Term]:
-        return len(self.numbers)
+        return len(self.counts)
 
 
 class _EqualValues:
-    """Elements with one value in order of arrival; the first that is not gone has the index ``at``."""
+    """Elements with one value in order of arrival; the first that is not gone has the index ``first_index``."""
 
-    __slots__ = ("items", "at", "live")
+    __slots__ = ("items", "first_index", "count")
 
     def __init__(self) -> None:
         self.items: List[Tuple[int, StreamElement]] = []
-        self.at = 0
-        self.live = 0
+        self.first_index = 0
+        self.count = 0
 
     def add(self, order: int, item: StreamElement) -> None:
         self.items.append((order, item))
-        self.live += 1
+        self.count += 1
 
     def count_removal(self) -> None:
         """Count an element that is gone."""
-        self.live -= 1
+        self.count -= 1
         items = self.items
         # Elements leave mostly in order, so the index advances; compaction is for those that leave in between.
-        if len(items) > 2 * self.live + 16:
+        if len(items) > 2 * self.count + 16:
             self.items = items = [entry for entry in items if not entry[1].gone]
-            self.at = 0
-        while self.at < len(items) and items[self.at][1].gone:
-            self.at += 1
+            self.first_index = 0
+        while self.first_index < len(items) and items[self.first_index][1].gone:
+            self.first_index += 1
 
     def first(self) -> Tuple[int, StreamElement]:
         """Return the oldest element with its order of arrival; there must be one."""
-        return self.items[self.at]
+        return self.items[self.first_index]
 
 
 class _DistinctAccumulator(Accumulator):
@@ -522,27 +522,27 @@ class _DistinctAccumulator(Accumulator):
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.alike: Dict[Hashable, _EqualValues] = {}
+        self.by_value: Dict[Hashable, _EqualValues] = {}
         self._order = 0
 
     def add(self, item: StreamElement) -> None:
         self._order += 1
-        self.alike.setdefault(term_key(item.values[self.index]), _EqualValues()).add(self._order, item)
+        self.by_value.setdefault(term_key(item.values[self.index]), _EqualValues()).add(self._order, item)
 
     def remove(self, item: StreamElement) -> None:
         key = term_key(item.values[self.index])
-        same_value = self.alike[key]
+        same_value = self.by_value[key]
         same_value.count_removal()
-        if not same_value.live:
-            del self.alike[key]
+        if not same_value.count:
+            del self.by_value[key]
 
     def result(self, members: Members, count: int) -> Optional[Term]:
         # In the order of first occurrence, as a list of distinct values is expected to be.
-        firsts = sorted([same_value.first() for same_value in self.alike.values()], key=_place)
+        firsts = sorted([same_value.first() for same_value in self.by_value.values()], key=_arrival_order)
         return make_list([item.values[self.index] for _, item in firsts])
 
 
-def _place(entry: Tuple[int, StreamElement]) -> int:
+def _arrival_order(entry: Tuple[int, StreamElement]) -> int:
     return entry[0]
 
 
@@ -555,7 +555,7 @@ class _RateAccumulator(Accumulator):
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.seconds = Fraction(setting) if setting else None
-        self.first, self.last = Lowest(), Lowest()
+        self.first, self.last = LazyMinHeap(), LazyMinHeap()
 
     def add(self, item: StreamElement) -> None:
         if self.seconds is None:
@@ -571,11 +571,11 @@ class _RateAccumulator(Accumulator):
     def result(self, members: Members, count: int) -> Optional[Term]:
         if self.seconds is not None:
             return count * self.seconds.denominator / self.seconds.numerator
-        low, high = self.first.top(), self.last.top()
+        first_entry, last_entry = self.first.top(), self.last.top()
         # The window is not empty.
-        assert low is not None and high is not None
+        assert first_entry is not None and last_entry is not None
         # n elements span n - 1 intervals.
-        span = high[2].end - low[2].end
+        span = last_entry[2].end - first_entry[2].end
         return (count - 1) * SECOND / span if span else None
 
 
@@ -585,7 +585,7 @@ class _UserFoldAccumulator(Accumulator):
     visits_all = True
 
     def result(self, members: Members, count: int) -> Optional[Term]:
-        result: Optional[Term] = self.setting([item.values[self.index] for item in live(members)])
+        result: Optional[Term] = self.setting([item.values[self.index] for item in present_elements(members)])
         return result
 
 

@@ -10,7 +10,7 @@ from collections import OrderedDict
 from typing import Dict, Hashable, List, Tuple
 
 from ...prolog.terms.term_traversal import PLAIN, term_key
-from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
+from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
 
 
 class Throttle(KeyedOperator):
@@ -38,8 +38,8 @@ class Throttle(KeyedOperator):
                 del self.states[item.key]
                 return []
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         # A timestamp too far in the future passes, but does not block the elements that follow with a correct one.
         if self._is_too_far_ahead(item.end):
             return [StreamOutput((item,), item.start, item.end)]
@@ -53,14 +53,14 @@ class Throttle(KeyedOperator):
 
     def _store(self, item: StreamElement) -> None:
         # Without the match, which would keep its events alive.
-        noted = StreamElement(None, item.start, item.end, item.by, ())
+        stored = StreamElement(None, item.start, item.end, item.by, ())
         self._order += 1
-        noted.order = self._order
-        self.states[noted.key] = noted
+        stored.order = self._order
+        self.states[stored.key] = stored
         if len(self.states) > self._max_keys:
             self.drop_oldest()
-            self.evicted += 1
-        heapq.heappush(self._by_end, (noted.end, noted.order, noted))
+            self.evicted_count += 1
+        heapq.heappush(self._by_end, (stored.end, stored.order, stored))
         # With ``every``, each element replaces the state of its key and leaves an outdated heap entry.
         if len(self._by_end) > 2 * len(self.states) + 64:
             self._by_end = [(element.end, element.order, element) for element in self.states.values()]
@@ -73,17 +73,17 @@ class Throttle(KeyedOperator):
             if self.states.get(item.key) is item:
                 del self.states[item.key]
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         return (self.clock, list(self.states.values()))
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
-        self.clock, noted = saved
+        self.clock, stored_elements = saved
         self.states.clear()
         self._by_end = []
-        for item in noted:
-            item.file()
+        for item in stored_elements:
+            item.restore_key()
             self._store(item)
 
 
@@ -108,8 +108,8 @@ class DistinctUntilChanged(KeyedOperator):
         self.states.popitem(last=False)
         return []
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         term = item.values[0]
         value: Hashable = term if term.__class__ in PLAIN else term_key(term)
         end, key, states = item.end, item.key, self.states
@@ -132,16 +132,16 @@ class DistinctUntilChanged(KeyedOperator):
         if len(self.states) > self._max_keys:
             self._evict_keys()
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`: clocks of the last uses and elements, the least recently used key first."""
         last_values = self.states.values()
         return ([state.since for state in last_values], [state.item for state in last_values])
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         self.states.clear()
         for self.clock, item in zip(*saved):
-            item.file()
+            item.restore_key()
             self._store(term_key(item.values[0]), item)
 
 
@@ -154,10 +154,10 @@ class Debounce(KeyedOperator):
     def __init__(self, span: int):
         super().__init__()
         self.span = span
-        self._reached = NEVER
-        self.waiting: Dict[Hashable, List[StreamElement]] = {}
+        self._latest_now = NEVER
+        self.pending: Dict[Hashable, List[StreamElement]] = {}
         self._number = 0
-        self._due: List[Tuple[int, int, StreamElement]] = []
+        self._deadlines: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
 
     def __len__(self) -> int:
@@ -166,26 +166,26 @@ class Debounce(KeyedOperator):
     @property
     def keys(self) -> int:
         """See `StreamOperator.keys`."""
-        return len(self.waiting)
+        return len(self.pending)
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         self._update_deadline()
-        self._drop_pending(self._due[0][2])
+        self._drop_pending(self._deadlines[0][2])
         self._update_deadline()
         return []
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
-        if now > self._reached:
-            self._reached = now
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
+        if now > self._latest_now:
+            self._latest_now = now
         end, span = item.end, self.span
         # The deadline has passed already, or lies in a future that the stream must not wait for.
-        if end + span <= self._reached or self._is_too_far_ahead(end):
-            self.late += 1
+        if end + span <= self._latest_now or self._is_too_far_ahead(end):
+            self.late_count += 1
             return []
         is_superseded = False
-        for pending in list(self.waiting.get(item.key, ())):
+        for pending in list(self.pending.get(item.key, ())):
             # The order of arrival is not the order of ends: a pending element is replaced by a later one, and the new
             # element is dropped if a pending one is later.
             if pending.end <= end < pending.end + span:
@@ -202,45 +202,45 @@ class Debounce(KeyedOperator):
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
         outputs = []
-        while self.next is not None and self.next <= instant:
-            due, _, item = self._due[0]
+        while self.next_deadline is not None and self.next_deadline <= instant:
+            due, _, item = self._deadlines[0]
             self._drop_pending(item)
             outputs.append(StreamOutput((item,), item.start, due))
             self._update_deadline()
         return outputs
 
     def _add_pending(self, item: StreamElement) -> None:
-        self.waiting.setdefault(item.key, []).append(item)
+        self.pending.setdefault(item.key, []).append(item)
         self._number += 1
-        heapq.heappush(self._due, (item.end + self.span, item.order, item))
-        if len(self._due) > 2 * self._number + 64:
-            self._due = [entry for entry in self._due if not entry[2].gone]
-            heapq.heapify(self._due)
+        heapq.heappush(self._deadlines, (item.end + self.span, item.order, item))
+        if len(self._deadlines) > 2 * self._number + 64:
+            self._deadlines = [entry for entry in self._deadlines if not entry[2].gone]
+            heapq.heapify(self._deadlines)
 
     def _drop_pending(self, item: StreamElement) -> None:
         item.gone = True
         self._number -= 1
-        pending = self.waiting[item.key]
+        pending = self.pending[item.key]
         pending.remove(item)
         if not pending:
-            del self.waiting[item.key]
+            del self.pending[item.key]
 
     def _update_deadline(self) -> None:
         """Remove dropped elements from the top of the heap, and set the next deadline."""
-        while self._due and self._due[0][2].gone:
-            heapq.heappop(self._due)
-        self.next = self._due[0][0] if self._due else None
+        while self._deadlines and self._deadlines[0][2].gone:
+            heapq.heappop(self._deadlines)
+        self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
-        waiting = [item for elements in self.waiting.values() for item in elements]
-        return (self._order, self._reached, sorted(waiting, key=lambda element: element.order))
+        pending = [item for elements in self.pending.values() for item in elements]
+        return (self._order, self._latest_now, sorted(pending, key=lambda element: element.order))
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
-        self._order, self._reached, waiting = saved
-        self.waiting, self._due, self._number = {}, [], 0
-        for item in waiting:
-            item.file()
+        self._order, self._latest_now, pending = saved
+        self.pending, self._deadlines, self._number = {}, [], 0
+        for item in pending:
+            item.restore_key()
             self._add_pending(item)
         self._update_deadline()

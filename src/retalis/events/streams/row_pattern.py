@@ -7,7 +7,7 @@ can complete any more; all less preferred states are dropped with it, so matches
 
 Nothing is tried twice: two states that react alike to every future element are merged into the preferred one, as in
 the simulation of regular expressions by Thompson. The cost of an element is proportional to the number of states. Two
-limits bound it: at most `MAX_WAYS_PER_START` states per start, and the maximum length of the window, which counts
+limits bound it: at most `MAX_STATES_PER_START` states per start, and the maximum length of the window, which counts
 states.
 
 If the interval of a match is bounded, states that started too long ago are dropped at the next element of their
@@ -19,27 +19,27 @@ from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optio
 
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator
-from .stream_operator import NEVER, KeyedOperator, KnownState, StreamElement, StreamOutput
-from .windows import MAX_TRACKED_ITEMS, measured
+from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
+from .windows import MAX_TRACKED_ITEMS, results_or_error
 
-LookedBack = Sequence[StreamElement]
+NavigatedElements = Sequence[StreamElement]
 """Elements that the navigations of a condition refer to."""
-Marks = Tuple[Optional[StreamElement], ...]
+NavigationTargets = Tuple[Optional[StreamElement], ...]
 """Element of each navigation of a match, or None if there is none yet."""
 SCANNING = -1
 """Step of a state in which no match has started."""
 
 
 class StepTest(NamedTuple):
-    """Part of the condition of a step.
+    """Condition of a step, or a part of it that uses other navigations.
 
     Attributes:
-        back: indices of the navigations that it uses; it is skipped while a navigation has no element.
-        holds: returns whether the condition holds for an element and these navigations.
+        navigations: indices of the navigations that it uses; it is skipped while a navigation has no element.
+        is_satisfied: returns whether the condition holds for an element and these navigations.
     """
 
-    back: Tuple[int, ...]
-    holds: Callable[[StreamElement, LookedBack], bool]
+    navigations: Tuple[int, ...]
+    is_satisfied: Callable[[StreamElement, NavigatedElements], bool]
 
 
 class RowPatternVariable(NamedTuple):
@@ -49,7 +49,7 @@ class RowPatternVariable(NamedTuple):
         least: minimum number of elements.
         most: maximum number of elements; None for no limit.
         reluctant: whether fewer elements are preferred.
-        later: whether elements that no step accepts are skipped before each of its own.
+        later: whether elements that no step accepts may lie before each of its own (skip till next match).
         tests: conditions for its elements.
         until: end condition: an element that satisfies it is not accepted and ends the variable.
     """
@@ -68,14 +68,14 @@ class StepTransitions(NamedTuple):
     Attributes:
         steps: steps that may accept the next element, in order of preference.
         ends: whether the match may end instead.
-        left: the same steps if all of them and of ``blocking`` skip elements that do not fit, else None.
+        steps_after_skip: the same steps if all of them and of ``blocking`` skip elements that do not fit, else None.
         blocking: steps that are less preferred than the end. They never accept an element, because the match ends
             first, but an element that such a step would accept is not skipped.
     """
 
     steps: Tuple[int, ...]
     ends: bool
-    left: Optional[Tuple[int, ...]]
+    steps_after_skip: Optional[Tuple[int, ...]]
     blocking: Tuple[int, ...]
 
 
@@ -94,12 +94,12 @@ class RowPatternNFA:
 
     Args:
         steps: the pattern variables; at least one must accept an element.
-        marks: the navigations of all conditions.
+        navigations: the navigations of all conditions.
     """
 
-    def __init__(self, steps: Sequence[RowPatternVariable], marks: Sequence[StepNavigation]):
+    def __init__(self, steps: Sequence[RowPatternVariable], navigations: Sequence[StepNavigation]):
         self.steps = tuple(steps)
-        self.marks = tuple(marks)
+        self.navigations = tuple(navigations)
         self._table = [
             [[self._transitions(step, enough, more) for more in (False, True)] for enough in (False, True)]
             for step in range(len(steps))
@@ -111,7 +111,7 @@ class RowPatternNFA:
             for step in range(len(steps))
         ]
 
-    def choices(self, step_number: int, count: int) -> StepTransitions:
+    def transitions_after(self, step_number: int, count: int) -> StepTransitions:
         """Return the transitions after a step has accepted ``count`` elements."""
         if step_number == SCANNING:
             return self._begin
@@ -119,32 +119,34 @@ class RowPatternNFA:
         more = step.most is None or count < step.most
         return self._table[step_number][count >= step.least][more]
 
-    def counted(self, step_number: int, count: int) -> int:
-        """Return the count of a step, capped where larger counts make no difference."""
+    def capped_count(self, step_number: int, count: int) -> int:
+        """Return the count of a step, capped where larger counts make no difference to the transitions."""
         step = self.steps[step_number]
         return min(count, step.least) if step.most is None else count
 
-    def is_sure(self, choices: Tuple[int, ...]) -> bool:
+    def is_certain_to_complete(self, steps: Tuple[int, ...]) -> bool:
         """Return whether a match in these steps is certain to complete, however long that takes."""
-        return self._is_certain_from[min(choices)]
+        return self._is_certain_from[min(steps)]
 
-    def meaning(self, step: int, count: int) -> Union[int, StepTransitions]:
-        """Return the part of a count that decides how a state reacts to future elements.
+    def count_class(self, step: int, count: int) -> Union[int, StepTransitions]:
+        """Return the equivalence class of a count: how a state with it reacts to future elements.
 
         If the match may end after this step, a state with a larger count completes no later than one with a smaller
         count and the same transitions. The transitions then represent the count.
         """
-        return self.choices(step, count) if self._may_end_after[step] else count
+        return self.transitions_after(step, count) if self._may_end_after[step] else count
 
-    def marked(self, marks: Marks, step: int, item: StreamElement) -> Marks:
+    def advance_navigations(
+        self, targets: NavigationTargets, step: int, item: StreamElement
+    ) -> NavigationTargets:
         """Return the navigations of a match after a step has accepted an element."""
-        marks_after = []
-        for mark, earlier in zip(self.marks, marks):
-            is_reached = mark.kind == "prev" or (
-                mark.step == step and (mark.kind == "last" or earlier is None)
+        targets_after = []
+        for navigation, earlier in zip(self.navigations, targets):
+            is_reached = navigation.kind == "prev" or (
+                navigation.step == step and (navigation.kind == "last" or earlier is None)
             )
-            marks_after.append(item if is_reached else earlier)
-        return tuple(marks_after)
+            targets_after.append(item if is_reached else earlier)
+        return tuple(targets_after)
 
     def _transitions(self, step: int, enough: bool, more: bool) -> StepTransitions:
         """Return the transitions of a step that has reached its minimum (``enough``) and may go on (``more``)."""
@@ -174,22 +176,26 @@ class RowPatternNFA:
         return StepTransitions(steps, ends, steps if all_skip else None, blocking)
 
 
-def passes(tests: Sequence[StepTest], marks: Marks, item: StreamElement) -> bool:
+def passes(tests: Sequence[StepTest], targets: NavigationTargets, item: StreamElement) -> bool:
     """Return whether an element satisfies all tests whose navigations have elements."""
-    for back, holds in tests:
-        elements = [element for element in (marks[position] for position in back) if element is not None]
-        if len(elements) == len(back) and not holds(item, elements):
+    for navigations, is_satisfied in tests:
+        elements = [
+            element for element in (targets[position] for position in navigations) if element is not None
+        ]
+        if len(elements) == len(navigations) and not is_satisfied(item, elements):
             return False
     return True
 
 
-def ends(tests: Sequence[StepTest], marks: Marks, item: StreamElement) -> bool:
+def ends(tests: Sequence[StepTest], targets: NavigationTargets, item: StreamElement) -> bool:
     """Return whether an element ends a step: at least one test is applicable, and all applicable ones hold."""
-    applicable = [test for test in tests if all(marks[position] is not None for position in test.back)]
-    return bool(applicable) and passes(applicable, marks, item)
+    applicable = [
+        test for test in tests if all(targets[position] is not None for position in test.navigations)
+    ]
+    return bool(applicable) and passes(applicable, targets, item)
 
 
-MAX_WAYS_PER_START = 100
+MAX_STATES_PER_START = 100
 """Maximum number of states with the same start; the preferred ones are kept."""
 
 _ValueCheck = Callable[[StreamElement], None]
@@ -203,14 +209,14 @@ class _MatchedElements(NamedTuple):
 
     item: StreamElement
     step: int
-    before: "Optional[_MatchedElements]"
+    previous: "Optional[_MatchedElements]"
 
 
 class _CompletedMatch(NamedTuple):
     """Completed match that waits until no preferred state is left: its elements, and the order of the first one."""
 
-    taken: _MatchedElements
-    start: int
+    matched: _MatchedElements
+    start_order: int
 
 
 class ComputationState:
@@ -218,41 +224,55 @@ class ComputationState:
 
     Attributes:
         step: step of the last element.
-        count: number of elements of that step, capped by `RowPatternNFA.counted`.
-        left: after a skipped element, the steps that can still accept one; otherwise None.
-        marks: elements of the navigations.
-        taken: elements of the match.
-        start: order of its first element.
-        begun: start of the first element in ns.
-        after: number of completed matches of the partition that are preferred to this state, counted since one had to
-            wait.
+        count: number of elements of that step, capped by `RowPatternNFA.capped_count`.
+        remaining_steps: after a skipped element, the steps that can still accept one; otherwise None.
+        targets: elements of the navigations.
+        matched: elements of the match.
+        start_order: order of its first element.
+        start_time: start of the first element in ns.
+        preceding_matches: number of completed matches of the partition that are preferred to this state, counted
+            since one had to wait.
     """
 
-    __slots__ = ("step", "count", "left", "marks", "taken", "start", "begun", "after")
+    __slots__ = (
+        "step",
+        "count",
+        "remaining_steps",
+        "targets",
+        "matched",
+        "start_order",
+        "start_time",
+        "preceding_matches",
+    )
 
     def __init__(
         self,
         step: int,
         count: int,
-        left: Optional[Tuple[int, ...]],
-        marks: Marks,
-        taken: Optional[_MatchedElements],
-        start: int,
-        begun: int,
-        after: int,
+        remaining_steps: Optional[Tuple[int, ...]],
+        targets: NavigationTargets,
+        matched: Optional[_MatchedElements],
+        start_order: int,
+        start_time: int,
+        preceding_matches: int,
     ):
         self.step = step
         self.count = count
-        self.left = left
-        self.marks = marks
-        self.taken = taken
-        self.start = start
-        self.begun = begun
-        self.after = after
+        self.remaining_steps = remaining_steps
+        self.targets = targets
+        self.matched = matched
+        self.start_order = start_order
+        self.start_time = start_time
+        self.preceding_matches = preceding_matches
 
-    def key(self, counted: Hashable) -> Hashable:
-        """Return a key that is equal for states with the same future; ``counted`` is the meaning of the count."""
-        return (self.step, counted, self.left, tuple([id(element) for element in self.marks]))
+    def key(self, count_class: Hashable) -> Hashable:
+        """Return a key that is equal for states with the same future; ``count_class`` is the class of its count."""
+        return (
+            self.step,
+            count_class,
+            self.remaining_steps,
+            tuple([id(element) for element in self.targets]),
+        )
 
 
 class PartitionState:
@@ -264,49 +284,49 @@ class PartitionState:
     Attributes:
         items: elements that a state or match uses, and all elements since the oldest of them.
         states: the computation states in order of preference.
-        whole: waiting matches, the oldest first: those that the last state comes after, but not the first one.
-        counted: number of states that the window has counted for this partition.
+        completed: waiting matches, the oldest first: those that the last state comes after, but not the first one.
+        counted_states: number of states that the window has counted for this partition.
         since: the clock at its last element.
     """
 
-    __slots__ = ("items", "states", "whole", "counted", "since")
+    __slots__ = ("items", "states", "completed", "counted_states", "since")
 
     def __init__(self, states: List[ComputationState]):
         self.items: Deque[StreamElement] = deque()
         self.states = states
-        self.counted = 0
+        self.counted_states = 0
         self.since = NEVER
-        self.whole: Deque[_CompletedMatch] = deque()
+        self.completed: Deque[_CompletedMatch] = deque()
 
-    def go_on(
-        self, states: List[ComputationState], whole: Optional[_CompletedMatch] = None
+    def advance(
+        self, states: List[ComputationState], completed: Optional[_CompletedMatch] = None
     ) -> List[_CompletedMatch]:
         """Replace the computation states, and return the matches that are now decided.
 
         Args:
             states: the new states.
-            whole: a match that was completed by the same element; the last state comes after it.
+            completed: a match that was completed by the same element; the last state comes after it.
         """
         # Matches are popped from the new end if the states that preferred them were dropped, and emitted from the old
         # end if no state precedes them.
-        after = states[-1].after - (whole is not None)
-        for _ in range(self.states[-1].after - after):
-            self.whole.pop()
-        if whole is not None:
-            self.whole.append(whole)
+        preceding_matches = states[-1].preceding_matches - (completed is not None)
+        for _ in range(self.states[-1].preceding_matches - preceding_matches):
+            self.completed.pop()
+        if completed is not None:
+            self.completed.append(completed)
         self.states = states
-        return [self.whole.popleft() for _ in range(len(self.whole) - self.waiting())]
+        return [self.completed.popleft() for _ in range(len(self.completed) - self.waiting_count())]
 
-    def waiting(self) -> int:
+    def waiting_count(self) -> int:
         """Return the number of completed matches that wait for a preferred state."""
-        return self.states[-1].after - self.states[0].after
+        return self.states[-1].preceding_matches - self.states[0].preceding_matches
 
     def oldest(self) -> Optional[int]:
         """Return the order of the oldest element in use, or None."""
-        held = [state.start for state in self.states if state.taken is not None]
-        if self.whole:
-            held.append(self.whole[0].start)
-        return min(held, default=None)
+        orders = [state.start_order for state in self.states if state.matched is not None]
+        if self.completed:
+            orders.append(self.completed[0].start_order)
+        return min(orders, default=None)
 
 
 class _Successors:
@@ -314,25 +334,25 @@ class _Successors:
 
     Attributes:
         states: the states in order of preference.
-        seen: largest count for each key of a state.
-        whole: the match that the element completes; the last state comes after it.
-        start: order of the first element of the newest state.
+        best_counts: largest count for each key of a state.
+        completed: the match that the element completes; the last state comes after it.
+        start_order: order of the first element of the newest state.
         alternatives: number of states with that start. Earlier starts are preferred, so equal starts are adjacent.
     """
 
-    __slots__ = ("states", "seen", "whole", "start", "alternatives")
+    __slots__ = ("states", "best_counts", "completed", "start_order", "alternatives")
 
     def __init__(self) -> None:
         self.states: List[ComputationState] = []
-        self.seen: Dict[Hashable, int] = {}
-        self.whole: Optional[_CompletedMatch] = None
-        self.start = 0
+        self.best_counts: Dict[Hashable, int] = {}
+        self.completed: Optional[_CompletedMatch] = None
+        self.start_order = 0
         self.alternatives = 0
 
-    def holds(self, item: StreamElement) -> bool:
+    def uses(self, item: StreamElement) -> bool:
         """Return whether a state or match uses the element."""
-        return self.whole is not None or any(
-            state.taken is not None and state.taken.item is item for state in self.states
+        return self.completed is not None or any(
+            state.matched is not None and state.matched.item is item for state in self.states
         )
 
 
@@ -342,7 +362,7 @@ class RowPatternWindow(KeyedOperator):
     Args:
         make: creates the measures of a match.
         scopes: for each measure the step that it is restricted to, or None.
-        plan: the automaton.
+        nfa: the automaton.
     """
 
     KEY_BYTES, ITEM_BYTES = 1600, 1100
@@ -351,14 +371,14 @@ class RowPatternWindow(KeyedOperator):
         self,
         make: Callable[[], Sequence[Accumulator]],
         scopes: Sequence[Optional[int]],
-        plan: RowPatternNFA,
+        nfa: RowPatternNFA,
     ):
         super().__init__()
         self.make = make
         self.scopes = scopes
-        self.plan = plan
+        self.nfa = nfa
         self._checks: List[_ValueCheck] = []
-        self._checks_of: List[List[_ValueCheck]] = [[] for _ in plan.steps]
+        self._checks_of: List[List[_ValueCheck]] = [[] for _ in nfa.steps]
         for measure, scope in zip(make(), scopes):
             if measure.checks_values:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
@@ -372,11 +392,11 @@ class RowPatternWindow(KeyedOperator):
         """Return the number of elements or of states, whichever is larger."""
         return max(self._number, self._state_count)
 
-    def _scanning(self, after: int = 0) -> ComputationState:
-        return ComputationState(SCANNING, 0, None, (None,) * len(self.plan.marks), None, 0, 0, after)
+    def _scanning(self, next_end: int = 0) -> ComputationState:
+        return ComputationState(SCANNING, 0, None, (None,) * len(self.nfa.navigations), None, 0, 0, next_end)
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         for check in self._checks:
             check(item)
         clock, end, span, idle = self.clock, item.end, self._max_span, self._idle
@@ -398,24 +418,26 @@ class RowPatternWindow(KeyedOperator):
         if idle is not None:
             self._drop_idle_keys()
         group.since = clock
-        if successors.holds(item):
+        if successors.uses(item):
             self._number += 1
             group.items.append(item)
-        decided = group.go_on(successors.states, successors.whole)
+        decided = group.advance(successors.states, successors.completed)
         self._store_partition(group, item.key)
         return self._outputs(decided)
 
     def _started_since(self, group: PartitionState, limit: int) -> List[ComputationState]:
         """Return the states of a partition, without those that started before an instant."""
-        if all(state.begun >= limit or state.taken is None for state in group.states):
+        if all(state.start_time >= limit or state.matched is None for state in group.states):
             return group.states
-        remaining = [state for state in group.states if state.begun >= limit or state.taken is None]
-        return self._with_scanning(remaining, group)
+        present_entries = [
+            state for state in group.states if state.start_time >= limit or state.matched is None
+        ]
+        return self._with_scanning(present_entries, group)
 
     def _with_scanning(self, states: List[ComputationState], group: PartitionState) -> List[ComputationState]:
         """Return the remaining states of a partition, with the scanning state at the end."""
         if not states or states[-1].step != SCANNING:
-            states.append(self._scanning(group.states[-1].after))
+            states.append(self._scanning(group.states[-1].preceding_matches))
         return states
 
     def drop_oldest(self) -> List[StreamOutput]:
@@ -425,8 +447,10 @@ class RowPatternWindow(KeyedOperator):
         """
         key, group = next(iter(self.states.items()))
         oldest = group.items[0].order
-        remaining = [state for state in group.states if state.taken is None or state.start != oldest]
-        decided = group.go_on(self._with_scanning(remaining, group))
+        present_entries = [
+            state for state in group.states if state.matched is None or state.start_order != oldest
+        ]
+        decided = group.advance(self._with_scanning(present_entries, group))
         self._store_partition(group, key)
         return self._outputs(decided)
 
@@ -434,14 +458,14 @@ class RowPatternWindow(KeyedOperator):
         """Drop a partition; matches that wait in it are lost."""
         group = self.states.pop(key)
         self._number -= len(group.items)
-        self._state_count -= group.counted
+        self._state_count -= group.counted_states
 
     def _store_partition(self, group: PartitionState, key: Hashable) -> None:
         """Store a partition, count its states, and drop elements that are not used by any state."""
         oldest = group.oldest()
         state_count = 0 if oldest is None else len(group.states) - (group.states[-1].step == SCANNING)
-        self._state_count += state_count - group.counted
-        group.counted = state_count
+        self._state_count += state_count - group.counted_states
+        group.counted_states = state_count
         if oldest is not None:
             if key in self.states:
                 self.states.move_to_end(key)
@@ -461,26 +485,26 @@ class RowPatternWindow(KeyedOperator):
         """Return the successor states for an element."""
         successors = _Successors()
         for state in states:
-            takers, passing = self._accepting_steps(state, item)
-            for step in takers:
+            accepting, skipping = self._accepting_steps(state, item)
+            for step in accepting:
                 # A completed match, or one that is certain to complete, makes all less preferred states obsolete.
                 if self._accept(state, step, item, successors):
                     return successors
             if state.step == SCANNING:
                 successors.states.append(state)
             # An element is skipped only if no step accepts it: skipping is not an alternative to accepting.
-            elif not takers and passing:
+            elif not accepting and skipping:
                 successor = ComputationState(
                     state.step,
                     state.count,
-                    passing,
-                    state.marks,
-                    state.taken,
-                    state.start,
-                    state.begun,
-                    state.after,
+                    skipping,
+                    state.targets,
+                    state.matched,
+                    state.start_order,
+                    state.start_time,
+                    state.preceding_matches,
                 )
-                if self._add(successor, successors) and self.plan.is_sure(passing):
+                if self._add(successor, successors) and self.nfa.is_certain_to_complete(skipping):
                     return successors
         return successors
 
@@ -488,22 +512,24 @@ class RowPatternWindow(KeyedOperator):
         self, state: ComputationState, item: StreamElement
     ) -> Tuple[List[int], Tuple[int, ...]]:
         """Return the steps that accept an element, and the steps that remain if the element is skipped."""
-        steps = self.plan.steps
-        choices = self.plan.choices(state.step, state.count)
-        candidates = choices.steps if state.left is None else state.left
+        steps = self.nfa.steps
+        transitions = self.nfa.transitions_after(state.step, state.count)
+        candidates = transitions.steps if state.remaining_steps is None else state.remaining_steps
         open_steps = [
             step
             for step in candidates
-            if not (steps[step].until and ends(steps[step].until, state.marks, item))
+            if not (steps[step].until and ends(steps[step].until, state.targets, item))
         ]
-        takers = [step for step in open_steps if passes(steps[step].tests, state.marks, item)]
-        passing = tuple([step for step in open_steps if steps[step].later])
-        if not takers and passing:
-            for step in choices.blocking:
+        accepting = [step for step in open_steps if passes(steps[step].tests, state.targets, item)]
+        skipping = tuple([step for step in open_steps if steps[step].later])
+        if not accepting and skipping:
+            for step in transitions.blocking:
                 # A reluctant step has no `until`. After a skipped element, only `later` steps can follow.
-                if (state.left is None or steps[step].later) and passes(steps[step].tests, state.marks, item):
-                    return takers, ()
-        return takers, passing
+                if (state.remaining_steps is None or steps[step].later) and passes(
+                    steps[step].tests, state.targets, item
+                ):
+                    return accepting, ()
+        return accepting, skipping
 
     def _accept(
         self, state: ComputationState, step: int, item: StreamElement, successors: _Successors
@@ -511,41 +537,53 @@ class RowPatternWindow(KeyedOperator):
         """Add the state after a step has accepted an element; return whether less preferred states are obsolete."""
         for check in self._checks_of[step]:
             check(item)
-        plan = self.plan
-        count = plan.counted(step, state.count + 1 if state.step == step else 1)
-        taken = _MatchedElements(item, step, state.taken)
-        start, begun = (item.order, item.start) if state.taken is None else (state.start, state.begun)
-        choices, whole, left, _ = plan.choices(step, count)
-        # `left` is set if all steps skip elements: the state then equals the one after a skip.
-        if choices:
-            marks = plan.marked(state.marks, step, item)
+        nfa = self.nfa
+        count = nfa.capped_count(step, state.count + 1 if state.step == step else 1)
+        matched = _MatchedElements(item, step, state.matched)
+        start_order, start_time = (
+            (item.order, item.start) if state.matched is None else (state.start_order, state.start_time)
+        )
+        transitions, completed, steps_after_skip, _ = nfa.transitions_after(step, count)
+        # `steps_after_skip` is set if all steps skip elements: the state then equals the one after a skip.
+        if transitions:
+            targets = nfa.advance_navigations(state.targets, step, item)
             added = self._add(
-                ComputationState(step, count, left, marks, taken, start, begun, state.after), successors
+                ComputationState(
+                    step,
+                    count,
+                    steps_after_skip,
+                    targets,
+                    matched,
+                    start_order,
+                    start_time,
+                    state.preceding_matches,
+                ),
+                successors,
             )
-            if added and not whole and plan.is_sure(choices):
+            if added and not completed and nfa.is_certain_to_complete(transitions):
                 return True
-        if whole:
-            successors.whole = _CompletedMatch(taken, start)
+        if completed:
+            successors.completed = _CompletedMatch(matched, start_order)
             # The search for the next match starts after this one: matches do not share elements.
-            successors.states.append(self._scanning(state.after + 1))
-        return whole
+            successors.states.append(self._scanning(state.preceding_matches + 1))
+        return completed
 
     def _add(self, state: ComputationState, successors: _Successors) -> bool:
         """Add a state unless a preferred one subsumes it; return whether either of them is present."""
         # Two states with equal keys accept the same future elements with the same navigations.
-        key = state.key(self.plan.meaning(state.step, state.count))
+        key = state.key(self.nfa.count_class(state.step, state.count))
         # States are added in order of preference, so one with the same key and at least this count is preferred and
         # completes no later: the new one can never win.
-        if successors.seen.get(key, -1) >= state.count:
+        if successors.best_counts.get(key, -1) >= state.count:
             return True
-        if state.start != successors.start:
-            successors.start, successors.alternatives = state.start, 0
-        if successors.alternatives >= MAX_WAYS_PER_START:
+        if state.start_order != successors.start_order:
+            successors.start_order, successors.alternatives = state.start_order, 0
+        if successors.alternatives >= MAX_STATES_PER_START:
             # The least preferred states are lost; the count is reported.
-            self.crowded += 1
+            self.pruned_count += 1
             return False
         successors.alternatives += 1
-        successors.seen[key] = state.count
+        successors.best_counts[key] = state.count
         successors.states.append(state)
         return True
 
@@ -553,9 +591,9 @@ class RowPatternWindow(KeyedOperator):
         outputs = [self._output(match) for match in decided]
         return [output for output in outputs if output is not None]
 
-    def _output(self, whole: _CompletedMatch) -> Optional[StreamOutput]:
+    def _output(self, completed: _CompletedMatch) -> Optional[StreamOutput]:
         """Return the output of a match, or None if a measure has no result."""
-        pairs = _in_order(whole.taken)
+        pairs = _in_order(completed.matched)
         meter = self.meter
         if meter is not None and meter(len(pairs)):
             return None
@@ -563,7 +601,7 @@ class RowPatternWindow(KeyedOperator):
         start = min(item.start for item in items)
         end = max(self._end, *(item.end for item in items))
         contributors = tuple(items[-MAX_TRACKED_ITEMS:]) if self.tracked else (items[-1],)
-        results, error = measured(lambda: self._results(pairs))
+        results, error = results_or_error(lambda: self._results(pairs))
         return None if results is None else StreamOutput(contributors, start, end, results, error)
 
     def _results(self, pairs: _StepAssignments) -> Optional[Values]:
@@ -580,103 +618,113 @@ class RowPatternWindow(KeyedOperator):
             results.append(result)
         return tuple(results)
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`; states and waiting matches refer to elements by their order."""
         groups = [
             (
                 group.since,
                 list(group.items),
                 tuple([_state_fields(state) for state in group.states]),
-                tuple([_orders(_in_order(match.taken)) for match in group.whole]),
+                tuple([_orders(_in_order(match.matched)) for match in group.completed]),
             )
             for group in self.states.values()
         ]
-        return (self.late, self._order, self.clock, groups)
+        return (self.late_count, self._order, self.clock, groups)
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`; if elements are missing, the remaining ones are processed again."""
-        self.late, self._order, self.clock, groups = saved
+        self.late_count, self._order, self.clock, groups = saved
         self.states.clear()
         self._number = self._state_count = 0
-        for since, items, states, whole in groups:
+        for since, items, states, completed in groups:
             if items:
-                self._restore_group(since, items, states, whole)
+                self._restore_group(since, items, states, completed)
 
     def _restore_group(
         self,
         since: int,
         items: List[StreamElement],
         states: Sequence[Tuple[object, ...]],
-        whole: Sequence[Sequence[Tuple[int, int]]],
+        completed: Sequence[Sequence[Tuple[int, int]]],
     ) -> None:
-        by_order = {item.order: item for item in items}
+        element_by_order = {item.order: item for item in items}
         group = PartitionState([self._scanning()])
         group.since = since
         for item in items:
-            item.file()
+            item.restore_key()
             group.items.append(item)
         self._number += len(items)
         try:
-            group.whole.extend(
-                _CompletedMatch(_matched_elements(match, by_order), match[0][0]) for match in whole
+            group.completed.extend(
+                _CompletedMatch(_matched_elements(match, element_by_order), match[0][0])
+                for match in completed
             )
-            group.states = [self._state_of(state, by_order) for state in states]
-            is_consistent = len(group.whole) == group.waiting()
+            group.states = [self._state_of(state, element_by_order) for state in states]
+            is_consistent = len(group.completed) == group.waiting_count()
         except KeyError:
             is_consistent = False
         # Elements are missing, or an interrupt came between two updates.
         if not is_consistent:
-            group.whole.clear()
+            group.completed.clear()
             group.states = [self._scanning()]
             for item in items:
                 successors = self._successors(group.states, item)
-                group.go_on(successors.states, successors.whole)
+                group.advance(successors.states, successors.completed)
         self._store_partition(group, items[0].key)
 
-    def _state_of(self, numbers: Tuple[Any, ...], by_order: Dict[int, StreamElement]) -> ComputationState:
+    def _state_of(
+        self, fields: Tuple[Any, ...], element_by_order: Dict[int, StreamElement]
+    ) -> ComputationState:
         """Return the state that `_state_fields` has described."""
-        step, count, left, marks, pairs, after = numbers
-        navigations = tuple([None if order is None else by_order[order] for order in marks])
+        step, count, remaining_steps, target_orders, pairs, next_end = fields
+        targets = tuple([None if order is None else element_by_order[order] for order in target_orders])
         if not pairs:
-            return ComputationState(step, count, left, navigations, None, 0, 0, after)
+            return ComputationState(step, count, remaining_steps, targets, None, 0, 0, next_end)
         order = pairs[0][0]
         return ComputationState(
             step,
             count,
-            left,
-            navigations,
-            _matched_elements(pairs, by_order),
+            remaining_steps,
+            targets,
+            _matched_elements(pairs, element_by_order),
             order,
-            by_order[order].start,
-            after,
+            element_by_order[order].start,
+            next_end,
         )
 
 
 def _matched_elements(
-    pairs: Sequence[Tuple[int, int]], by_order: Dict[int, StreamElement]
+    pairs: Sequence[Tuple[int, int]], element_by_order: Dict[int, StreamElement]
 ) -> _MatchedElements:
     """Return the elements of a match, given their orders."""
-    taken: Optional[_MatchedElements] = None
+    matched: Optional[_MatchedElements] = None
     for order, step in pairs:
-        taken = _MatchedElements(by_order[order], step, taken)
+        matched = _MatchedElements(element_by_order[order], step, matched)
     # A match has at least one element.
-    assert taken is not None
-    return taken
+    assert matched is not None
+    return matched
 
 
-def _in_order(taken: Optional[_MatchedElements]) -> _StepAssignments:
+def _in_order(matched: Optional[_MatchedElements]) -> _StepAssignments:
     """Return the elements of a match, the oldest first."""
     pairs = []
-    while taken is not None:
-        pairs.append((taken.item, taken.step))
-        taken = taken.before
+    while matched is not None:
+        pairs.append((matched.item, matched.step))
+        matched = matched.previous
     return tuple(reversed(pairs))
 
 
 def _state_fields(state: ComputationState) -> Tuple[Any, ...]:
     """Return the fields of a state, with elements replaced by their orders."""
-    marks = tuple([None if element is None else element.order for element in state.marks])
-    return (state.step, state.count, state.left, marks, _orders(_in_order(state.taken)), state.after)
+    targets = tuple([None if element is None else element.order for element in state.targets])
+    return (
+        state.step,
+        state.count,
+        state.remaining_steps,
+        targets,
+        _orders(_in_order(state.matched)),
+        state.preceding_matches,
+    )
 
 
 def _orders(pairs: _StepAssignments) -> Tuple[Tuple[int, int], ...]:

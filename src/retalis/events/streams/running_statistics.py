@@ -2,8 +2,8 @@
 
 * `ExactSum` holds a sum of floats as an integer over a power of two. Adding and removing are exact, and only the
   result is rounded, so errors do not build up in a window that slides for days.
-* `Lowest` is a heap with lazy deletion for minimum and maximum.
-* `Ranked` is a pair of heaps around a quantile.
+* `LazyMinHeap` is a heap with lazy deletion for minimum and maximum.
+* `QuantileHeaps` is a pair of heaps around a quantile.
 """
 
 import heapq
@@ -11,8 +11,8 @@ from math import inf, isqrt, nan, sqrt
 from typing import Any, List, Optional, Tuple, Union
 
 Number = Union[int, float]
-_SMALL, _LARGE = 1e-290, 1e290
-_MAX_BITS = 1024
+_MIN_EXACT_ROOT, _MAX_EXACT_ROOT = 1e-290, 1e290
+_MAX_EXPONENT = 1024
 
 
 class ExactSum:
@@ -36,39 +36,39 @@ class ExactSum:
         self.factor = 1.0
         self.integers = 0
 
-    def change(self, value: Number, by: int) -> None:
-        """Add a number ``by`` times; -1 removes it."""
+    def add_times(self, value: Number, times: int) -> None:
+        """Add a number ``times`` times; -1 removes it."""
         if value.__class__ is int:
-            self.total += by * int(value) << self.scale
-            self.integers += by
+            self.total += times * int(value) << self.scale
+            self.integers += times
             return
-        over, under = value.as_integer_ratio()
-        self.change_fraction(over, under.bit_length() - 1, by)
+        numerator, denominator = value.as_integer_ratio()
+        self.add_fraction(numerator, denominator.bit_length() - 1, times)
 
-    def change_fraction(self, over: int, bits: int, by: int) -> None:
-        """Add ``over / 2 ** bits``, ``by`` times."""
+    def add_fraction(self, numerator: int, bits: int, times: int) -> None:
+        """Add ``numerator / 2 ** bits``, ``times`` times."""
         if bits > self.scale:
             # The scale only grows: numbers of other magnitudes come again, and rescaling is linear in the digits.
             self.total <<= bits - self.scale
             self.scale = bits
-            self.factor = 2.0**bits if bits < _MAX_BITS else nan
-        self.total += by * over << self.scale - bits
+            self.factor = 2.0**bits if bits < _MAX_EXPONENT else nan
+        self.total += times * numerator << self.scale - bits
 
-    def over(self, divisor: int, number: int) -> Number:
-        """Return the sum of ``number`` numbers divided by ``divisor``.
+    def divided_by(self, divisor: int, count: int) -> Number:
+        """Return the sum of ``count`` numbers divided by ``divisor``.
 
         The result is an integer if it is exact and no number is a float.
         """
-        whole = divisor << self.scale
-        if self.integers == number:
-            quotient, rest = divmod(self.total, whole)
-            if not rest:
+        denominator = divisor << self.scale
+        if self.integers == count:
+            quotient, remainder = divmod(self.total, denominator)
+            if not remainder:
                 # Integers stay exact, of any size.
                 return quotient
-        return self.total / whole
+        return self.total / denominator
 
 
-def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
+def standard_deviation(total: ExactSum, squares: ExactSum, count: int) -> float:
     """Return the standard deviation of a sample of two or more numbers, given their sum and the sum of their squares.
 
     The formula is the square root of ``(n * squares - total ** 2) / (n * (n - 1))``, computed exactly up to the root.
@@ -76,90 +76,94 @@ def deviation(total: ExactSum, squares: ExactSum, number: int) -> float:
     # Both terms of the numerator as integers over the same power of two: their difference is exact, so numbers that
     # are large and close to each other lose no digits.
     bits = max(2 * total.scale, squares.scale)
-    spread = number * squares.total << bits - squares.scale
-    spread -= total.total**2 << bits - 2 * total.scale
-    under = number * (number - 1) << bits
+    numerator = count * squares.total << bits - squares.scale
+    numerator -= total.total**2 << bits - 2 * total.scale
+    denominator = count * (count - 1) << bits
     try:
-        square = spread / under
+        variance = numerator / denominator
     except OverflowError:
-        square = inf
+        variance = inf
     # Outside of this range the quotient is subnormal or infinite although its root is an ordinary float.
-    return sqrt(square) if _SMALL < square < _LARGE or not spread else _root(spread, under)
+    return (
+        sqrt(variance)
+        if _MIN_EXACT_ROOT < variance < _MAX_EXACT_ROOT or not numerator
+        else _root(numerator, denominator)
+    )
 
 
-def _root(over: int, under: int) -> float:
+def _root(numerator: int, denominator: int) -> float:
     """Return the square root of a fraction that is outside of the range of floats."""
     # 64 bits more than the quotient has: the integer root is exact to more digits than a float has.
-    bits = (under.bit_length() - over.bit_length()) // 2 + 64
+    bits = (denominator.bit_length() - numerator.bit_length()) // 2 + 64
     if bits >= 0:
-        return isqrt((over << 2 * bits) // under) / (1 << bits)
-    return float(isqrt(over // (under << -2 * bits)) << -bits)
+        return isqrt((numerator << 2 * bits) // denominator) / (1 << bits)
+    return float(isqrt(numerator // (denominator << -2 * bits)) << -bits)
 
 
-RankedNumber = Tuple[Number, int, Any]
+HeapEntry = Tuple[Number, int, Any]
 """Number, order of its element, and the element. Of equal numbers, the one that arrived first is the lowest."""
 
 
-class Lowest:
+class LazyMinHeap:
     """Heap of the numbers of elements in a window, with lazy deletion."""
 
-    __slots__ = ("heap", "live")
+    __slots__ = ("heap", "count")
 
     def __init__(self) -> None:
-        self.heap: List[RankedNumber] = []
-        self.live = 0
+        self.heap: List[HeapEntry] = []
+        self.count = 0
 
     def add(self, value: Number, item: Any) -> None:
         """Add the number of an element."""
-        self.live += 1
+        self.count += 1
         heapq.heappush(self.heap, (value, item.order, item))
 
     def remove(self) -> None:
         """Count a removal; the element itself must be marked with `StreamElement.gone`."""
-        self.live -= 1
+        self.count -= 1
         # Compacting after half of the entries were removed costs amortised constant time per removal.
-        if len(self.heap) > 2 * self.live + 64:
+        if len(self.heap) > 2 * self.count + 64:
             self.heap = [entry for entry in self.heap if not entry[2].gone]
             heapq.heapify(self.heap)
 
-    def top(self) -> Optional[RankedNumber]:
+    def top(self) -> Optional[HeapEntry]:
         """Return the lowest entry, or None."""
         heap = self.heap
         while heap and heap[0][2].gone:
             heapq.heappop(heap)
         return heap[0] if heap else None
 
-    def pop(self) -> RankedNumber:
+    def pop(self) -> HeapEntry:
         """Remove and return the lowest entry; the heap must not be empty."""
         self.top()
-        self.live -= 1
+        self.count -= 1
         return heapq.heappop(self.heap)
 
 
-class Ranked:
+class QuantileHeaps:
     """Quantile of the numbers of elements in a window: one heap for those up to the quantile, one for those above.
 
     Between two numbers the result is interpolated linearly, as numpy does by default.
 
     Args:
-        part: the quantile, from 0 to 1; 0.5 is the median.
+        quantile: the quantile, from 0 to 1; 0.5 is the median.
     """
 
-    __slots__ = ("part", "below", "above", "_is_below")
+    __slots__ = ("quantile", "below", "above", "_is_below")
 
-    def __init__(self, part: float):
-        self.part = part
+    def __init__(self, quantile: float):
+        self.quantile = quantile
         # Numbers are negated, so the highest is on top.
-        self.below = Lowest()
-        self.above = Lowest()
+        self.below = LazyMinHeap()
+        self.above = LazyMinHeap()
         self._is_below: Any = {}
 
     def add(self, value: Number, item: Any) -> None:
         """Add the number of an element."""
         top = self.below.top()
         # Equal numbers go to the lower heap; which of them is irrelevant to the value of the quantile.
-        low = top is None or value <= -top[0]
-        self._put(value, item, low)
+        is_low = top is None or value <= -top[0]
+        self._put(value, item, is_low)
         self._balance()
 
     def remove(self, item: Any) -> None:
@@ -167,22 +171,22 @@ class Ranked:
         (self.below if self._is_below.pop(item.order) else self.above).remove()
         self._balance()
 
-    def _put(self, value: Number, item: Any, low: bool) -> None:
-        self._is_below[item.order] = low
-        if low:
+    def _put(self, value: Number, item: Any, is_low: bool) -> None:
+        self._is_below[item.order] = is_low
+        if is_low:
             self.below.add(-value, item)
         else:
             self.above.add(value, item)
 
     def _balance(self) -> None:
-        number = self.below.live + self.above.live
-        # The lower heap ends with the number at rank ``floor(part * (n - 1))``; the next one is on top of the other
-        # heap, so both neighbours of the quantile are available in constant time.
-        wanted = int(self.part * (number - 1)) + 1 if number else 0
-        while self.below.live < wanted:
+        count = self.below.count + self.above.count
+        # The lower heap ends with the number at rank ``floor(quantile * (n - 1))``; the next one is on top of the
+        # other heap, so both neighbours of the quantile are available in constant time.
+        target_count = int(self.quantile * (count - 1)) + 1 if count else 0
+        while self.below.count < target_count:
             value, _, item = self.above.pop()
             self._put(value, item, True)
-        while self.below.live > wanted:
+        while self.below.count > target_count:
             value, _, item = self.below.pop()
             self._put(-value, item, False)
 
@@ -191,17 +195,17 @@ class Ranked:
         top = self.below.top()
         if top is None:
             return None
-        low = -top[0]
-        rank = self.part * (self.below.live + self.above.live - 1)
+        lower_value = -top[0]
+        rank = self.quantile * (self.below.count + self.above.count - 1)
         fraction = rank - int(rank)
         if not fraction:
-            return low
+            return lower_value
         entry = self.above.top()
         # A rank between two numbers has one above it.
         assert entry is not None
-        interpolated = low + (entry[0] - low) * fraction
+        interpolated = lower_value + (entry[0] - lower_value) * fraction
         # The difference is infinite for two huge numbers of opposite sign; ``inf - inf`` is nan, which differs from
         # 0.
         if interpolated - interpolated == 0:
             return interpolated
-        return low * (1 - fraction) + entry[0] * fraction
+        return lower_value * (1 - fraction) + entry[0] * fraction

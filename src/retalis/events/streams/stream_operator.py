@@ -45,7 +45,7 @@ class StreamElement:
         else:
             self.key = tuple([term_key(value) for value in by])
 
-    def file(self) -> None:
+    def restore_key(self) -> None:
         """Mark the element as present, and compute its key from its values."""
         self.gone = False
         by = self.by
@@ -59,18 +59,18 @@ class StreamOutput(NamedTuple):
         items: the elements that contributed, in order of arrival; only the newest one unless elements are tracked.
         start: start of the interval in ns.
         end: end of the interval in ns.
-        found: results of the measures of a window; empty for other operators.
+        results: results of the measures of a window; empty for other operators.
         error: the error that prevented the results; in this case nothing is emitted.
     """
 
     items: Tuple[StreamElement, ...]
     start: int
     end: int
-    found: Values = ()
+    results: Values = ()
     error: Optional[RuleError] = None
 
 
-KnownState = Tuple[Any, ...]
+OperatorState = Tuple[Any, ...]
 """State of an operator as numbers, terms, elements and lists of them."""
 NEVER = -(1 << 63)
 """Instant before all others."""
@@ -97,26 +97,26 @@ class StreamOperator(Protocol):
     give the same outputs. Revision relies on this: when an event is retracted, the operator is run again without it.
 
     Attributes:
-        next: instant at which `advance_to` has an output; None if only elements cause outputs.
-        late: number of elements that arrived too late.
-        crowded: number of alternatives that were not followed because one start had too many.
-        evicted: number of keys that were dropped because there were too many.
+        next_deadline: instant at which `advance_to` has an output; None if only elements cause outputs.
+        late_count: number of elements that arrived too late.
+        pruned_count: number of alternatives that were not followed because one start had too many.
+        evicted_count: number of keys that were dropped because there were too many.
         bounds: bounds for the states of keys.
         keys: number of keys with a state.
         bytes: estimated memory of the states: numbers of keys and elements times measured constants.
         tracked: whether outputs contain up to 100 of the elements that they are made of, not only the newest one.
         meter: counts visited elements as pattern work; None if nothing is counted.
-        allowed: returns the latest end that may advance the time of the stream.
+        latest_allowed_end: returns the latest end that may advance the time of the stream.
     """
 
-    next: Optional[int]
-    late: int
-    crowded: int
-    evicted: int
+    next_deadline: Optional[int]
+    late_count: int
+    pruned_count: int
+    evicted_count: int
     bounds: KeyBounds
     tracked: bool
     meter: Optional[Meter]
-    allowed: Callable[[], int]
+    latest_allowed_end: Callable[[], int]
 
     @property
     def keys(self) -> int:
@@ -129,7 +129,7 @@ class StreamOperator(Protocol):
     def set_bounds(self, bounds: KeyBounds, /) -> None:
         """Set the bounds for the states of keys from the next element on."""
 
-    def take(self, item: StreamElement, now: int, channel: int, /) -> List[StreamOutput]:
+    def process(self, item: StreamElement, now: int, channel: int, /) -> List[StreamOutput]:
         """Process an element and return the outputs.
 
         Args:
@@ -150,10 +150,10 @@ class StreamOperator(Protocol):
     def drop_oldest(self) -> List[StreamOutput]:
         """Drop the oldest element or key, and return the outputs that this causes."""
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """Return the state; see `restore`."""
 
-    def restore(self, saved: KnownState, /) -> None:
+    def restore(self, saved: OperatorState, /) -> None:
         """Set the state to one that an equal operator returned from `snapshot`."""
 
 
@@ -164,7 +164,7 @@ class KeyedOperator:
 
     Attributes:
         clock: the newest end of the elements so far, without ends that are too far in the future.
-        newest_allowed: last result of ``allowed``, in ns.
+        newest_allowed: last result of ``latest_allowed_end``, in ns.
         states: state of each key. In operators that drop idle keys, the order is that of the last use, and the
             attribute ``since`` of a state is the clock at that use.
     """
@@ -175,11 +175,11 @@ class KeyedOperator:
     """Memory of an element with two small arguments; measured with tracemalloc on CPython 3.11."""
 
     def __init__(self) -> None:
-        self.next: Optional[int] = None
-        self.late = self.crowded = self.evicted = 0
+        self.next_deadline: Optional[int] = None
+        self.late_count = self.pruned_count = self.evicted_count = 0
         self.tracked = False
         self.meter: Optional[Meter] = None
-        self.allowed: Callable[[], int] = lambda: 1 << 64
+        self.latest_allowed_end: Callable[[], int] = lambda: 1 << 64
         self.set_bounds(KeyBounds())
         self.clock = self.newest_allowed = NEVER
         # Finding the first key of a plain dict takes time linear in the number of keys deleted before it.
@@ -210,9 +210,10 @@ class KeyedOperator:
 
     def _is_too_far_ahead(self, end: int) -> bool:
         """Return whether an end is too far in the future to advance the time of the stream."""
-        # ``allowed`` reads the clock and only rises, so it is called only if its last result is not sufficient.
+        # ``latest_allowed_end`` reads the clock and only rises, so it is called only if its last result is not
+        # sufficient.
         if end > self.newest_allowed:
-            self.newest_allowed = self.allowed()
+            self.newest_allowed = self.latest_allowed_end()
         return end > self.newest_allowed
 
     def _advance(self, end: int) -> None:
@@ -236,7 +237,7 @@ class KeyedOperator:
         """Drop the least recently used keys if there are too many."""
         while len(self.states) > self._max_keys:
             self._drop_key(next(iter(self.states)))
-            self.evicted += 1
+            self.evicted_count += 1
 
     def _drop_key(self, key: Hashable) -> None:
         """Drop the state of a key."""

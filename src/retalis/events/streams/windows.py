@@ -23,14 +23,14 @@ from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator
-from .running_statistics import Lowest
-from .stream_operator import KeyedOperator, KnownState, StreamElement, StreamOutput
+from .running_statistics import LazyMinHeap
+from .stream_operator import KeyedOperator, OperatorState, StreamElement, StreamOutput
 
 MAX_TRACKED_ITEMS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
 
 
-def measured(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values], Optional[RuleError]]:
+def results_or_error(results: Callable[[], Optional[Values]]) -> Tuple[Optional[Values], Optional[RuleError]]:
     """Return the results of measures, or an empty result with the error if something cannot be measured."""
     try:
         return results(), None
@@ -61,8 +61,8 @@ class KeyedWindow:
         self.measures = measures
         self.checks = [measure.check for measure in measures if measure.checks_values]
         self.since = since
-        self.starts: Optional[Lowest] = None
-        self.ends: Optional[Lowest] = None
+        self.starts: Optional[LazyMinHeap] = None
+        self.ends: Optional[LazyMinHeap] = None
         self.has_arrays = False
 
     @property
@@ -90,7 +90,7 @@ class KeyedWindow:
 
     def _file_elements(self, elements: Sequence[StreamElement]) -> None:
         """Create the heaps of starts and ends."""
-        self.starts, self.ends = Lowest(), Lowest()
+        self.starts, self.ends = LazyMinHeap(), LazyMinHeap()
         for element in elements:
             self.starts.add(element.start, element)
             self.ends.add(-element.end, element)
@@ -120,7 +120,7 @@ class KeyedWindow:
         self, with_items: bool, start: Optional[int] = None, end: Optional[int] = None
     ) -> Optional[StreamOutput]:
         """Return the results, by default for the interval of the elements; None if a measure has no result."""
-        results, error = measured(self._results)
+        results, error = results_or_error(self._results)
         if results is None:
             return None
         # Windows between instants state their own interval, also if their elements cover less.
@@ -154,13 +154,13 @@ class KeyedWindow:
     def _interval(self) -> Tuple[int, int]:
         if self.starts is None or self.ends is None:
             return self.members[0].start, self.members[-1].end
-        low, high = self.starts.top(), self.ends.top()
+        first_entry, last_entry = self.starts.top(), self.ends.top()
         # The window is not empty.
-        assert low is not None and high is not None
-        return low[2].start, high[2].end
+        assert first_entry is not None and last_entry is not None
+        return first_entry[2].start, last_entry[2].end
 
 
-Make = Callable[[], Sequence[Accumulator]]
+AccumulatorFactory = Callable[[], Sequence[Accumulator]]
 
 
 class Window(KeyedOperator):
@@ -176,11 +176,11 @@ class Window(KeyedOperator):
 
     KEY_BYTES, ITEM_BYTES = 1350, 800
 
-    def __init__(self, make: Make):
+    def __init__(self, make: AccumulatorFactory):
         super().__init__()
         self.make = make
         self.states: OrderedDict[Hashable, KeyedWindow] = OrderedDict()
-        self._lists = any(measure.visits_all for measure in make())
+        self._visits_all = any(measure.visits_all for measure in make())
         self.number = 0
         self.last_order = 0
 
@@ -197,32 +197,32 @@ class Window(KeyedOperator):
     def _compact(self) -> None:
         """Compact the containers that file elements by time, if most of their entries are gone."""
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         raise NotImplementedError
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         groups = [
             (group.since, [member for member in group.members if not member.gone])
             for group in self.states.values()
         ]
-        return (self.clock, self.next, self.late, self.last_order, groups)
+        return (self.clock, self.next_deadline, self.late_count, self.last_order, groups)
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         # Subclasses append their own fields.
-        self.clock, self.next, self.late, self.last_order, groups = saved[:5]
+        self.clock, self.next_deadline, self.late_count, self.last_order, groups = saved[:5]
         self.states.clear()
         self.number = 0
         for since, members in groups:
             group = KeyedWindow(self.make(), since)
             for item in members:
-                item.file()
+                item.restore_key()
                 self._insert(item, group)
-                self._file(item)
+                self._enqueue(item)
 
-    def _file(self, item: StreamElement) -> None:
+    def _enqueue(self, item: StreamElement) -> None:
         """File an element that has entered by the time at which it leaves."""
 
     def _keyed_window_of(self, item: StreamElement) -> KeyedWindow:
@@ -290,7 +290,7 @@ class Window(KeyedOperator):
         self, group: KeyedWindow, start: Optional[int] = None, end: Optional[int] = None
     ) -> List[StreamOutput]:
         meter = self.meter
-        if meter is not None and meter(group.number if self._lists or group.has_arrays else 1):
+        if meter is not None and meter(group.number if self._visits_all or group.has_arrays else 1):
             return []
         output = group.output(self.tracked, start, end)
         return [] if output is None else [output]
@@ -305,27 +305,27 @@ class SlidingTimeWindow(Window):
             they arrived, and those that are too far in the future to advance the clock.
     """
 
-    def __init__(self, make: Make, span: int):
+    def __init__(self, make: AccumulatorFactory, span: int):
         super().__init__(make)
         self.span = span
         self.queue: Deque[StreamElement] = deque()
         self.disordered: List[Tuple[int, int, StreamElement]] = []
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         group = self._keyed_window_of(item)
         self._advance(item.end)
         limit = self.clock - self.span
         self._remove_before(limit)
         if item.start <= limit:
-            self.late += 1
+            self.late_count += 1
             return []
         self._number_element(item)
         self._insert(item, group)
-        self._file(item)
+        self._enqueue(item)
         return self._emit(group)
 
-    def _file(self, item: StreamElement) -> None:
+    def _enqueue(self, item: StreamElement) -> None:
         queue = self.queue
         # Most elements arrive in order, and a queue is cheaper than a heap.
         if item.end <= self.clock and (not queue or queue[-1].start <= item.start):
@@ -353,12 +353,12 @@ class SlidingTimeWindow(Window):
 class SlidingCountWindow(Window):
     """Window of the last ``size`` elements of each key; emits at each element."""
 
-    def __init__(self, make: Make, size: int):
+    def __init__(self, make: AccumulatorFactory, size: int):
         super().__init__(make)
         self.size = size
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         group = self._most_recent_window(item)
         self._number_element(item)
         self._insert(item, group)
@@ -371,13 +371,13 @@ class SlidingCountWindow(Window):
 class TumblingCountWindow(Window):
     """Window of ``size`` elements of each key at a time; emits when it is full, or if ``running`` at each element."""
 
-    def __init__(self, make: Make, size: int, running: bool):
+    def __init__(self, make: AccumulatorFactory, size: int, running: bool):
         super().__init__(make)
         self.size = size
         self.running = running
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         group = self._most_recent_window(item)
         # An interrupt came when it was full.
         if group.number >= self.size:
@@ -394,9 +394,9 @@ class TumblingCountWindow(Window):
 
 def compacted_heap(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int, int, StreamElement]]:
     """Return a heap without the elements that are gone."""
-    remaining = [entry for entry in heap if not entry[2].gone]
-    heapq.heapify(remaining)
-    return remaining
+    present_entries = [entry for entry in heap if not entry[2].gone]
+    heapq.heapify(present_entries)
+    return present_entries
 
 
 class AnchoredTumblingWindow(Window):
@@ -406,55 +406,55 @@ class AnchoredTumblingWindow(Window):
     element.
     """
 
-    def __init__(self, make: Make, span: int, running: bool):
+    def __init__(self, make: AccumulatorFactory, span: int, running: bool):
         super().__init__(make)
         self.span = span
         self.running = running
-        self._reached = -(1 << 63)
+        self._latest_now = -(1 << 63)
         self._open: List[Tuple[int, int, Hashable, KeyedWindow]] = []
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         group: Optional[KeyedWindow] = self._keyed_window_of(item)
         if item.end > self.newest_allowed:
-            self.newest_allowed = self.allowed()
+            self.newest_allowed = self.latest_allowed_end()
         # Too far in the future: no window may wait for it.
         if item.end > self.newest_allowed:
-            self.late += 1
+            self.late_count += 1
             return []
         self._advance(item.end)
-        if now > self._reached:
-            self._reached = now
+        if now > self._latest_now:
+            self._latest_now = now
         # Windows that end before this element are closed first, so the element cannot enter one of them.
         outputs = self._close(self.clock)
         group = self.states.get(item.key)
         if group is None:
             # Its window has ended already.
-            if item.end + self.span <= max(self.clock, self._reached):
-                self.late += 1
+            if item.end + self.span <= max(self.clock, self._latest_now):
+                self.late_count += 1
                 return outputs
             group = KeyedWindow(self.make(), item.end)
         elif not group.since <= item.end < group.since + self.span:
-            self.late += 1
+            self.late_count += 1
             return outputs
         self._number_element(item)
         if not group.number:
             heapq.heappush(self._open, (group.since, item.order, item.key, group))
         self._insert(item, group)
-        self._set_next()
+        self._update_deadline()
         return [*outputs, *self._emit(group)] if self.running else outputs
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         super().restore(saved)
-        (self._reached,) = saved[5:]
+        (self._latest_now,) = saved[5:]
         self._open = [(group.since, group.members[0].order, key, group) for key, group in self.states.items()]
         heapq.heapify(self._open)
-        self._set_next()
+        self._update_deadline()
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
-        return (*super().snapshot(), self._reached)
+        return (*super().snapshot(), self._latest_now)
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
@@ -474,27 +474,27 @@ class AnchoredTumblingWindow(Window):
                 if not self.running:
                     outputs += self._emit(group, begin, begin + self.span)
                 self._clear_key(group, key)
-        self._set_next()
+        self._update_deadline()
         return outputs
 
-    def _set_next(self) -> None:
-        self.next = self._open[0][0] + self.span if self._open else None
+    def _update_deadline(self) -> None:
+        self.next_deadline = self._open[0][0] + self.span if self._open else None
 
 
 class EagerTumblingWindow(Window):
     """Current window of ``span`` ns since 1970, by the ends of elements; emits at each element."""
 
-    def __init__(self, make: Make, span: int):
+    def __init__(self, make: AccumulatorFactory, span: int):
         super().__init__(make)
         self.span = span
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         self._keyed_window_of(item)
         index = item.end // self.span
         present = self.clock // self.span
-        if index < present or item.end > self.allowed():
-            self.late += 1
+        if index < present or item.end > self.latest_allowed_end():
+            self.late_count += 1
             return []
         if index > present:
             # All keys change to the next window together, because windows are aligned to the clock.
@@ -510,94 +510,94 @@ class EagerTumblingWindow(Window):
 class HoppingWindow(Window):
     """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``every`` ns since 1970."""
 
-    def __init__(self, make: Make, span: int, every: int):
+    def __init__(self, make: AccumulatorFactory, span: int, every: int):
         super().__init__(make)
         self.span = span
         self.every = every
-        self._reached = -(1 << 63)
-        self._ahead: List[Tuple[int, int, StreamElement]] = []
+        self._latest_now = -(1 << 63)
+        self._future_elements: List[Tuple[int, int, StreamElement]] = []
         self._by_end: List[Tuple[int, int, StreamElement]] = []
 
     def __len__(self) -> int:
-        return self.number + len(self._ahead)
+        return self.number + len(self._future_elements)
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         if self.states:
             return super().drop_oldest()
-        heapq.heappop(self._ahead)
+        heapq.heappop(self._future_elements)
         return []
 
-    def snapshot(self) -> KnownState:
+    def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         return (
             *super().snapshot(),
-            self._reached,
-            [item for _, _, item in sorted(self._ahead, key=lambda element: element[:2])],
+            self._latest_now,
+            [item for _, _, item in sorted(self._future_elements, key=lambda element: element[:2])],
         )
 
-    def restore(self, saved: KnownState) -> None:
+    def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         super().restore(saved)
-        self._reached, ahead = saved[5:]
-        for item in ahead:
-            item.file()
-        self._ahead = [(item.end, item.order, item) for item in ahead]
-        heapq.heapify(self._ahead)
+        self._latest_now, future_elements = saved[5:]
+        for item in future_elements:
+            item.restore_key()
+        self._future_elements = [(item.end, item.order, item) for item in future_elements]
+        heapq.heapify(self._future_elements)
 
-    def take(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.take`."""
+    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
         self._keyed_window_of(item)
         every = self.every
-        if now > self._reached:
+        if now > self._latest_now:
             # Alarms may raise events in the past.
-            self._reached = now
+            self._latest_now = now
         # The last window end that was emitted. An element that belongs only to windows up to it is late.
-        last_emitted = self._reached // every * every
+        last_emitted = self._latest_now // every * every
         if (item.end + self.span) // every * every <= last_emitted:
-            self.late += 1
+            self.late_count += 1
             return []
         self._number_element(item)
-        heapq.heappush(self._ahead, (item.end, item.order, item))
+        heapq.heappush(self._future_elements, (item.end, item.order, item))
         first = max((item.end // every + 1) * every, last_emitted + every)
-        if self.next is None or first < self.next:
-            self.next = first
+        if self.next_deadline is None or first < self.next_deadline:
+            self.next_deadline = first
         return []
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
         outputs: List[StreamOutput] = []
-        while self.next is not None and self.next <= instant:
-            outputs += self._emit_at(self.next)
+        while self.next_deadline is not None and self.next_deadline <= instant:
+            outputs += self._emit_at(self.next_deadline)
         return outputs
 
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         self._remove_before(instant - self.span)
         entering = []
         # Elements wait until a window ends after them: an end may lie ahead of the clock.
-        while self._ahead and self._ahead[0][0] < instant:
-            entering.append(heapq.heappop(self._ahead)[2])
+        while self._future_elements and self._future_elements[0][0] < instant:
+            entering.append(heapq.heappop(self._future_elements)[2])
         # The heap is ordered by ends; members must be in order of arrival.
         for item in sorted(entering, key=lambda element: element.order):
             self._insert(item, self._keyed_window_of(item))
-            self._file(item)
+            self._enqueue(item)
         outputs = [
             output
             for group in sorted(self.states.values(), key=lambda element: element.members[0].order)
             for output in self._emit(group, instant - self.span, instant)
         ]
         # While elements remain, every multiple has a result; otherwise windows without elements are skipped.
-        after = instant + self.every
-        self._remove_before(after - self.span)
+        next_end = instant + self.every
+        self._remove_before(next_end - self.span)
         if self.states:
-            self.next = after
-        elif self._ahead:
-            self.next = max(after, (self._ahead[0][0] // self.every + 1) * self.every)
+            self.next_deadline = next_end
+        elif self._future_elements:
+            self.next_deadline = max(next_end, (self._future_elements[0][0] // self.every + 1) * self.every)
         else:
-            self.next = None
+            self.next_deadline = None
         return outputs
 
-    def _file(self, item: StreamElement) -> None:
+    def _enqueue(self, item: StreamElement) -> None:
         heapq.heappush(self._by_end, (item.end, item.order, item))
 
     def _compact(self) -> None:

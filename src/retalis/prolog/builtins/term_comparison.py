@@ -118,7 +118,7 @@ def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that compares terms in the standard order."""
     # For equality the age of variables does not matter, and comparing it would number them.
     variables = unlike if test in ("== 0", "!= 0") else by_age
-    lines = ["def made(machine, left, right):", f"    return compare(left, right, variables) {test}"]
+    lines = ["def generated(machine, left, right):", f"    return compare(left, right, variables) {test}"]
     names = {"compare": compare, "variables": variables}
     predicate: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {test}")
     return predicate
@@ -126,7 +126,7 @@ def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
 
 def _arithmetic_comparison(operator: str) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that compares the values of two expressions."""
-    lines = ["def made(machine, left, right):", f"    return measure(left) {operator} measure(right)"]
+    lines = ["def generated(machine, left, right):", f"    return measure(left) {operator} measure(right)"]
     names = {"measure": measure}
     predicate: Callable[[Machine, Term, Term], bool] = codegen.function(
         lines, names, f"comparison {operator}"

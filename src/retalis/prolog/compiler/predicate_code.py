@@ -70,7 +70,7 @@ def fact_search(
 
 def _search_lines(arity: int, indexed: Optional[int]) -> List[str]:
     retry_lines = ["def again(entry):", "    _, frame, clauses, at, end, generation, keys, mark = entry"]
-    search_lines = ["def made(frame, clauses, at, end, generation, keys):", "    mark = len(trail)"]
+    search_lines = ["def generated(frame, clauses, at, end, generation, keys):", "    mark = len(trail)"]
     try_lines = _try_lines(arity, indexed)
     return [
         *retry_lines,

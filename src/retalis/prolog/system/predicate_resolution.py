@@ -142,7 +142,7 @@ class PredicateTable:
         """
         # Unpacking the frame by position is faster than passing a slice of it.
         args = "".join(f", a{position}" for position in range(arity))
-        source = f"def made(frame):\n    _{args}, after = frame\n"
+        source = f"def generated(frame):\n    _{args}, after = frame\n"
         source += f"    return after if function(machine{args}) else None\n"
         names = {"machine": self.machine, "function": function}
         run: Step = shared_function(source, names, f"built-in predicate of arity {arity}")
