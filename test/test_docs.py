@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from retalis import Engine, Operators
-from retalis.events.checks.check_registry import look_through
+from retalis.events.checks.check_registry import run_checks
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import Topics
 from retalis.prolog.syntax.term_reader import read_program
@@ -95,7 +95,7 @@ def test_rules_and_goals_in_the_pages_load_and_check_has_nothing_to_say_of_them(
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
-    found = look_through(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
+    found = run_checks(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
     meant = (*PARTS, "waits-for-ever") if "unrestricted" in text else PARTS  # which is what it shows
     assert [str(one.problem) for one in found if one.check not in meant] == []
 

@@ -209,7 +209,7 @@ def test_a_window_removes_what_is_too_old_from_the_longest_on():
     assert rule.waiting == 10
     (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
     assert node.visits == 100
-    assert sum(len(train.tokens) for train in node.trains.values()) <= 12
+    assert sum(len(group.cursors) for group in node.groups.values()) <= 12
 
 
 def test_of_values_that_do_not_wait_nothing_is_kept():
@@ -217,7 +217,7 @@ def test_of_values_that_do_not_wait_nothing_is_kept():
     for at in range(5000):
         program.engine.event(f"a({at})", at, at)
     (node,) = [node for node, _, _ in program.engine.rules.rules[0].nodes if isinstance(node, RepeatNode)]
-    assert len(node.trains) <= 11
+    assert len(node.groups) <= 11
 
 
 @pytest.mark.slow

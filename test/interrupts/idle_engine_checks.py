@@ -97,7 +97,7 @@ def _of_rule(rule):
     for node, _, _ in rule.nodes:
         for buffer in node.buffers():
             for key, last in buffer.newest.items():
-                ring = buffer.with_key(key)
+                ring = buffer.matches_of_key(key)
                 if [one.newer for one in ring] != [*ring[1:], ring[0]] or last is not ring[-1]:
                     yield f"{rule.name}: matches are linked wrong"
                 if any(one.buffer is not buffer or one.key != key for one in ring):
@@ -107,7 +107,7 @@ def _of_rule(rule):
         yield f"{rule.name}: {len(waiting)} matches wait and {rule.waiting} are counted"
     if not set(waiting) <= set(rule.arrivals):
         yield f"{rule.name}: a match can never be dropped"
-    if not rule.listeners or not rule.sound:
+    if not rule.listeners or not rule.is_connected:
         yield f"{rule.name} does not listen"
 
 

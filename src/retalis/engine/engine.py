@@ -18,7 +18,7 @@ from typing import (
     Union,
 )
 
-from ..events.checks.check_registry import INFO, look_through
+from ..events.checks.check_registry import INFO, run_checks
 from ..events.checks.program_model import ProgramModel
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.dispatch.listeners import ListenerPhase
@@ -572,7 +572,7 @@ class Engine:
         program = ProgramModel(
             self.rules, self.knowledge, definitions, topics, tuple(direct), folder, self._has_event_callbacks
         )
-        return (finding.problem for finding in look_through(program) if finding.severity != INFO)
+        return (finding.problem for finding in run_checks(program) if finding.severity != INFO)
 
     def status(self, most: int = DEFAULT_LISTED) -> Status:
         """Return the activity and contents of the engine, without waiting for it.

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
-from ..events.checks.check_registry import ERROR, WARNING, Finding, Suppressions, load_code, look_through
+from ..events.checks.check_registry import ERROR, WARNING, Finding, Suppressions, load_code, run_checks
 from ..events.checks.event_flow_checks import without_maker
 from ..events.checks.message_checks import output_fault
 from ..events.checks.program_model import ProgramModel
@@ -100,7 +100,7 @@ def check_program(
     reported = {finding.problem.place for finding in collector.findings if finding.problem.place is not None}
     # A mistake that loading has already reported is not reported again by a check of the same place.
     new_findings = [
-        finding for finding in look_through(program, is_loaded) if finding.problem.place not in reported
+        finding for finding in run_checks(program, is_loaded) if finding.problem.place not in reported
     ]
     return _sort_findings([*collector.findings, *new_findings])
 

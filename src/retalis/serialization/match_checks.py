@@ -100,24 +100,24 @@ def _run_fits(node: KleeneNode, run: Any) -> bool:
     return (
         first.fits(run.first)
         and len(run.values) == width
-        and (run.fixed is None or len(run.fixed) == len(node.fixed))
-        and len(run.open) == len(node.open_vars)
-        and len(run.taken) == len(run.steps)
-        and run.sound <= len(run.taken)
+        and (run.fixed_values is None or len(run.fixed_values) == len(node.fixed))
+        and len(run.free_vars) == len(node.open_vars)
+        and len(run.repetitions) == len(run.step_values)
+        and run.valid_count <= len(run.repetitions)
         and (run.state is None if node.aggregate is None else node.aggregate.is_state(run.state))
-        and all(map(repeated.fits, run.taken))
-        and all(len(values) == width and len(step) >= step_width for values, step in run.steps)
+        and all(map(repeated.fits, run.repetitions))
+        and all(len(values) == width and len(step) >= step_width for values, step in run.step_values)
     )
 
 
 def group_fits(node: RepeatNode, group: RunGroup) -> bool:
     """Return whether a group of runs has the matches that a node requires, and at least one."""
-    if group.node is not node or len(group.tokens) >= node.times:
+    if group.node is not node or len(group.cursors) >= node.times:
         return False
     child = MatchShape(node.child)
     present = [
         (number, token)
-        for number, token in enumerate(group.tokens, 1)
+        for number, token in enumerate(group.cursors, 1)
         if token is not None and token.buffer is group
     ]
     return (
@@ -128,8 +128,8 @@ def group_fits(node: RepeatNode, group: RunGroup) -> bool:
 
 
 def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, token: RunCursor) -> bool:
-    first = MatchShape(node, times=token.apart) if token.apart > 1 else child
-    return token.apart <= number and len(token.values) == first.width and first.fits(token.first)
+    first = MatchShape(node, times=token.prefix_length) if token.prefix_length > 1 else child
+    return token.prefix_length <= number and len(token.values) == first.width and first.fits(token.first)
 
 
 def _negated_shapes(absence: NegationBuffer, node: NetworkNode) -> List[Any]:
@@ -180,7 +180,7 @@ def check_arrivals(rule: EventRule, state: RuleState, shapes: Sequence[Any]) -> 
         raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
     if max(orders, default=0) > state.times[1]:
         raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
-    later = [(match, buffer_number) for buffer_number, match in state.later]
+    later = [(match, buffer_number) for buffer_number, match in state.deferred_matches]
     for match, buffer_number in chain(zip(matches, buffer_numbers), later):
         if buffer_number < 0:
             if match.buffer is None:
@@ -200,7 +200,7 @@ def check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -
     """
     stored: Set[int] = set()
     for rule, state in zip(rules, states):
-        matches = [*state.arrivals[0], *(match for _, match in state.later)]
+        matches = [*state.arrivals[0], *(match for _, match in state.deferred_matches)]
         size = len(stored) + len(matches)
         stored.update(map(id, matches))
         if len(stored) != size:
@@ -218,7 +218,7 @@ def check_lineage(graph: GraphReader) -> None:
             raise UsageError("a suppressed match does not fit its node")
     checked: Set[Tuple[int, int]] = set()
     for tracked in graph.objects(Occurrence, TrackedMatch):
-        for holder in tracked.held:
+        for holder in tracked.dependents:
             if holder.__class__ is not tuple:
                 continue
             node, owner, _ = holder

@@ -16,9 +16,9 @@ from operator import attrgetter, is_
 from typing import Any, Callable, DefaultDict, Dict, List, Sequence, Tuple
 
 from ..events.matches.partial_matches import (
-    NOTHING_HELD,
+    NO_REPETITIONS,
+    ComputedValues,
     EventMatch,
-    Found,
     OrderedEventMatch,
     PartialMatch,
     TrackedMatch,
@@ -68,15 +68,30 @@ class _Form(Enum):
     OBJECT = "object"
     """Objects, as their numbers, or None."""
     PARTS = "parts"
-    """Parts of matches: objects as their numbers, numbers of branches and `Found` as sequences of one item."""
+    """Parts of matches: objects as their numbers, numbers of branches and `ComputedValues` as sequences of one
+    item.
+    """
     MIXED = "mixed"
     """Any data, with objects as `Ref`."""
 
 
 _DATA, _INSTANTS, _OBJECT, _PARTS, _MIXED = _Form
 _INTERVAL = {"start": _INSTANTS, "end": _INSTANTS}
-_MATCH = {"values": _DATA, **_INTERVAL, "event": _MIXED, "term": _DATA, "parts": _PARTS, "used": _OBJECT}
-_TRACKED = {"derived": _MIXED, "held": _MIXED, "gone": _DATA, "reported": _DATA, "suppressed": _MIXED}
+_MATCH = {
+    "values": _DATA,
+    **_INTERVAL,
+    "event": _MIXED,
+    "term": _DATA,
+    "parts": _PARTS,
+    "consumed_by": _OBJECT,
+}
+_TRACKED = {
+    "derived": _MIXED,
+    "dependents": _MIXED,
+    "retracted": _DATA,
+    "reported": _DATA,
+    "suppressed": _MIXED,
+}
 
 FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
     "event match": (EventMatch, {**_INTERVAL, "term": _DATA}),
@@ -87,14 +102,14 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
             **_MATCH,
             "first": _OBJECT,
             "last": _INSTANTS,
-            "fixed": _DATA,
+            "fixed_values": _DATA,
             "state": _DATA,
             "items": _DATA,
-            "taken": _MIXED,
-            "held": _OBJECT,
-            "steps": _DATA,
-            "sound": _DATA,
-            "open": _DATA,
+            "repetitions": _MIXED,
+            "tracked": _OBJECT,
+            "step_values": _DATA,
+            "valid_count": _DATA,
+            "free_vars": _DATA,
         },
     ),
     "run cursor": (
@@ -102,10 +117,10 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
         {
             **_MATCH,
             "first": _OBJECT,
-            "apart": _DATA,
+            "prefix_length": _DATA,
             "log": _OBJECT,
-            "at": _DATA,
-            "since": _DATA,
+            "log_position": _DATA,
+            "first_number": _DATA,
             "buffer": _OBJECT,
         },
     ),
@@ -114,11 +129,11 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
         {
             "node": _OBJECT,
             "key": _DATA,
-            "tokens": _MIXED,
+            "cursors": _MIXED,
             "end": _INSTANTS,
             "order": _DATA,
             "log": _OBJECT,
-            "taken": _DATA,
+            "repetition_count": _DATA,
         },
     ),
     "log": (SharedLog, {"items": _MIXED}),
@@ -149,7 +164,7 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
 """Kinds of objects: their class, and the attributes that are stored. Other attributes are derived when read."""
 
 _KINDS = [*FIELDS, "nothing", "rule", "node"]
-"""All kinds, in the order of their codes: `NOTHING_HELD`, rules and nodes exist before objects are read."""
+"""All kinds, in the order of their codes: `NO_REPETITIONS`, rules and nodes exist before objects are read."""
 
 _CODES = {kind: code for code, kind in enumerate(_KINDS)}
 _KIND_BY_CLASS = {
@@ -228,7 +243,7 @@ class GraphWriter:
                     column += map(self.write, values)
 
     def _kind(self, item: Any) -> str:
-        if item is NOTHING_HELD:
+        if item is NO_REPETITIONS:
             return "nothing"
         kind = _KIND_BY_CLASS.get(item.__class__, "node")
         # Numbers of rules and nodes are assigned here, because those of deleted rules are not known before.
@@ -283,8 +298,9 @@ class GraphWriter:
         """Return the encoding of a part of a match, see `_Form.PARTS`."""
         if part.__class__ in _KIND_BY_CLASS:
             return self.number(part)
-        # `Found` is a sequence of one item already. A branch becomes one: its number is no number of an object.
-        return part if part.__class__ is Found else [part]
+        # `ComputedValues` is a sequence of one item already. A branch becomes one: its number is no number of an
+        # object.
+        return part if part.__class__ is ComputedValues else [part]
 
 
 _NUMBER = optional(count)
@@ -343,7 +359,7 @@ class GraphReader:
             return [object_class.__new__(object_class) for _ in range(size)]
         if kind == "nothing":
             fixed()(columns)
-            return [NOTHING_HELD] * size
+            return [NO_REPETITIONS] * size
         rule_numbers = integers(0, len(self._rules) - 1)
         if kind == "rule":
             (numbers,) = fixed(rule_numbers)(columns)
@@ -506,7 +522,7 @@ class GraphReader:
             self._current.append(value)
             return part
         (content,) = fixed(anything)(value)
-        return count(content) if content.__class__ is int else Found(_match_values(content))
+        return count(content) if content.__class__ is int else ComputedValues(_match_values(content))
 
     def _checks(self) -> Dict[str, List[_ColumnCheck]]:
         """Return the checks of the attributes of each kind of object, in the order of `FIELDS`."""
@@ -622,7 +638,7 @@ def _are_starts(objects: Sequence[Any], ends: Sequence[Any]) -> bool:
 
 def _finish_event_match(match: Any) -> None:
     match.values = match.term[1:]
-    match.event = match.parts = match.used = None
+    match.event = match.parts = match.consumed_by = None
 
 
 def _finish_match(match: Any) -> None:
@@ -632,20 +648,20 @@ def _finish_match(match: Any) -> None:
 
 def _finish_run(run: Any) -> None:
     _finish_match(run)
-    run.begin_again()
+    run.after_restore()
 
 
 def _finish_cursor(cursor: Any) -> None:
     _finish_match(cursor)
-    if cursor.at > len(cursor.log.items):
+    if cursor.log_position > len(cursor.log.items):
         raise UsageError("a run has more repetitions than its buffer")
 
 
 def _finish_group(group: Any) -> None:
     if not isinstance(group.node, RepeatNode):
         raise UsageError("a group of runs belongs to a node of another type")
-    group.alive = sum(cursor is not None and cursor.buffer is group for cursor in group.tokens)
-    group.begin_again()
+    group.cursor_count = sum(cursor is not None and cursor.buffer is group for cursor in group.cursors)
+    group.after_restore()
 
 
 def _finish_slices(slices: Any) -> None:
@@ -665,7 +681,7 @@ _FINISH: Dict[str, Callable[[Any], None]] = {
     "run": _finish_run,
     "run cursor": _finish_cursor,
     "run group": _finish_group,
-    "log": SharedLog.begin_again,
+    "log": SharedLog.after_restore,
     "log slices": _finish_slices,
     "tracked match": _finish_tracked,
 }

@@ -264,8 +264,8 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
         times=fixed(instant, match_order, optional(instant)),
         nodes=lambda _: checked_states,
         arrivals=fixed(graph.numbered(*MATCH_KINDS), integers(-1, len(shapes) - 1), match_orders),
-        later=each(fixed(buffer_number, graph.match)),
-        later_event=graph.token,
+        deferred_matches=each(fixed(buffer_number, graph.match)),
+        deferring_event=graph.token,
         skipped=optional(fixed(instant, each(instant, tuple))),
     )(value)
     check_arrivals(rule, state, shapes)

@@ -6,8 +6,8 @@ from collections import deque
 import pytest
 
 from retalis.events.matches.expiration import (
-    HEAP_SLICE,
-    SLICE,
+    HEAP_SLICE_ENTRIES,
+    SLICE_ENTRIES,
     ExpirationQueue,
     StartExpirationQueue,
     remove_stale_entries,
@@ -78,7 +78,7 @@ def fill(expiries, add, number):
     ("expiries", "add"), [(ExpirationQueue(), add_to_expiries), (StartExpirationQueue(10), add_by_start)]
 )
 def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
-    number = 20 * SLICE
+    number = 20 * SLICE_ENTRIES
     matches = fill(expiries, add, number)
     waiting = len(matches) // 4
     Counted.asked = 0
@@ -86,7 +86,7 @@ def test_those_that_left_are_dropped_a_part_at_a_time(expiries, add):
         before = Counted.asked
         waiting += 1
         add(expiries, Counted(order), waiting)
-        assert Counted.asked - before <= SLICE
+        assert Counted.asked - before <= SLICE_ENTRIES
     assert len(expiries) <= 2 * waiting + 1000
     expiries.expire(number // 2 + 11)
     assert [match.order for match in matches if match.waits][0] == pytest.approx(number // 2, abs=12)
@@ -109,7 +109,7 @@ def add_by_start_late(expiries, match, waiting):
     [(ExpirationQueue(), add_to_expiries_late), (StartExpirationQueue(10), add_by_start_late)],
 )
 def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expiries, add):
-    number = 40 * HEAP_SLICE
+    number = 40 * HEAP_SLICE_ENTRIES
     matches = fill(expiries, add, number)
     waiting = number // 4
     for order in range(number, number + 60):
@@ -117,7 +117,7 @@ def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expi
         waiting += 1
         matches.append(Counted(order))
         add(expiries, matches[-1], waiting)
-        assert Counted.asked - before <= HEAP_SLICE + 1
+        assert Counted.asked - before <= HEAP_SLICE_ENTRIES + 1
     assert len(expiries) <= 2 * waiting + 1000
     expiries.expire(-number // 2 + 11)
     assert [match.order for match in matches if match.waits][-1] == pytest.approx(number // 2, abs=15)
@@ -127,20 +127,22 @@ def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expi
 
 
 def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
-    matches = deque(Waiting(order) for order in range(2 * SLICE))
-    for match in list(matches)[:SLICE]:
+    matches = deque(Waiting(order) for order in range(2 * SLICE_ENTRIES))
+    for match in list(matches)[:SLICE_ENTRIES]:
         match.leave()
     assert remove_stale_entries(matches, 0) == 0
     assert remove_stale_entries(matches, 0) is None
 
 
-@pytest.mark.parametrize("number", [0, 1, SLICE - 1, SLICE, SLICE + 1, 3 * SLICE + 7])
+@pytest.mark.parametrize(
+    "number", [0, 1, SLICE_ENTRIES - 1, SLICE_ENTRIES, SLICE_ENTRIES + 1, 3 * SLICE_ENTRIES + 7]
+)
 def test_slices_keep_the_order_and_reach_all(number):
     matches = deque(Waiting(order) for order in range(number))
     for match in list(matches)[::3]:
         match.leave()
     start = 0
-    for _ in range(number // SLICE + 1):
+    for _ in range(number // SLICE_ENTRIES + 1):
         start = remove_stale_entries(matches, start) or 0
     assert [match.order for match in matches] == [order for order in range(number) if order % 3]
 

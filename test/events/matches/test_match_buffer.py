@@ -29,7 +29,7 @@ class Rule:
 def buffer():
     """Return a place of the left side of ``meets``, with one shared variable."""
     buffer = MatchBuffer(Rule(), (0,))
-    buffer.reach = interval_bounds("meets", None, False)
+    buffer.partner_bounds = interval_bounds("meets", None, False)
     return buffer
 
 
@@ -114,7 +114,7 @@ def test_matches_with_variables_are_partners_of_every_key(buffer):
 
 
 def test_the_newest_of_a_name_replaces_the_older(buffer):
-    buffer.identify(lambda match: match.term)
+    buffer.set_identity_function(lambda match: match.term)
     wait(buffer, 2, 1, 5)
     wait(buffer, 2, 2, 5)
     assert [match.start for match in buffer.all()] == [2]
@@ -123,12 +123,12 @@ def test_the_newest_of_a_name_replaces_the_older(buffer):
 
 @pytest.mark.parametrize("number", [2, 50])
 def test_among_many_of_a_key_the_one_of_the_same_name_is_replaced(buffer, number):
-    buffer.identify(lambda match: match.start % number)
+    buffer.set_identity_function(lambda match: match.start % number)
     for at in range(number * 3):
         wait(buffer, 0, at, 5)
         assert len(buffer.all()) == min(at + 1, number)
     assert [match.start for match in buffer.all()] == list(range(number * 2, number * 3))
-    buffer.identify(None)
+    buffer.set_identity_function(None)
     wait(buffer, 0, 0, 5)
     assert len(buffer.all()) == number + 1
 
@@ -165,9 +165,9 @@ def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
     @given(st.lists(CHANGES, min_size=10, max_size=50))
     def changes(steps):
         buffer = MatchBuffer(Rule(), (0,))
-        buffer.reach = reach
+        buffer.partner_bounds = reach
         if names is not None:
-            buffer.identify(lambda match: (match.key, match.start % names))
+            buffer.set_identity_function(lambda match: (match.key, match.start % names))
         waiting = []
         for step, *values in steps:
             if step == "add":
@@ -184,7 +184,7 @@ def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
                 limits = None if reach is None or key is None else reach.limits(start, start + 2)
                 found = [one for one in waiting if fits(one, key, limits)]
                 assert list(buffer.partners(key, start, start + 2, newest)) == found[:: -1 if newest else 1]
-                assert [one for one in waiting if one.key == key] == buffer.with_key(key)
+                assert [one for one in waiting if one.key == key] == buffer.matches_of_key(key)
             assert buffer.rule.waiting == len(waiting)
         assert buffer.all() == waiting
 

@@ -6,7 +6,7 @@ import pytest
 from events.stream_programs import Program, fired
 
 from retalis import Engine
-from retalis.events.matches.expiration import SLICE
+from retalis.events.matches.expiration import SLICE_ENTRIES
 from retalis.events.matches.negation import NegationBuffer
 
 
@@ -182,8 +182,8 @@ IN_ORDER = [
 def _eager_sweeps(monkeypatch):
     """Sweep after every few events, and keep nothing that is ruled out."""
     monkeypatch.setattr("retalis.events.matches.negation.MAX_RULED_OUT", 0)
-    monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE", 3)
-    for name, value in (("SPARE", 0), ("VISITED_SLICE", 3), ("_MATCHES_PER_SWEEP_STEP", 1)):
+    monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE_ENTRIES", 3)
+    for name, value in (("SPARE", 0), ("VISITED_SLICE_ENTRIES", 3), ("_MATCHES_PER_SWEEP_STEP", 1)):
         monkeypatch.setattr(f"retalis.events.network.event_rule.{name}", value)
 
 
@@ -271,8 +271,8 @@ def test_an_absent_event_stays_for_a_first_side_with_variables_that_it_rules_out
 
 def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch):
     monkeypatch.setattr("retalis.events.matches.negation.MAX_RULED_OUT", 5)
-    monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE", 20)
-    for name, value in (("SPARE", 10), ("VISITED_SLICE", 20), ("_MATCHES_PER_SWEEP_STEP", 1)):
+    monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE_ENTRIES", 20)
+    for name, value in (("SPARE", 10), ("VISITED_SLICE_ENTRIES", 20), ("_MATCHES_PER_SWEEP_STEP", 1)):
         monkeypatch.setattr(f"retalis.events.network.event_rule.{name}", value)
     program = Program("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
     for at in range(600):
@@ -287,14 +287,14 @@ def test_no_single_event_forgets_many_matches_that_have_left():
     program = Program("o(X) <- (a(X) seq b(X)) cnot c(X).")
     rules = program.engine.rules
     number = 20_000
-    rules.cap = number + 2 * SLICE
+    rules.cap = number + 2 * SLICE_ENTRIES
     (rule,) = rules.rules
     before = 0
-    for at in range(number + 5 * SLICE):
+    for at in range(number + 5 * SLICE_ENTRIES):
         # First sides of the same values replace the oldest ones, until more matches wait than may.
         pair = (at - number) // 2
         program.engine.event(f"a({at})" if at < number else f"{'ca'[at % 2]}({pair})", at)
-        assert before - len(rule.arrivals) <= SLICE
+        assert before - len(rule.arrivals) <= SLICE_ENTRIES
         before = len(rule.arrivals)
     assert rule.waiting == rules.cap
     assert rule.dropped

@@ -10,7 +10,7 @@ from retalis.events.matches.partial_matches import (
     Identity,
     OrderedEventMatch,
     PartialMatch,
-    arrival,
+    arrival_number_of,
     identity,
 )
 
@@ -56,7 +56,7 @@ def test_a_match_without_parts_has_an_identity():
 
 
 def test_a_match_of_events_that_are_not_tracked_has_the_arrival_number_0():
-    assert arrival(nested(3, "a")) == 0
+    assert arrival_number_of(nested(3, "a")) == 0
 
 
 @pytest.mark.parametrize("short_class, saved_slots", ((EventMatch, 7), (OrderedEventMatch, 5)))
@@ -64,7 +64,7 @@ def test_a_match_of_an_event_is_a_match_that_takes_less_memory(short_class, save
     event, full = short_class(), PartialMatch((1,), 5, 5, None, ("a", 1), None)
     event.start = event.end = event.order = 5
     event.term = ("a", 1)
-    assert (event.values, event.event, event.parts, event.used) == (full.values, None, None, None)
+    assert (event.values, event.event, event.parts, event.consumed_by) == (full.values, None, None, None)
     assert identity(event) == event.identity == identity(full)
     assert sys.getsizeof(full) - sys.getsizeof(event) == 8 * saved_slots
 

@@ -116,7 +116,7 @@ def test_what_an_interrupt_leaves_between_ways_and_what_waits_is_found_anew():
         for at in range(5):
             one.event("reading(0)", at)
     (group,) = stepped(engine).states.values()
-    group.whole.popleft()
+    group.completed.popleft()
     engine.rules.repair()
     for one in (engine, whole):
         for at, value in enumerate([8, 7, 7], 5):

@@ -1,6 +1,6 @@
 """Registry of the static checks: name, code, severity, and whether a check requires an error-free program.
 
-`look_through` runs all checks on a `ProgramModel` and yields each finding once. Comments suppress findings:
+`run_checks` runs all checks on a `ProgramModel` and yields each finding once. Comments suppress findings:
 ``% retalis: ignore=RT1203`` those of the line in which it stands, ``% retalis: ignore-file=RT1203`` those of its
 file. Errors cannot be suppressed.
 """
@@ -157,7 +157,7 @@ class Finding(NamedTuple):
     problem: RetalisError
 
 
-def look_through(program: ProgramModel, sound: bool = True) -> Iterator[Finding]:
+def run_checks(program: ProgramModel, sound: bool = True) -> Iterator[Finding]:
     """Yield the findings of all checks, without duplicates.
 
     Args:

@@ -18,7 +18,7 @@ from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer
-from ..matches.partial_matches import EventMatch, Found, OrderedEventMatch, PartialMatch
+from ..matches.partial_matches import ComputedValues, EventMatch, OrderedEventMatch, PartialMatch
 from .fused_single_event import Continuation
 
 SPARE = 1000
@@ -26,32 +26,35 @@ SPARE = 1000
 
 _SET_ORDER = "rule.order = match.order = e if e > rule.order else rule.order + 1"
 _RETURN_AFTER = "return after"
-_RETURN_COMPLETE = "return complete(None, met, start, end, after)"
+_RETURN_COMPLETE = "return complete(None, pair_values, start, end, after)"
 
 
 class FusedPair(NamedTuple):
     """Join node, with the properties that its fused operands need.
 
     Attributes:
-        whole: for the left and the right operand, whether the values of a match are the arguments of the event.
+        values_are_arguments: for the left and the right operand, whether the values of a match are the arguments of
+            the event.
         operator: the operator; it determines which intervals fit, and the interval of a pair.
         span: maximum interval of a pair in ns; None for no limit.
-        taken: variables of a pair, each with the source of its value: ``lv[0]`` is the first value of the left match.
-        blocks: for each absence a function that returns whether it prevents the pair.
+        value_sources: variables of a pair, each with the source of its value: ``lv[0]`` is the first value of the
+            left match.
+        negation_tests: for each absence a function that returns whether it prevents the pair.
         tests: conditions of a pair.
-        tested: additional variables that the conditions bind.
-        found: returns the values of a pair that belong to its identity but are not passed on; see `Found`.
+        condition_vars: additional variables that the conditions bind.
+        computed_values: returns the values of a pair that belong to its identity but are not passed on; see
+            `ComputedValues`.
         complete: action for the values of a complete match; None if pairs are emitted as partial matches.
     """
 
-    whole: Tuple[bool, bool]
+    values_are_arguments: Tuple[bool, bool]
     operator: EventOperator
     span: Optional[int]
-    taken: Sequence[Tuple[Var, str]]
-    blocks: Sequence[Callable[..., bool]]
+    value_sources: Sequence[Tuple[Var, str]]
+    negation_tests: Sequence[Callable[..., bool]]
     tests: Sequence[Callable[..., Any]]
-    tested: Sequence[Var]
-    found: Callable[..., Any]
+    condition_vars: Sequence[Var]
+    computed_values: Callable[..., Any]
     complete: Optional[Continuation]
 
 
@@ -60,13 +63,14 @@ class PartnerChoice(NamedTuple):
 
     Attributes:
         newest: whether the newest partner is tried first, otherwise the oldest one.
-        consumes: whether one partner is taken and consumed; otherwise all partners are taken.
-        among: combines a match with one of the partners except the one that does not fit; see `join_one_of_others`.
+        consumes: whether one partner is joined and consumed; otherwise all partners are joined.
+        join_other: combines a match with one of the partners except the one that does not fit; see
+            `join_one_of_others`.
     """
 
     newest: bool
     consumes: bool
-    among: Callable[..., Frame]
+    join_other: Callable[..., Frame]
 
 
 def fused_side(
@@ -74,7 +78,7 @@ def fused_side(
     pair: FusedPair,
     choice: Optional[PartnerChoice],
     rule: Any,
-    plain: EventAction,
+    general_path: EventAction,
     emit: Emit,
 ) -> EventAction:
     """Return the action for an event that is an operand of a join.
@@ -84,44 +88,46 @@ def fused_side(
         pair: the node.
         choice: selection of partners; None for an operand that only waits.
         rule: the rule.
-        plain: the general path.
+        general_path: the general path.
         emit: receives pairs as matches, if these are not complete.
     """
     names = {
-        **_common_names(rule, side.own, plain),
-        "other": side.other,
-        "partners": side.other.newest,
+        **_common_names(rule, side.own_buffer, general_path),
+        "other": side.other_buffer,
+        "partners": side.other_buffer.newest,
         "emit": emit,
         "complete": None if pair.complete is None else pair.complete.action,
-        "found": pair.found,
-        "among": None if choice is None else choice.among,
-        "Found": Found,
+        "computed_values": pair.computed_values,
+        "join_other": None if choice is None else choice.join_other,
+        "ComputedValues": ComputedValues,
     }
-    names.update((f"absence{index}", function) for index, function in enumerate(pair.blocks))
+    names.update((f"absence{index}", function) for index, function in enumerate(pair.negation_tests))
     names.update((f"test{index}", function) for index, function in enumerate(pair.tests))
     return _OperandGenerator(side, pair, rule).action(choice, names)
 
 
-def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventAction) -> EventAction:
+def fused_absence(
+    absence: NegationBuffer, rule: Any, values_are_arguments: bool, general_path: EventAction
+) -> EventAction:
     """Return the action for a negated event, used if no other negated event waits under its key; see `fused_side`.
 
     Args:
         absence: the buffer of the negated events.
         rule: the rule.
-        whole: whether the values are the arguments of the event.
-        plain: the general path.
+        values_are_arguments: whether the values are the arguments of the event.
+        general_path: the general path.
     """
-    writer = _ActionGenerator(absence.buffer, rule, whole)
-    names = {**_common_names(rule, absence.buffer, plain), "absence": absence}
-    return writer.made(
+    generator = _ActionGenerator(absence.buffer, rule, values_are_arguments)
+    names = {**_common_names(rule, absence.buffer, general_path), "absence": absence}
+    return generator.compile_action(
         [
-            *writer.key([index for index, _ in absence.shared]),
+            *generator.key_statements([index for index, _ in absence.shared]),
             # A waiting event without a key may be a duplicate of this one or may dominate it; the general path
             # compares them.
-            Block("if key in waiting or None in waiting:", [writer.plain]),
+            Block("if key in waiting or None in waiting:", [generator.general_path]),
             Block("if absence.frontiers:", ["absence.frontiers.pop(key, None)"]),
-            *writer.clock(True),
-            *writer.wait(False),
+            *generator.clock_statements(True),
+            *generator.store_statements(False),
             _RETURN_AFTER,
         ],
         names,
@@ -129,7 +135,7 @@ def fused_absence(absence: NegationBuffer, rule: Any, whole: bool, plain: EventA
     )
 
 
-def _common_names(rule: Any, buffer: MatchBuffer, plain: EventAction) -> Dict[str, Any]:
+def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> Dict[str, Any]:
     """Return the objects that all generated functions refer to."""
     return {
         "rule": rule,
@@ -140,7 +146,7 @@ def _common_names(rule: Any, buffer: MatchBuffer, plain: EventAction) -> Dict[st
         "expiries": rule.expiries,
         "queue": rule.expiries.queue,
         "late": rule.expiries.late,
-        "plain": plain,
+        "general_path": general_path,
         "new": object.__new__,
         "EventMatch": EventMatch,
         "OrderedEventMatch": OrderedEventMatch,
@@ -156,51 +162,51 @@ class _ActionGenerator:
     The generated source contains time limits and sizes of the program, but none of its names and texts.
 
     Args:
-        own: the buffer in which the event waits.
+        own_buffer: the buffer in which the event waits.
         rule: the rule.
-        whole: whether the values are the arguments of the event.
+        values_are_arguments: whether the values are the arguments of the event.
     """
 
-    def __init__(self, own: MatchBuffer, rule: Any, whole: bool) -> None:
-        self.own = own
+    def __init__(self, own_buffer: MatchBuffer, rule: Any, values_are_arguments: bool) -> None:
+        self.own_buffer = own_buffer
         self.rule = rule
-        self.whole = whole
-        self.values = "term[1:]" if whole else "values"
-        self.plain = f"return plain(term, {self.values}, s, e, after)"
-        self.queue = "queue" if own.span == rule.expiries.span else "queued"
+        self.values_are_arguments = values_are_arguments
+        self.values = "term[1:]" if values_are_arguments else "values"
+        self.general_path = f"return general_path(term, {self.values}, s, e, after)"
+        self.queue = "queue" if own_buffer.retention == rule.expiries.span else "retention_queue"
 
-    def made(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
+    def compile_action(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
         """Return the compiled action."""
         source = source_of([Block("def generated(term, values, s, e, after):", body)])
         action: EventAction = shared_function(source, names, title)
         return action
 
-    def key(self, indices: Sequence[int]) -> List[Statement]:
+    def key_statements(self, indices: Sequence[int]) -> List[Statement]:
         """Return statements that compute the key from the values at some indices."""
         names = ["key"] if len(indices) == 1 else [f"x{number}" for number in range(len(indices))]
         statements: List[Statement] = []
         for name, index in zip(names, indices):
             statements += [
-                f"{name} = term[{index + 1}]" if self.whole else f"{name} = values[{index}]",
-                Block(f"if {name}.__class__ not in PLAIN:", [self.plain]),
+                f"{name} = term[{index + 1}]" if self.values_are_arguments else f"{name} = values[{index}]",
+                Block(f"if {name}.__class__ not in PLAIN:", [self.general_path]),
             ]
         return statements if len(indices) == 1 else [*statements, f"key = {tuple_source(names)}"]
 
-    def clock(self, waits: bool) -> List[Statement]:
+    def clock_statements(self, stores_event: bool) -> List[Statement]:
         """Return statements that advance the clock of the rule; events out of order take the general path."""
-        span, queue = self.own.span, self.queue
+        span, queue = self.own_buffer.retention, self.queue
         long_event_test: List[Statement] = []
-        if waits and span is not None:
+        if stores_event and span is not None:
             # An event longer than the retention time expires at once, which the general path handles.
-            long_event_test = [Block(f"if s is not e and s + {span} < e:", [self.plain])]
+            long_event_test = [Block(f"if s is not e and s + {span} < e:", [self.general_path])]
         statements: List[Statement] = []
         if self.rule.timed:
             statements.append(Block("if e > rule.clock:", [*self._advance_clock(), *long_event_test]))
         if long_event_test:
             statements += [
-                Block(f"elif s + {span} < rule.clock:", [self.plain]),
-                *([] if queue == "queue" else [f"{queue} = expiries.of({span})"]),
-                Block(f"if {queue} and {queue}[-1].start > s:", [self.plain]),
+                Block(f"elif s + {span} < rule.clock:", [self.general_path]),
+                *([] if queue == "queue" else [f"{queue} = expiries.queue_for({span})"]),
+                Block(f"if {queue} and {queue}[-1].start > s:", [self.general_path]),
             ]
         return statements
 
@@ -222,22 +228,22 @@ class _ActionGenerator:
                             Block("if place is not None:", ["place.remove(gone)"]),
                         ],
                     ),
-                    Block("if late.heap or late.rest or expiries.others:", ["expiries.expire(e)"]),
+                    Block("if late.heap or late.unmoved or expiries.others:", ["expiries.expire(e)"]),
                 ],
             ),
         ]
 
-    def wait(self, conditions_ran: bool, keyed: bool = True) -> List[Statement]:
+    def store_statements(self, conditions_ran: bool, has_key: bool = True) -> List[Statement]:
         """Return statements that store a match in its buffer.
 
         Args:
             conditions_ran: whether conditions ran after the clock was advanced; they may have caused other events.
-            keyed: whether the match has a key.
+            has_key: whether the match has a key.
         """
-        buffer = self.own
-        field_settings = [] if self.whole else ["match.values = values"]
+        buffer = self.own_buffer
+        field_settings = [] if self.values_are_arguments else ["match.values = values"]
         # Without a key, waiting matches are compared by identity, so its fields must be set.
-        if buffer.name is not None and not keyed:
+        if buffer.identity_of is not None and not has_key:
             field_settings.append("match.identity = match.parts = None")
         full: List[Statement] = [
             "match = new(Match)",
@@ -252,23 +258,23 @@ class _ActionGenerator:
             # identity; most keys have one waiting match, which is compared with nothing.
             creation = [
                 Block(
-                    f"if {'' if buffer.name is None else 'alone and '}s is e and e > rule.order:",
+                    f"if {'' if buffer.identity_of is None else 'alone and '}s is e and e > rule.order:",
                     ["match = new(EventMatch)", "match.start = rule.order = e"],
                 ),
                 Block(
                     "else:",
                     [
                         "match = new(OrderedEventMatch)"
-                        if buffer.name is None
+                        if buffer.identity_of is None
                         else "match = new(OrderedEventMatch if alone else Match)",
                         *full[1:],
                     ],
                 ),
             ]
         expiry_settings = []
-        if buffer.span is not None:
+        if buffer.retention is not None:
             expiry_settings = [
-                f"expiries.add({buffer.span}, match, number)"
+                f"expiries.add({buffer.retention}, match, number)"
                 if conditions_ran
                 else f"{self.queue}.append(match)"
             ]
@@ -282,13 +288,13 @@ class _ActionGenerator:
                 "if alone:",
                 ["match.buffer = own", "match.older = match.newer = waiting[key] = match"],
             ),
-            Block("else:", ["own.join(match)"]),
+            Block("else:", ["own.link(match)"]),
             "rule.waiting = number = rule.waiting + 1",
             "arrivals.append(match)",
             *expiry_settings,
             Block(
                 f"if {sweep_test}number > network.cap or len(arrivals) > 2 * number + SPARE:",
-                ["rule.look_through()"],
+                ["rule.remove_excess()"],
             ),
         ]
 
@@ -303,47 +309,47 @@ class _OperandGenerator(_ActionGenerator):
     """
 
     def __init__(self, side: MatchSide, pair: FusedPair, rule: Any) -> None:
-        super().__init__(side.own, rule, pair.whole[0 if side.left else 1])
+        super().__init__(side.own_buffer, rule, pair.values_are_arguments[0 if side.is_left else 1])
         self.side = side
         self.pair = pair
-        self.tested = bool(pair.blocks or pair.tests)
+        self.has_tests = bool(pair.negation_tests or pair.tests)
 
     def action(self, choice: Optional[PartnerChoice], names: Dict[str, Any]) -> EventAction:
         """Return the action."""
         side = self.side
-        prologue = self.key([index for index, _ in side.shared])
+        prologue = self.key_statements([index for index, _ in side.shared])
         if choice is not None:
             # Partners under the key None have variables in their keys, and may unify with any key.
-            prologue.append(Block("if None in partners:", [self.plain]))
-        prologue += self.clock(side.waits or side.stays)
-        wait = self.wait(choice is not None and self.tested, bool(side.shared))
+            prologue.append(Block("if None in partners:", [self.general_path]))
+        prologue += self.clock_statements(side.stores_unmatched or side.stores_matched)
+        storing = self.store_statements(choice is not None and self.has_tests, bool(side.shared))
         if choice is None:
-            body = wait
+            body = storing
         elif choice.consumes:
-            body = self._consume_partner(wait, choice.newest)
+            body = self._consume_partner(storing, choice.newest)
         else:
-            body = self._join_all(wait)
-        return self.made([*prologue, *body, _RETURN_AFTER], names, "side of a pair")
+            body = self._join_all(storing)
+        return self.compile_action([*prologue, *body, _RETURN_AFTER], names, "side of a pair")
 
-    def _consume_partner(self, wait: List[Statement], newest: bool) -> List[Statement]:
+    def _consume_partner(self, storing: List[Statement], newest: bool) -> List[Statement]:
         """Return statements that consume the newest or the oldest partner."""
         candidate = "partner" if newest else "last"
-        emitting = [
+        emission_statements = [
             # The partner leaves before the pair is emitted: an event that the pair causes must not find it again.
             "other.remove(partner)",
-            *(wait if self.side.stays else []),
+            *(storing if self.side.stores_matched else []),
             *self._emit_statements(),
         ]
-        emission = (
-            [Block("if met is not None and partner.buffer is not None:", emitting)]
-            if self.tested
-            else emitting
+        checked_emission = (
+            [Block("if pair_values is not None and partner.buffer is not None:", emission_statements)]
+            if self.has_tests
+            else emission_statements
         )
-        # The conditions reject the only partner that was tried; `among` tries the other ones.
+        # The conditions reject the only partner that was tried; `join_other` tries the other ones.
         retry = [
             Block(
                 f"if {candidate}.older is not {candidate}:",
-                [f"return among(Match({self.values}, s, e, None, term, None), key, partner, after)"],
+                [f"return join_other(Match({self.values}, s, e, None, term, None), key, partner, after)"],
             )
         ]
         return [
@@ -358,23 +364,23 @@ class _OperandGenerator(_ActionGenerator):
                         [
                             self._value_assignment(),
                             *self._test_statements(),
-                            *emission,
-                            *(retry if self.tested else []),
+                            *checked_emission,
+                            *(retry if self.has_tests else []),
                         ],
                     ),
-                    Block(f"elif {candidate}.older is not {candidate}:", [self.plain]),
+                    Block(f"elif {candidate}.older is not {candidate}:", [self.general_path]),
                 ],
             ),
-            *(wait if self.side.waits else []),
+            *(storing if self.side.stores_unmatched else []),
         ]
 
-    def _join_all(self, wait: List[Statement]) -> List[Statement]:
+    def _join_all(self, storing: List[Statement]) -> List[Statement]:
         """Return statements that take all partners, if there is at most one."""
-        emitting = self._emit_statements()
+        emission_statements = self._emit_statements()
         return [
             "partner = partners.get(key)",
-            Block("if partner is not None and partner.older is not partner:", [self.plain]),
-            *(wait if self.side.waits else []),
+            Block("if partner is not None and partner.older is not partner:", [self.general_path]),
+            *(storing if self.side.stores_unmatched else []),
             Block("if partner is None or partner.buffer is None:", [_RETURN_AFTER]),
             *self._interval_assignments(),
             Block(
@@ -382,7 +388,11 @@ class _OperandGenerator(_ActionGenerator):
                 [
                     self._value_assignment(),
                     *self._test_statements(),
-                    *([Block("if met is not None:", emitting)] if self.tested else emitting),
+                    *(
+                        [Block("if pair_values is not None:", emission_statements)]
+                        if self.has_tests
+                        else emission_statements
+                    ),
                 ],
             ),
         ]
@@ -397,17 +407,19 @@ class _OperandGenerator(_ActionGenerator):
 
     def _interval_condition(self) -> str:
         """Return the condition on the intervals of a pair."""
-        fits = [f"({self._with_instants(comparison)})" for comparison in self.pair.operator.comparisons]
-        fits += [] if self.pair.span is None else [f"end - start <= {self.pair.span}"]
-        return " and ".join(fits) or "True"
+        interval_tests = [
+            f"({self._with_instants(comparison)})" for comparison in self.pair.operator.comparisons
+        ]
+        interval_tests += [] if self.pair.span is None else [f"end - start <= {self.pair.span}"]
+        return " and ".join(interval_tests) or "True"
 
     def _value_assignment(self) -> str:
         """Return the statement that collects the values of the pair."""
-        return f"met = {tuple_source([self._value_source(source) for _, source in self.pair.taken])}"
+        return f"pair_values = {tuple_source([self._value_source(source) for _, source in self.pair.value_sources])}"
 
     def _with_instants(self, source: str) -> str:
         """Return the source of an operator, with its instants replaced by those of the event and its partner."""
-        this_side, other_side = ("1", "2") if self.side.left else ("2", "1")
+        this_side, other_side = ("1", "2") if self.side.is_left else ("2", "1")
         times = {
             f"s{this_side}": "s",
             f"e{this_side}": "e",
@@ -424,36 +436,41 @@ class _OperandGenerator(_ActionGenerator):
         if source[:3] not in ("lv[", "rv["):
             return self._with_instants(source)
         is_left, index = source[0] == "l", int(source[3:-1])
-        prefix = "" if is_left == self.side.left else "partner."
+        prefix = "" if is_left == self.side.is_left else "partner."
         return (
             f"{prefix}term[{index + 1}]"
-            if self.pair.whole[0 if is_left else 1]
+            if self.pair.values_are_arguments[0 if is_left else 1]
             else f"{prefix}values[{index}]"
         )
 
     def _test_statements(self) -> List[Statement]:
-        """Return statements for absences and conditions; they set ``met`` to None if one fails."""
-        ended, began = ("e", "partner.start") if self.side.left else ("partner.end", "s")
+        """Return statements for absences and conditions; they set ``pair_values`` to None if one of them fails."""
+        end_of_first, start_of_second = ("e", "partner.start") if self.side.is_left else ("partner.end", "s")
         steps: List[Statement] = [
-            Block(f"if absence{index}(met, {ended}, {began}):", ["met = None"])
-            for index in range(len(self.pair.blocks))
+            Block(
+                f"if absence{index}(pair_values, {end_of_first}, {start_of_second}):", ["pair_values = None"]
+            )
+            for index in range(len(self.pair.negation_tests))
         ]
-        steps += [f"met = test{index}(met, start, end)" for index in range(len(self.pair.tests))]
+        steps += [
+            f"pair_values = test{index}(pair_values, start, end)" for index in range(len(self.pair.tests))
+        ]
         return [
-            step if index == 0 else Block("if met is not None:", [step]) for index, step in enumerate(steps)
+            step if index == 0 else Block("if pair_values is not None:", [step])
+            for index, step in enumerate(steps)
         ]
 
     def _emit_statements(self) -> List[Statement]:
         """Return statements that emit a pair."""
         if self.pair.complete is not None:
             return [_RETURN_COMPLETE]
-        operands = ["match", "partner"] if self.side.left else ["partner", "match"]
-        operands += ["Found(found(met))"] if self.pair.tested else []
+        operands = ["match", "partner"] if self.side.is_left else ["partner", "match"]
+        operands += ["ComputedValues(computed_values(pair_values))"] if self.pair.condition_vars else []
         creation = [f"match = Match({self.values}, s, e, None, term, None)"]
-        if self.whole:
+        if self.values_are_arguments:
             creation = ["match = new(EventMatch if s is e else OrderedEventMatch)"]
             creation += ["match.start = s", "match.end = e", "match.term = term", "match.buffer = None"]
         return [
             *creation,
-            f"return emit(Match(met, start, end, None, None, {tuple_source(operands)}), after)",
+            f"return emit(Match(pair_values, start, end, None, None, {tuple_source(operands)}), after)",
         ]

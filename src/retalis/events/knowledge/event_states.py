@@ -95,7 +95,7 @@ class OpenState:
         openings = self.openings
         while openings:
             begin, token = openings[0]
-            if token is None or not token.gone:
+            if token is None or not token.retracted:
                 return begin
             openings.pop(0)
         return None
@@ -111,9 +111,9 @@ class PastState(NamedTuple):
     token: Optional[Occurrence]
 
     @property
-    def gone(self) -> bool:
+    def retracted(self) -> bool:
         """True if its event was retracted."""
-        return self.token is not None and self.token.gone
+        return self.token is not None and self.token.retracted
 
 
 class DeclaredState:
@@ -316,7 +316,7 @@ class DeclaredState:
             if (
                 key in (None, past_state.key)
                 and past_state.start <= instant <= past_state.end
-                and not past_state.gone
+                and not past_state.retracted
             ):
                 terms[past_state.key] = past_state.term
         for term, begin in self.open_states(key):

@@ -40,10 +40,10 @@ from .partial_matches import PartialMatch, unify_sides
 Emit = Callable[[PartialMatch, Frame], Frame]
 _MAX_COMPLETED_EVENTS = 2000
 Join = Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]
-_Matched = Callable[[PartialMatch, Hashable, PartialMatch, PartialMatch, Frame], Frame]
+_FinishJoin = Callable[[PartialMatch, Hashable, PartialMatch, PartialMatch, Frame], Frame]
 """Takes a match, its key, a partner, their result and the next frame."""
-_Among = Callable[[PartialMatch, Hashable, Iterator[PartialMatch], Frame], Frame]
-_Others = Callable[[PartialMatch, Hashable, PartialMatch, Frame], Frame]
+_JoinFirstOf = Callable[[PartialMatch, Hashable, Iterator[PartialMatch], Frame], Frame]
+_JoinOtherThan = Callable[[PartialMatch, Hashable, PartialMatch, Frame], Frame]
 """Takes a match, its key, a partner that does not satisfy the join, and the next frame."""
 T = TypeVar("T")
 
@@ -52,61 +52,70 @@ class MatchSide(NamedTuple):
     """One operand of a two-sided node, as seen by a match that arrives at it.
 
     Attributes:
-        own: buffer of the matches of this operand.
-        other: buffer of the possible partners.
+        own_buffer: buffer of the matches of this operand.
+        other_buffer: buffer of the possible partners.
         join: returns the result of an arriving match and a partner, or None if they do not satisfy the join.
         shared: positions of the shared variables, in the values of this operand and of the other one.
-        left: whether this is the left operand.
-        waits: whether a match without a partner is stored.
-        stays: whether a match is stored even if it has joined with a partner.
-        wait: stores a match, if that is not to happen immediately; None to add it to ``own``.
+        is_left: whether this is the left operand.
+        stores_unmatched: whether a match without a partner is stored.
+        stores_matched: whether a match is stored even if it has joined with a partner.
+        store: stores a match, if that is not to happen immediately; None to add it to ``own_buffer``.
     """
 
-    own: MatchBuffer
-    other: MatchBuffer
+    own_buffer: MatchBuffer
+    other_buffer: MatchBuffer
     join: Join
     shared: Tuple[Tuple[int, int], ...]
-    left: bool
-    waits: bool
-    stays: bool
-    wait: Optional[Callable[[PartialMatch, Hashable], None]] = None
+    is_left: bool
+    stores_unmatched: bool
+    stores_matched: bool
+    store: Optional[Callable[[PartialMatch, Hashable], None]] = None
 
 
 def store_only(side: MatchSide) -> Emit:
     """Return the action for a match that is only stored, because no stored partner can complete it."""
-    wait, key_of = side.own.add, side.own.key
+    store, key_of = side.own_buffer.add, side.own_buffer.key
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         try:
             key = key_of(match.values)
         except ValueError:
             key = None
-        wait(match, key)
+        store(match, key)
         return after
 
     return arrive
 
 
 def join_one_partner(
-    side: MatchSide, newest: bool, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]] = None
+    side: MatchSide,
+    newest: bool,
+    consumes: bool,
+    emit: Emit,
+    completed: Optional[Dict[Hashable, None]] = None,
 ) -> Emit:
     """Return the action for a match that joins with one partner.
 
     Args:
         side: the operand at which the match arrives.
         newest: whether the newest partner that satisfies the join is chosen, else the oldest.
-        uses: whether the partner is consumed.
+        consumes: whether the partner is consumed.
         emit: receives the results.
         completed: the events that have completed a pair as the right operand, if one event can be in both operands;
             else None.
     """
-    own_buffer, other_buffer, join, waits = side.own, side.other, side.join, side.waits
+    own_buffer, other_buffer, join, stores_unmatched = (
+        side.own_buffer,
+        side.other_buffer,
+        side.join,
+        side.stores_unmatched,
+    )
     key_of = own_buffer.key
     waiting = other_buffer.newest
-    wait = own_buffer.add if side.wait is None else side.wait
-    matched = _matched(side, uses, emit, completed)
-    among = _among(side, matched)
-    others = _others(side, newest, among)
+    store = own_buffer.add if side.store is None else side.store
+    finish_join = _finish_join(side, consumes, emit, completed)
+    join_first_of = _join_first_of(side, finish_join)
+    try_others = _join_other_than(side, newest, join_first_of)
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         try:
@@ -114,10 +123,14 @@ def join_one_partner(
         # A shared value with variables has no hash key. All stored matches are candidates, and each of them is
         # unified.
         except ValueError:
-            return among(match, None, other_buffer.partners(None, match.start, match.end, newest), after)
+            return join_first_of(
+                match, None, other_buffer.partners(None, match.start, match.end, newest), after
+            )
         # Stored matches with variables in shared values are candidates for every key; `partners` merges both rings.
         if None in waiting:
-            return among(match, key, other_buffer.partners(key, match.start, match.end, newest), after)
+            return join_first_of(
+                match, key, other_buffer.partners(key, match.start, match.end, newest), after
+            )
         last = waiting.get(key)
         # The common case is written out: if the first candidate satisfies the join, no iterator is created.
         if last is not None:
@@ -125,111 +138,117 @@ def join_one_partner(
             result = join(match, partner)
             # The join may call conditions that make events, and those may remove the partner; check it again.
             if result is not None and partner.buffer is not None:
-                return matched(match, key, partner, result, after)
+                return finish_join(match, key, partner, result, after)
             if last.older is not last:
-                return others(match, key, partner, after)
-        if waits:
-            wait(match, key)
+                return try_others(match, key, partner, after)
+        if stores_unmatched:
+            store(match, key)
         return after
 
-    if completed is not None and side.left:
+    if completed is not None and side.is_left:
         return _store_after_completion(arrive, own_buffer, completed)
     return arrive
 
 
-def join_one_of_others(side: MatchSide, newest: bool, emit: Emit) -> _Others:
+def join_one_of_others(side: MatchSide, newest: bool, emit: Emit) -> _JoinOtherThan:
     """Return the action that joins a match, which consumes partners, with one of all partners except a given one.
 
     Fused code tries the first candidate itself and calls this action if that one does not satisfy the join.
     """
-    return _others(side, newest, _among(side, _matched(side, True, emit, None)))
+    return _join_other_than(side, newest, _join_first_of(side, _finish_join(side, True, emit, None)))
 
 
-def _others(side: MatchSide, newest: bool, among: _Among) -> _Others:
-    other_buffer = side.other
+def _join_other_than(side: MatchSide, newest: bool, join_first_of: _JoinFirstOf) -> _JoinOtherThan:
+    other_buffer = side.other_buffer
 
-    def others(match: PartialMatch, key: Hashable, unfit: PartialMatch, after: Frame) -> Frame:
+    def try_others(match: PartialMatch, key: Hashable, rejected: PartialMatch, after: Frame) -> Frame:
         candidates = other_buffer.partners(key, match.start, match.end, newest)
-        return among(match, key, (candidate for candidate in candidates if candidate is not unfit), after)
+        return join_first_of(
+            match, key, (candidate for candidate in candidates if candidate is not rejected), after
+        )
 
-    return others
+    return try_others
 
 
-def _among(side: MatchSide, matched: _Matched) -> _Among:
+def _join_first_of(side: MatchSide, finish_join: _FinishJoin) -> _JoinFirstOf:
     """Return the action that joins a match with the first of several candidates that satisfies the join.
 
     If there is none, the match is stored.
     """
-    waits = side.waits
-    wait = side.own.add if side.wait is None else side.wait
-    meter = side.own.rule.meter
+    stores_unmatched = side.stores_unmatched
+    store = side.own_buffer.add if side.store is None else side.store
+    meter = side.own_buffer.rule.meter
 
-    def among(match: PartialMatch, key: Hashable, partners: Iterator[PartialMatch], after: Frame) -> Frame:
+    def join_first_of(
+        match: PartialMatch, key: Hashable, partners: Iterator[PartialMatch], after: Frame
+    ) -> Frame:
         for partner in metered(partners, meter):
             result = unify_and_join(side, match, key, partner)
             if result is not None and partner.buffer is not None:
-                return matched(match, key, partner, result, after)
-        if waits:
-            wait(match, key)
+                return finish_join(match, key, partner, result, after)
+        if stores_unmatched:
+            store(match, key)
         return after
 
-    return among
+    return join_first_of
 
 
-def _matched(side: MatchSide, uses: bool, emit: Emit, completed: Optional[Dict[Hashable, None]]) -> _Matched:
+def _finish_join(
+    side: MatchSide, consumes: bool, emit: Emit, completed: Optional[Dict[Hashable, None]]
+) -> _FinishJoin:
     """Return the action for a match and a partner that have a result; see `join_one_partner`."""
-    other_buffer, stays = side.other, side.stays
-    wait = side.own.add if side.wait is None else side.wait
-    remembered = None if side.left else completed
+    other_buffer, stores_matched = side.other_buffer, side.stores_matched
+    store = side.own_buffer.add if side.store is None else side.store
+    completed_events = None if side.is_left else completed
 
-    def matched(
+    def finish_join(
         match: PartialMatch, key: Hashable, partner: PartialMatch, result: PartialMatch, after: Frame
     ) -> Frame:
-        if uses:
+        if consumes:
             other_buffer.remove(partner)
-        match.used = partner
-        if stays:
-            wait(match, key)
-        if remembered is not None and match.event is not None:
+        match.consumed_by = partner
+        if stores_matched:
+            store(match, key)
+        if completed_events is not None and match.event is not None:
             # Only events that are still being dispatched can arrive at the left operand too, so old entries are
             # dropped.
-            if len(remembered) > _MAX_COMPLETED_EVENTS:
-                del remembered[next(iter(remembered))]
-            remembered[match.event] = None
+            if len(completed_events) > _MAX_COMPLETED_EVENTS:
+                del completed_events[next(iter(completed_events))]
+            completed_events[match.event] = None
         return emit(result, after)
 
-    return matched
+    return finish_join
 
 
-def _store_after_completion(arrive: Emit, own: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
+def _store_after_completion(arrive: Emit, own_buffer: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
     """Return an action that only stores an event at the left operand if it has completed a pair as the right operand.
 
     Otherwise one event would complete two pairs of an operator such as ``and``.
     """
 
-    def as_left(match: PartialMatch, after: Frame) -> Frame:
+    def arrive_at_left(match: PartialMatch, after: Frame) -> Frame:
         if match.event is not None and match.event in completed:
-            own.add(match, own.key_of(match))
+            own_buffer.add(match, own_buffer.key_of(match))
             return after
         return arrive(match, after)
 
-    return as_left
+    return arrive_at_left
 
 
 def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
     """Return the action for a match that joins with all partners and consumes none."""
-    own_buffer, other_buffer, waits = side.own, side.other, side.waits
-    wait = own_buffer.add if side.wait is None else side.wait
+    own_buffer, other_buffer, stores_unmatched = side.own_buffer, side.other_buffer, side.stores_unmatched
+    store = own_buffer.add if side.store is None else side.store
     key_of = own_buffer.key_of
     meter = own_buffer.rule.meter
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         key = key_of(match)
-        partners = other_buffer.partners_now(key, match.start, match.end)
+        partners = other_buffer.partner_list(key, match.start, match.end)
         # The match is stored before results are emitted. Events that follow from them may be partners of it, and
         # each pair is joined once: by the match that arrives later.
-        if waits:
-            wait(match, key)
+        if stores_unmatched:
+            store(match, key)
         if not partners:
             return after
         if len(partners) == 1:
@@ -250,10 +269,15 @@ def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
     return arrive
 
 
-def join_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
+def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
     """Return the action for a match that joins with all stored partners and consumes them, or is consumed itself."""
-    own_buffer, other_buffer, waits, stays = side.own, side.other, side.waits, side.stays
-    wait = own_buffer.add if side.wait is None else side.wait
+    own_buffer, other_buffer, stores_unmatched, stores_matched = (
+        side.own_buffer,
+        side.other_buffer,
+        side.stores_unmatched,
+        side.stores_matched,
+    )
+    store = own_buffer.add if side.store is None else side.store
     meter = own_buffer.rule.meter
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
@@ -261,14 +285,14 @@ def join_all_at_once(side: MatchSide, uses: bool, emit: Emit) -> Emit:
         # All pairs are joined before any result is emitted: an event that follows from the first result must not
         # add a partner to the same set.
         results: List[PartialMatch] = []
-        for partner in metered(other_buffer.partners_now(key, match.start, match.end), meter):
+        for partner in metered(other_buffer.partner_list(key, match.start, match.end), meter):
             result = unify_and_join(side, match, key, partner)
             if result is not None and partner.buffer is not None:
-                if uses:
+                if consumes:
                     other_buffer.remove(partner)
                 results.append(result)
-        if stays or (waits and not results):
-            wait(match, key)
+        if stores_matched or (stores_unmatched and not results):
+            store(match, key)
         return emit_each(iter(results), emit, after)
 
     return arrive
@@ -286,8 +310,8 @@ def unify_and_join(
 
 def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], after: Frame) -> Frame:
     """Return the frame that emits the results one after the other, each with all events that follow from it."""
-    burst = _ResultEmission(results, emit)
-    return burst.run((burst, after))
+    emission = _ResultEmission(results, emit)
+    return emission.run((emission, after))
 
 
 def metered(items: Iterable[T], meter: Optional[Meter]) -> Iterator[T]:

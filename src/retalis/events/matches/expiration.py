@@ -19,62 +19,62 @@ from .partial_matches import PartialMatch
 # Stale entries that are tolerated in addition to the number of stored matches.
 _STALE_TOLERANCE = 1000
 
-SLICE = 5000
+SLICE_ENTRIES = 5000
 """Entries of a queue that are visited at a time: about half a millisecond."""
 
-HEAP_SLICE = SLICE // 10
+HEAP_SLICE_ENTRIES = SLICE_ENTRIES // 10
 """Entries of a heap that are visited at a time; each takes longer, because it is moved to another heap."""
 
-VISITED_SLICE = 2000
+VISITED_SLICE_ENTRIES = 2000
 """Matches that are visited at a time by a function of the caller."""
 
 _EntryT = TypeVar("_EntryT")
 _HeapEntry = Tuple[int, int, PartialMatch]
 
 
-class _LateMatches:
+class _LateHeap:
     """Matches that were added out of order: a heap, which is rebuilt in slices when most of its entries are stale.
 
     Attributes:
         heap: instant, order and match of the entries that were added or moved since the rebuild began.
-        rest: entries of the former heap that have not been moved yet; empty if no rebuild is in progress.
+        unmoved: entries of the former heap that have not been moved yet; empty if no rebuild is in progress.
     """
 
-    __slots__ = ("heap", "rest")
+    __slots__ = ("heap", "unmoved")
 
     def __init__(self) -> None:
         self.heap: List[_HeapEntry] = []
-        self.rest: List[_HeapEntry] = []
+        self.unmoved: List[_HeapEntry] = []
 
     def __len__(self) -> int:
-        return len(self.heap) + len(self.rest)
+        return len(self.heap) + len(self.unmoved)
 
     def add(self, instant: int, match: PartialMatch) -> None:
         heapq.heappush(self.heap, (instant, match.order, match))
 
-    def forget_gone(self, waiting: int) -> None:
-        """Remove some stale entries if there are more entries than ``waiting`` matches and the tolerance."""
-        rest = self.rest
-        if not rest and len(self.heap) > waiting + _STALE_TOLERANCE:
-            self.heap, self.rest = rest, self.heap
-            rest = self.rest
-        for _ in range(min(HEAP_SLICE, len(rest))):
-            # A heap without its last entry is still a heap, so `pop_before` may read `rest` between two slices.
-            entry = rest.pop()
+    def remove_stale(self, stored_count: int) -> None:
+        """Remove some stale entries if there are more entries than ``stored_count`` matches and the tolerance."""
+        unmoved = self.unmoved
+        if not unmoved and len(self.heap) > stored_count + _STALE_TOLERANCE:
+            self.heap, self.unmoved = unmoved, self.heap
+            unmoved = self.unmoved
+        for _ in range(min(HEAP_SLICE_ENTRIES, len(unmoved))):
+            # A heap without its last entry is still a heap, so `pop_before` may read `unmoved` between two slices.
+            entry = unmoved.pop()
             if entry[2].buffer is not None:
                 heapq.heappush(self.heap, entry)
 
     def pop_before(self, clock: int) -> List[PartialMatch]:
         """Remove and return the matches whose instant is before ``clock``."""
         expired = []
-        for heap in (self.heap, self.rest):
+        for heap in (self.heap, self.unmoved):
             while heap and heap[0][0] < clock:
                 expired.append(heapq.heappop(heap)[2])
         return expired
 
     def clear(self) -> None:
         self.heap.clear()
-        self.rest.clear()
+        self.unmoved.clear()
 
 
 class ExpirationQueue:
@@ -88,29 +88,29 @@ class ExpirationQueue:
     def __init__(self) -> None:
         self._queue: Deque[Tuple[int, PartialMatch]] = deque()
         self._visited = 0
-        self._late = _LateMatches()
+        self._late = _LateHeap()
 
     def __len__(self) -> int:
         return len(self._queue) + len(self._late)
 
-    def add(self, instant: int, match: PartialMatch, waiting: int) -> None:
+    def add(self, instant: int, match: PartialMatch, stored_count: int) -> None:
         """Add a match.
 
         Args:
             instant: the last instant, in ns, at which the match is stored.
             match: the match, which is in a buffer.
-            waiting: number of stored matches in total; stale entries are removed if they outnumber these.
+            stored_count: number of stored matches in total; stale entries are removed if they outnumber these.
         """
         queue = self._queue
         if not queue or queue[-1][0] <= instant:
             queue.append((instant, match))
         else:
             self._late.add(instant, match)
-        if len(self) > 2 * waiting + _STALE_TOLERANCE:
-            start, entries = _take_slice(queue, self._visited, SLICE)
+        if len(self) > 2 * stored_count + _STALE_TOLERANCE:
+            start, entries = _take_slice(queue, self._visited, SLICE_ENTRIES)
             stored = [entry for entry in entries if entry[1].buffer is not None]
-            self._visited = _put_slice(queue, start, stored) or 0
-            self._late.forget_gone(waiting)
+            self._visited = _put_back_slice(queue, start, stored) or 0
+            self._late.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
         """Remove all matches whose instant is before ``clock`` from their buffers."""
@@ -120,7 +120,7 @@ class ExpirationQueue:
         for match in self._late.pop_before(clock):
             match.leave()
 
-    def take(self, clock: int) -> List[PartialMatch]:
+    def pop_expired(self, clock: int) -> List[PartialMatch]:
         """Remove and return the entries whose instant is before ``clock`` and whose matches are still stored."""
         expired = []
         queue = self._queue
@@ -152,9 +152,9 @@ class StartExpirationQueue:
         self.span = span
         self.queue: Deque[PartialMatch] = deque()
         self.others: Dict[int, Deque[PartialMatch]] = {}
-        self.late = _LateMatches()
+        self.late = _LateHeap()
         self._visited: Dict[Optional[int], int] = {}
-        """By retention time: the number of matches of a queue that `forget_gone` has visited."""
+        """By retention time: the number of matches of a queue that `remove_stale` has visited."""
 
     def __len__(self) -> int:
         return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.late)
@@ -167,7 +167,7 @@ class StartExpirationQueue:
         self.late.clear()
         self._visited.clear()
 
-    def of(self, span: int) -> Deque[PartialMatch]:
+    def queue_for(self, span: int) -> Deque[PartialMatch]:
         """Return the queue of a retention time."""
         if span == self.span:
             return self.queue
@@ -176,27 +176,27 @@ class StartExpirationQueue:
             queue = self.others[span] = deque()
         return queue
 
-    def add(self, span: int, match: PartialMatch, waiting: int) -> None:
+    def add(self, span: int, match: PartialMatch, stored_count: int) -> None:
         """Add a stored match.
 
         Args:
             span: its retention time after its start, in ns.
             match: the match.
-            waiting: number of stored matches in total; see `ExpirationQueue.add`.
+            stored_count: number of stored matches in total; see `ExpirationQueue.add`.
         """
-        queue = self.of(span)
+        queue = self.queue_for(span)
         if not queue or queue[-1].start <= match.start:
             queue.append(match)
         else:
             self.late.add(match.start + span, match)
-        if len(self) > 2 * waiting + _STALE_TOLERANCE:
-            self.forget_gone(waiting)
+        if len(self) > 2 * stored_count + _STALE_TOLERANCE:
+            self.remove_stale(stored_count)
 
-    def forget_gone(self, waiting: int) -> None:
-        """Remove some stale entries; ``waiting`` is the number of stored matches in total."""
+    def remove_stale(self, stored_count: int) -> None:
+        """Remove some stale entries; ``stored_count`` is the number of stored matches in total."""
         for span, queue in [(self.span, self.queue), *self.others.items()]:
             self._visited[span] = remove_stale_entries(queue, self._visited.get(span, 0)) or 0
-        self.late.forget_gone(waiting)
+        self.late.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
         """Remove all matches that expire before ``clock`` from their buffers."""
@@ -220,18 +220,18 @@ def remove_stale_entries(
     Returns:
         The position at which the next slice begins; None after the last slice.
     """
-    start, entries = _take_slice(matches, start, SLICE if visit is None else VISITED_SLICE)
-    waiting = [match for match in entries if match.buffer is not None]
-    following = _put_slice(matches, start, waiting)
+    start, entries = _take_slice(matches, start, SLICE_ENTRIES if visit is None else VISITED_SLICE_ENTRIES)
+    stored = [match for match in entries if match.buffer is not None]
+    next_start = _put_back_slice(matches, start, stored)
     if visit is not None:
         # The queue is complete again before the calls: they may remove matches, which must find a consistent queue.
-        for match in waiting:
+        for match in stored:
             visit(match)
-    return following
+    return next_start
 
 
 def _take_slice(entries: Deque[_EntryT], start: int, max_count: int) -> Tuple[int, List[_EntryT]]:
-    """Rotate a queue so that it begins at ``start`` and remove up to ``max_count`` entries; see `_put_slice`.
+    """Rotate a queue so that it begins at ``start`` and remove up to ``max_count`` entries; see `_put_back_slice`.
 
     A ``start`` past the end of the queue means its beginning.
     """
@@ -243,7 +243,7 @@ def _take_slice(entries: Deque[_EntryT], start: int, max_count: int) -> Tuple[in
     return start, [entries.popleft() for _ in range(count)]
 
 
-def _put_slice(entries: Deque[_EntryT], start: int, remaining: List[_EntryT]) -> Optional[int]:
+def _put_back_slice(entries: Deque[_EntryT], start: int, remaining: List[_EntryT]) -> Optional[int]:
     """Put the remaining entries of a slice back and undo the rotation; return the next position, None at the end."""
     is_last = len(entries) == start
     entries.extendleft(reversed(remaining))

@@ -41,80 +41,83 @@ class _TreeNode:
     Attributes:
         keys: entries ``(instant, other, order, match)`` of a leaf; in an inner node the smallest such triple of each
             child (the first child may contain smaller ones).
-        kids: child nodes; None for a leaf.
+        children: child nodes; None for a leaf.
         low: smallest other instant of the entries below.
         high: largest other instant of the entries below.
         oldest: smallest order of the entries below.
         newest: largest order of the entries below.
     """
 
-    __slots__ = ("keys", "kids", "low", "high", "oldest", "newest")
+    __slots__ = ("keys", "children", "low", "high", "oldest", "newest")
 
-    def __init__(self, keys: List[Tuple[Any, ...]], kids: Optional[List["_TreeNode"]]):
+    def __init__(self, keys: List[Tuple[Any, ...]], children: Optional[List["_TreeNode"]]):
         self.keys = keys
-        self.kids = kids
-        self._set_others()
-        self._set_orders()
+        self.children = children
+        self._update_other_bounds()
+        self._update_order_bounds()
 
-    def _set_others(self) -> None:
-        if self.kids is None:
+    def _update_other_bounds(self) -> None:
+        if self.children is None:
             others = [key[1] for key in self.keys]
             self.low, self.high = min(others), max(others)
         else:
-            self.low, self.high = min(kid.low for kid in self.kids), max(kid.high for kid in self.kids)
+            self.low, self.high = (
+                min(child.low for child in self.children),
+                max(child.high for child in self.children),
+            )
 
-    def _set_orders(self) -> None:
-        if self.kids is None:
+    def _update_order_bounds(self) -> None:
+        if self.children is None:
             orders = [key[2] for key in self.keys]
             self.oldest, self.newest = min(orders), max(orders)
         else:
-            self.oldest = min(kid.oldest for kid in self.kids)
-            self.newest = max(kid.newest for kid in self.kids)
+            self.oldest = min(child.oldest for child in self.children)
+            self.newest = max(child.newest for child in self.children)
 
     def add(self, entry: _IndexEntry) -> Optional["_TreeNode"]:
         """Add an entry; return the second half of the node if it had to be split."""
         _, other, order, _ = entry
         self.low, self.high = min(self.low, other), max(self.high, other)
         self.oldest, self.newest = min(self.oldest, order), max(self.newest, order)
-        keys, kids = self.keys, self.kids
-        if kids is None:
+        keys, children = self.keys, self.children
+        if children is None:
             insort(keys, entry)
         else:
             position = max(0, bisect_right(keys, entry) - 1)
-            half = kids[position].add(entry)
-            if half is not None:
-                keys.insert(position + 1, half.keys[0][:3])
-                kids.insert(position + 1, half)
+            right_half = children[position].add(entry)
+            if right_half is not None:
+                keys.insert(position + 1, right_half.keys[0][:3])
+                children.insert(position + 1, right_half)
         return self._split_off_half() if len(keys) > MAX_NODE_KEYS else None
 
     def _split_off_half(self) -> "_TreeNode":
-        keys, kids = self.keys, self.kids
+        keys, children = self.keys, self.children
         middle = len(keys) // 2
-        half = _TreeNode(keys[middle:], None if kids is None else kids[middle:])
+        right_half = _TreeNode(keys[middle:], None if children is None else children[middle:])
         del keys[middle:]
-        if kids is not None:
-            del kids[middle:]
-        self._set_others()
-        self._set_orders()
-        return half
+        if children is not None:
+            del children[middle:]
+        self._update_other_bounds()
+        self._update_order_bounds()
+        return right_half
 
     def remove(self, entry: _IndexEntry) -> None:
         """Remove an entry, which must be present."""
-        keys, kids = self.keys, self.kids
-        if kids is None:
+        keys, children = self.keys, self.children
+        if children is None:
             del keys[bisect_left(keys, entry)]
         else:
             position = max(0, bisect_right(keys, entry) - 1)
-            kids[position].remove(entry)
-            if not kids[position].keys:
-                del keys[position], kids[position]
+            children[position].remove(entry)
+            if not children[position].keys:
+                del keys[position], children[position]
         if keys:
             # Bounds are recomputed only if the entry was at a bound; wider bounds would be correct but would slow
             # searches down.
             if entry[1] in (self.low, self.high):
-                self._set_others()
+                self._update_other_bounds()
             if entry[2] in (self.oldest, self.newest):
-                self._set_orders()
+                self._update_order_bounds()
 
 
 class IntervalIndex:
@@ -141,12 +144,13 @@ class IntervalIndex:
 
     def _build(self, entries: List[_IndexEntry]) -> None:
         self.size = len(entries)
-        half = MAX_NODE_KEYS // 2
+        right_half = MAX_NODE_KEYS // 2
         nodes = [
-            _TreeNode(entries[position : position + half], None) for position in range(0, len(entries), half)
+            _TreeNode(entries[position : position + right_half], None)
+            for position in range(0, len(entries), right_half)
         ]
         while len(nodes) > 1:
-            parts = [nodes[position : position + half] for position in range(0, len(nodes), half)]
+            parts = [nodes[position : position + right_half] for position in range(0, len(nodes), right_half)]
             nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
         self._root = nodes[0]
 
@@ -160,9 +164,9 @@ class IntervalIndex:
         self.changes += 1
         self.size += 1
         root = self._root
-        half = root.add(self._entry(match))
-        if half is not None:
-            self._root = _TreeNode([root.keys[0][:3], half.keys[0][:3]], [root, half])
+        right_half = root.add(self._entry(match))
+        if right_half is not None:
+            self._root = _TreeNode([root.keys[0][:3], right_half.keys[0][:3]], [root, right_half])
 
     def remove(self, match: PartialMatch) -> None:
         """Remove a match, which must be present and not be the last one."""
@@ -170,16 +174,16 @@ class IntervalIndex:
         self.size -= 1
         root = self._root
         root.remove(self._entry(match))
-        while root.kids is not None and len(root.kids) == 1:
-            root = root.kids[0]
+        while root.children is not None and len(root.children) == 1:
+            root = root.children[0]
         self._root = root
 
     @property
-    def idle(self) -> bool:
+    def is_idle(self) -> bool:
         """True if the updates since the last search have cost more than building the index again would."""
         return 2 * (self.changes - self.searched) > self.size
 
-    def search(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[PartialMatch]:
+    def search(self, limits: TimeBounds, newest: bool, boundary_order: int) -> Iterator[PartialMatch]:
         """Yield the matches within limits, in order of arrival or in reverse order.
 
         Matches may be added and removed between two results. Matches that are added are not yielded, and neither are
@@ -188,7 +192,7 @@ class IntervalIndex:
         Args:
             limits: bounds of start and end.
             newest: whether the newest match is yielded first, else the oldest.
-            beyond: an order; only older matches are yielded if ``newest``, else only newer ones.
+            boundary_order: an order; only older matches are yielded if ``newest``, else only newer ones.
         """
         last = self._root.newest
         changes = -1
@@ -196,21 +200,21 @@ class IntervalIndex:
         # after the last result. `last` excludes matches that are added meanwhile.
         while self.changes != changes:
             self.searched = changes = self.changes
-            for match in self._within(limits, newest, beyond):
+            for match in self._within(limits, newest, boundary_order):
                 if match.order > last:
                     return
-                beyond = match.order
+                boundary_order = match.order
                 yield match
                 if self.changes != changes:
                     break
 
-    def _within(self, limits: TimeBounds, newest: bool, beyond: int) -> Iterator[PartialMatch]:
+    def _within(self, limits: TimeBounds, newest: bool, boundary_order: int) -> Iterator[PartialMatch]:
         if self.by_end:
             low, high, lower, upper = limits
         else:
             lower, upper, low, high = limits
         first, final = (lower, low), (upper, high, MAX_VALUE)
-        after, before = (MIN_VALUE, beyond) if newest else (beyond, MAX_VALUE)
+        after, before = (MIN_VALUE, boundary_order) if newest else (boundary_order, MAX_VALUE)
         heap: List[Any] = [(0, self._root)]
         # Best-first search: the heap orders subtrees by the best order that they may contain, and matches by their
         # own. A match that is popped therefore precedes everything that has not been visited.
@@ -219,18 +223,18 @@ class IntervalIndex:
             if item.__class__ is not _TreeNode:
                 yield item
                 continue
-            keys, kids = item.keys, item.kids
+            keys, children = item.keys, item.children
             start, stop = bisect_right(keys, first), bisect_right(keys, final)
-            if kids is None:
+            if children is None:
                 for _, other, order, match in keys[start:stop]:
                     if low <= other <= high and after < order < before:
                         heapq.heappush(heap, (-order if newest else order, match))
                 continue
             # The first key of a child may be larger than its smallest entry, so the child before the first hit is
             # searched too.
-            for kid in kids[max(0, start - 1) : max(1, stop)]:
-                if kid.low <= high and kid.high >= low and kid.oldest < before and kid.newest > after:
-                    heapq.heappush(heap, (-kid.newest if newest else kid.oldest, kid))
+            for child in children[max(0, start - 1) : max(1, stop)]:
+                if child.low <= high and child.high >= low and child.oldest < before and child.newest > after:
+                    heapq.heappush(heap, (-child.newest if newest else child.oldest, child))
 
 
 @contextmanager
@@ -283,8 +287,8 @@ def interval_bounds(name: str, span: Optional[int], is_left: bool) -> Optional[I
     parts = []
     for instant in "se":
         parts += [_tightest("max", lower[instant]) or "LEAST", _tightest("min", upper[instant]) or "MOST"]
-    given = "s1, e1" if is_left else "s2, e2"
-    source = f"def generated({given}):\n    return ({', '.join(parts)})\n"
+    parameters = "s1, e1" if is_left else "s2, e2"
+    source = f"def generated({parameters}):\n    return ({', '.join(parts)})\n"
     limits = shared_function(source, {"LEAST": MIN_VALUE, "MOST": MAX_VALUE}, f"partners of {operator.name}")
     by_end = len(lower["e"]) + len(upper["e"]) > len(lower["s"]) + len(upper["s"])
     return IntervalBounds(limits, by_end)
@@ -314,5 +318,5 @@ def _bounds(
     return lower, upper
 
 
-def _tightest(function: str, sources: List[str]) -> str:
-    return f"{function}({', '.join(sources)})" if len(sources) > 1 else "".join(sources)
+def _tightest(function: str, expressions: List[str]) -> str:
+    return f"{function}({', '.join(expressions)})" if len(expressions) > 1 else "".join(expressions)

@@ -42,29 +42,30 @@ class MatchBuffer:
         rule: the rule that owns the buffer; it counts and limits the stored matches.
         newest: newest match by key. The key None holds the matches with variables in their shared values, which are
             unified with every partner.
-        span: retention time of stored matches, in ns; None for no bound.
-        name: returns the identity by which a match replaces a stored one; None if matches do not replace each other.
-        reach: time bounds of the stored matches that a partner searches for; None for no bounds.
-        least_end: returns the smallest end of the stored matches that can join a partner with the given start; None
+        retention: retention time of stored matches, in ns; None for no bound.
+        identity_of: returns the identity by which a match replaces a stored one; None if matches do not replace each
+            other.
+        partner_bounds: time bounds of the stored matches that a partner searches for; None for no bounds.
+        min_end_for: returns the smallest end of the stored matches that can join a partner with the given start; None
             for no bound.
-        forbids: whether the matches belong to a negated pattern; those are not skipped after a match.
+        is_negated: whether the matches belong to a negated pattern; those are not skipped after a match.
         indices: time indices, by key.
-        names: stored matches by identity, by key, for keys with more than a few matches.
+        by_identity: stored matches by identity, by key, for keys with more than a few matches.
         on_repair: called after the stored matches were linked again, or replaced.
     """
 
-    forbids = False
+    is_negated = False
 
     def __init__(self, rule: "EventRule", shared: Tuple[int, ...]):
         self.rule = rule
         self.key = key_function(shared)
         self.newest: Dict[Hashable, PartialMatch] = {}
-        self.span: Optional[int] = None
-        self.name: Optional[Callable[[PartialMatch], Hashable]] = None
-        self.reach: Optional[IntervalBounds] = None
-        self.least_end: Optional[Callable[[int], int]] = None
+        self.retention: Optional[int] = None
+        self.identity_of: Optional[Callable[[PartialMatch], Hashable]] = None
+        self.partner_bounds: Optional[IntervalBounds] = None
+        self.min_end_for: Optional[Callable[[int], int]] = None
         self.indices: Dict[Hashable, IntervalIndex] = {}
-        self.names: Dict[Hashable, Dict[Hashable, PartialMatch]] = {}
+        self.by_identity: Dict[Hashable, Dict[Hashable, PartialMatch]] = {}
         self.on_repair: Callable[[], None] = lambda: None
 
     def key_of(self, match: PartialMatch) -> Hashable:
@@ -84,44 +85,44 @@ class MatchBuffer:
             rule.order = order = end if end > rule.order else rule.order + 1
         match.order = order
         match.key = key
-        last = self.newest.get(key)
-        if last is None:
+        newest_match = self.newest.get(key)
+        if newest_match is None:
             # The identity of a longer match includes this one, so it is computed once, here.
-            if self.name is not None and match.parts is not None:
-                match.identity = self.name(match)
+            if self.identity_of is not None and match.parts is not None:
+                match.identity = self.identity_of(match)
             match.buffer = self
             match.older = match.newer = self.newest[key] = match
         else:
-            self.join(match)
-        rule.keep(match, self.span)
+            self.link(match)
+        rule.keep(match, self.retention)
 
-    def join(self, match: PartialMatch) -> None:
+    def link(self, match: PartialMatch) -> None:
         """Link a match that has a key and an order to the matches of its key, replacing one of the same identity."""
         key = match.key
-        if self.name is not None:
-            names = self.names.get(key)
-            if names is None:
-                older = self.namesake(match, key)
+        if self.identity_of is not None:
+            by_identity = self.by_identity.get(key)
+            if by_identity is None:
+                older = self.find_identical(match, key)
             else:
-                match.identity = name = self.name(match)
-                older = names.get(name)
+                match.identity = identity = self.identity_of(match)
+                older = by_identity.get(identity)
             if older is not None:
                 self.remove(older)
         match.buffer = self
         newest = self.newest
         # `remove` may have removed the only match of the key, so the ring is looked up again.
-        last = newest.setdefault(key, match)
-        if last is match:
+        newest_match = newest.setdefault(key, match)
+        if newest_match is match:
             match.older = match.newer = match
         else:
-            match.older = last
-            match.newer = oldest = last.newer
-            last.newer = oldest.older = newest[key] = match
+            match.older = newest_match
+            match.newer = oldest = newest_match.newer
+            newest_match.newer = oldest.older = newest[key] = match
             if self.indices and key in self.indices:
                 self.indices[key].add(match)
                 self._drop_if_idle(key)
-            if self.names and key in self.names:
-                self.names[key][match.identity] = match
+            if self.by_identity and key in self.by_identity:
+                self.by_identity[key][match.identity] = match
 
     def remove(self, match: PartialMatch) -> None:
         """Remove a stored match."""
@@ -134,7 +135,7 @@ class MatchBuffer:
             match.older = match.newer = None  # type: ignore[assignment]  # read only of stored matches
             del self.newest[key]
             self.indices.pop(key, None)
-            self.names.pop(key, None)
+            self.by_identity.pop(key, None)
             return
         older.newer = newer
         newer.older = older
@@ -144,37 +145,43 @@ class MatchBuffer:
         if self.indices and key in self.indices:
             self.indices[key].remove(match)
             self._drop_if_idle(key)
-        if self.names and key in self.names and self.names[key].get(match.identity) is match:
-            del self.names[key][match.identity]
+        if (
+            self.by_identity
+            and key in self.by_identity
+            and self.by_identity[key].get(match.identity) is match
+        ):
+            del self.by_identity[key][match.identity]
 
     def expand(self) -> Dict[PartialMatch, PartialMatch]:
         """Replace the matches that cannot hold all attributes of a `PartialMatch`; return the new ones by the old."""
         stored = self.all()
-        full = {match: _full(match) for match in stored if not isinstance(match, PartialMatch)}
-        if full:
+        expanded = {match: _expanded(match) for match in stored if not isinstance(match, PartialMatch)}
+        if expanded:
             self.newest.clear()
             self.indices.clear()
-            self.names.clear()
-            for match in full:
+            self.by_identity.clear()
+            for match in expanded:
                 match.buffer = None
-            self.put_back([full.get(match, match) for match in stored])
+            self.put_back([expanded.get(match, match) for match in stored])
             self.on_repair()
-        return full
+        return expanded
 
     def repair(self) -> List[PartialMatch]:
         """Repair the links of stored matches after an interrupt; return the matches, oldest first."""
         matches = []
-        for key, last in list(self.newest.items()):
+        for key, newest_match in list(self.newest.items()):
             # An interrupt may come between any two assignments. The attribute `buffer` decides whether a match is
             # stored; rings and indices are derived from it.
-            waiting = sorted((match for match in _linked(last) if match.buffer is self), key=_order)
+            waiting = sorted(
+                (match for match in _reachable(newest_match) if match.buffer is self), key=_order
+            )
             if not waiting:
                 del self.newest[key]
                 continue
             self._link(key, waiting)
             matches += waiting
         self.indices = {}
-        self.names = {}
+        self.by_identity = {}
         self.on_repair()
         return sorted(matches, key=_order)
 
@@ -190,59 +197,59 @@ class MatchBuffer:
         for match in sorted(waiting, key=_order):
             match.buffer = self
             try:
-                match.key = self.key(match.filed_by)
+                match.key = self.key(match.key_values)
             except ValueError:
                 match.key = None
-            if self.name is not None:
+            if self.identity_of is not None:
                 self._identify_match(match)
             groups.setdefault(match.key, []).append(match)
         for key, group in groups.items():
             self._link(key, group)
 
-    def namesake(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
+    def find_identical(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
         """Return the stored match that a match with a key replaces; matches with one identity have the same key."""
-        assert self.name is not None
-        match.identity = name = self.name(match)
-        last = self.newest.get(key)
-        if last is None:
+        assert self.identity_of is not None
+        match.identity = identity = self.identity_of(match)
+        newest_match = self.newest.get(key)
+        if newest_match is None:
             return None
-        names = self.names.get(key)
-        if names is None:
-            candidate = last
+        by_identity = self.by_identity.get(key)
+        if by_identity is None:
+            candidate = newest_match
             # A dictionary is created only for keys with more matches than a short scan visits.
             for _ in range(MAX_MISSES_WITH_INDEX):
-                if (candidate.identity or self._identify_match(candidate)) == name:
+                if (candidate.identity or self._identify_match(candidate)) == identity:
                     return candidate
                 candidate = candidate.older
-                if candidate is last:
+                if candidate is newest_match:
                     return None
-            names = self.names[key] = {
+            by_identity = self.by_identity[key] = {
                 candidate.identity or self._identify_match(candidate): candidate
-                for candidate in self.with_key(key)
+                for candidate in self.matches_of_key(key)
             }
-        return names.get(name)
+        return by_identity.get(identity)
 
     def _identify_match(self, match: PartialMatch) -> Hashable:
         """Set and return the identity of a match; a match that is alone under its key may not have one yet."""
-        assert self.name is not None
-        name = self.name(match)
+        assert self.identity_of is not None
+        identity = self.identity_of(match)
         # An event computes its identity at each access.
         if isinstance(match, PartialMatch):
-            match.identity = name
-        return name
+            match.identity = identity
+        return identity
 
     def _drop_if_idle(self, key: Hashable) -> None:
-        if self.indices[key].idle:
+        if self.indices[key].is_idle:
             del self.indices[key]
 
-    def with_key(self, key: Hashable) -> List[PartialMatch]:
+    def matches_of_key(self, key: Hashable) -> List[PartialMatch]:
         """Return the stored matches of a key, oldest first."""
-        last = self.newest.get(key)
-        if last is None:
+        newest_match = self.newest.get(key)
+        if newest_match is None:
             return []
-        matches = [last]
-        match = last.older
-        while match is not last:
+        matches = [newest_match]
+        match = newest_match.older
+        while match is not newest_match:
             matches.append(match)
             match = match.older
         matches.reverse()
@@ -250,7 +257,7 @@ class MatchBuffer:
 
     def all(self) -> List[PartialMatch]:
         """Return all stored matches, oldest first."""
-        return sorted((match for key in self.newest for match in self.with_key(key)), key=_order)
+        return sorted((match for key in self.newest for match in self.matches_of_key(key)), key=_order)
 
     def partners(self, key: Hashable, start: int, end: int, newest: bool) -> Iterator[PartialMatch]:
         """Yield the stored matches that may join a match: newest or oldest first.
@@ -267,25 +274,25 @@ class MatchBuffer:
         if key is None:
             matches = self.all()
             return reversed(matches) if newest else iter(matches)
-        limits = _UNBOUNDED if self.reach is None else self.reach.limits(start, end)
-        if self.least_end is not None:
-            limits = (*limits[:2], max(limits[2], self.least_end(start)), limits[3])
+        limits = _UNBOUNDED if self.partner_bounds is None else self.partner_bounds.limits(start, end)
+        if self.min_end_for is not None:
+            limits = (*limits[:2], max(limits[2], self.min_end_for(start)), limits[3])
         if None not in self.newest:
             return self._within(key, limits, newest)
         both = self._within(key, limits, newest), self._within(None, limits, newest)
         return iter(heapq.merge(*both, key=_order, reverse=newest))
 
-    def partners_now(self, key: Hashable, start: int, end: int) -> Sequence[PartialMatch]:
+    def partner_list(self, key: Hashable, start: int, end: int) -> Sequence[PartialMatch]:
         """Return the stored matches that may join a match, oldest first; see `partners`.
 
         The result is empty if pattern work was stopped.
         """
         if key is not None and None not in self.newest:
-            last = self.newest.get(key)
-            if last is None:
+            newest_match = self.newest.get(key)
+            if newest_match is None:
                 return ()
-            if last.older is last:
-                return (last,)
+            if newest_match.older is newest_match:
+                return (newest_match,)
         meter = self.rule.meter
         if meter is None:
             return list(self.partners(key, start, end, False))
@@ -299,36 +306,36 @@ class MatchBuffer:
 
     def _within(self, key: Hashable, limits: TimeBounds, newest: bool) -> Iterator[PartialMatch]:
         """Yield the stored matches of a key whose start and end lie within limits."""
-        last = self.newest.get(key)
-        if last is None:
+        newest_match = self.newest.get(key)
+        if newest_match is None:
             return
-        least_start, most_start, least_end, most_end = limits
-        final = last.order
-        match = last if newest else last.newer
+        min_start, max_start, min_end, max_end = limits
+        newest_order = newest_match.order
+        match = newest_match if newest else newest_match.newer
         order = MAX_VALUE if newest else MIN_VALUE
         # Misses and hits are counted against each other: a scan that yields results continues, a scan that mostly
         # skips matches is replaced by an index search.
         misses = -(MAX_MISSES_WITH_INDEX if key in self.indices else MAX_MISSES_BEFORE_INDEX)
         while misses <= 0:
-            if match.order >= order if newest else not order < match.order <= final:
+            if match.order >= order if newest else not order < match.order <= newest_order:
                 # Once around the ring, or at a match that was added meanwhile.
                 return
             order = match.order
             step = match.older if newest else match.newer
-            if least_start <= match.start <= most_start and least_end <= match.end <= most_end:
+            if min_start <= match.start <= max_start and min_end <= match.end <= max_end:
                 misses -= 1
                 yield match
                 # The consumer of the iterator may have removed the next match, whose links are gone then.
                 if step.buffer is not self:
-                    behind = self._next_after_removed(key, order, newest)
-                    if behind is None:
+                    next_match = self._next_after_removed(key, order, newest)
+                    if next_match is None:
                         return
-                    step = behind
+                    step = next_match
             else:
                 misses += 1
             match = step
         for match in self._index(key).search(limits, newest, order):
-            if match.order > final:
+            if match.order > newest_order:
                 return
             if match.buffer is self:
                 yield match
@@ -336,30 +343,30 @@ class MatchBuffer:
     def _index(self, key: Hashable) -> IntervalIndex:
         index = self.indices.get(key)
         if index is None:
-            by_end = self.reach is not None and self.reach.by_end
-            index = self.indices[key] = IntervalIndex(self.with_key(key), by_end)
+            by_end = self.partner_bounds is not None and self.partner_bounds.by_end
+            index = self.indices[key] = IntervalIndex(self.matches_of_key(key), by_end)
         return index
 
     def _next_after_removed(self, key: Hashable, order: int, newest: bool) -> Optional[PartialMatch]:
         """Return the next match of a key after an order whose match may have been removed."""
-        for match in reversed(self.with_key(key)) if newest else self.with_key(key):
+        for match in reversed(self.matches_of_key(key)) if newest else self.matches_of_key(key):
             if match.order < order if newest else match.order > order:
                 return match
         return None
 
-    def identify(self, name: Optional[Callable[[PartialMatch], Hashable]]) -> None:
+    def set_identity_function(self, identity_of: Optional[Callable[[PartialMatch], Hashable]]) -> None:
         """Set the function by which a match replaces a stored one with the same identity; None for no replacement.
 
         Of the stored matches with one identity, the newest can be replaced.
         """
-        self.name = name
-        self.names = {}
-        if name is not None:
+        self.identity_of = identity_of
+        self.by_identity = {}
+        if identity_of is not None:
             for match in self.all():
                 self._identify_match(match)
 
 
-def _linked(match: PartialMatch) -> Set[PartialMatch]:
+def _reachable(match: PartialMatch) -> Set[PartialMatch]:
     """Return all matches that can be reached from a match by either link."""
     reached = {match}
     stack = [match]
@@ -372,11 +379,11 @@ def _linked(match: PartialMatch) -> Set[PartialMatch]:
     return reached
 
 
-def _full(match: EventMatch) -> PartialMatch:
+def _expanded(match: EventMatch) -> PartialMatch:
     """Return a match as a `PartialMatch`, to be stored instead of it."""
-    full = PartialMatch(match.values, match.start, match.end, None, match.term, None)
-    full.order = match.order
-    return full
+    expanded = PartialMatch(match.values, match.start, match.end, None, match.term, None)
+    expanded.order = match.order
+    return expanded
 
 
 def _order(match: PartialMatch) -> int:

@@ -42,15 +42,15 @@ class _Frontier:
     doubled.
     """
 
-    __slots__ = ("starts", "ends", "matches", "compact_at")
+    __slots__ = ("starts", "ends", "matches", "compact_threshold")
 
     def __init__(self) -> None:
         self.starts: List[int] = []
         self.ends: List[int] = []
         self.matches: List[PartialMatch] = []
-        self.compact_at = _STALE_TOLERANCE
+        self.compact_threshold = _STALE_TOLERANCE
 
-    def takes(self, match: PartialMatch) -> bool:
+    def add(self, match: PartialMatch) -> bool:
         """Add a match and remove the matches that it dominates; return False if the match itself is dominated."""
         starts, ends, matches = self.starts, self.ends, self.matches
         start, end = match.start, match.end
@@ -61,29 +61,29 @@ class _Frontier:
             if matches[position].buffer is not None:
                 return False
             del starts[position], ends[position], matches[position]
-        last = position + 1 if position < len(starts) and starts[position] == start else position
+        last_position = position + 1 if position < len(starts) and starts[position] == start else position
         # Entries that start no later and end no earlier are dominated by the new match. They are adjacent, because
         # starts and ends increase together.
         first = position
         while first and ends[first - 1] >= end:
             first -= 1
-        superfluous = matches[first:last]
-        starts[first:last] = [start]
-        ends[first:last] = [end]
-        matches[first:last] = [match]
+        dominated = matches[first:last_position]
+        starts[first:last_position] = [start]
+        ends[first:last_position] = [end]
+        matches[first:last_position] = [match]
         # The frontier is consistent before the matches leave their buffer.
-        for other in superfluous:
-            other.leave()
+        for dominated_match in dominated:
+            dominated_match.leave()
         return True
 
     def compact(self) -> None:
         """Remove the matches that have left the buffer if there are many entries."""
-        if len(self.matches) <= self.compact_at:
+        if len(self.matches) <= self.compact_threshold:
             return
         self.matches = [match for match in self.matches if match.buffer is not None]
         self.starts = [match.start for match in self.matches]
         self.ends = [match.end for match in self.matches]
-        self.compact_at = 2 * len(self.matches) + _STALE_TOLERANCE
+        self.compact_threshold = 2 * len(self.matches) + _STALE_TOLERANCE
 
     def between(self, after: int, before: int) -> Optional[PartialMatch]:
         """Return a match that lies strictly between two instants, or None."""
@@ -122,9 +122,9 @@ class NegationBuffer:
         self.condition: Optional[Callable[[Values, PartialMatch], bool]] = None
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.buffer = MatchBuffer(rule, tuple(position for position, _ in self.shared))
-        self.buffer.reach = BEFORE if ever else BETWEEN
-        self.buffer.forbids = True
-        self.asked = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
+        self.buffer.partner_bounds = BEFORE if ever else BETWEEN
+        self.buffer.is_negated = True
+        self.pair_buffer = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
         self.frontiers: Dict[Hashable, _Frontier] = {}
         self.buffer.on_repair = self._drop_frontiers
 
@@ -149,7 +149,7 @@ class NegationBuffer:
     def arrive(self, match: PartialMatch, after: Frame) -> Frame:
         """Store a negated match, unless stored matches dominate it."""
         key = self.buffer.key_of(match)
-        if key is not None and self.uses_frontiers() and not self._needed(key, match):
+        if key is not None and self.uses_frontiers() and not self._is_needed(key, match):
             return after
         self.buffer.add(match, key)
         return after
@@ -158,29 +158,29 @@ class NegationBuffer:
         """Return whether only times matter: matches have no conditions, and events are not retracted."""
         return self.condition is None and not self.rule.network.mode.tracked
 
-    def _needed(self, key: Hashable, match: PartialMatch) -> bool:
-        waiting = self.buffer.newest.get(key)
+    def _is_needed(self, key: Hashable, match: PartialMatch) -> bool:
+        newest_match = self.buffer.newest.get(key)
         # If the gap has no beginning, the match that ends first dominates all others, so at most one is stored for
         # each key.
         if self.ever:
-            if waiting is None:
+            if newest_match is None:
                 return True
-            older = waiting.newer
+            older = newest_match.newer
             if older.end <= match.end:
                 return False
             older.leave()
             return True
         frontier = self._frontier(key)
-        # Must precede `takes`: the new match is in no buffer yet and would be removed.
+        # Must precede `add`: the new match is in no buffer yet and would be removed.
         frontier.compact()
-        return frontier.takes(match)
+        return frontier.add(match)
 
     def _frontier(self, key: Hashable) -> _Frontier:
         frontier = self.frontiers.get(key)
         if frontier is None or key not in self.buffer.newest:
             frontier = self.frontiers[key] = _Frontier()
-            for match in self.buffer.with_key(key):
-                frontier.takes(match)
+            for match in self.buffer.matches_of_key(key):
+                frontier.add(match)
             # Building a frontier removes dominated matches from the buffer, which may leave keys without matches.
             self._drop_empty_frontiers()
         return frontier
@@ -190,24 +190,24 @@ class NegationBuffer:
 
         Matches stored without a key do not count.
         """
-        last = self.buffer.newest.get(key)
-        if last is None:
+        newest_match = self.buffer.newest.get(key)
+        if newest_match is None:
             return False
-        if last.older is last:
-            return last.start > end
+        if newest_match.older is newest_match:
+            return newest_match.start > end
         return self._frontier(key).between(end, MAX_VALUE) is not None
 
-    def least_end(self, before: int) -> int:
+    def min_first_end(self, before: int) -> int:
         """Return the smallest end that a first operand can have if the second operand starts at ``before``.
 
         This bound lets the join skip all first operands that are ruled out. It holds only if the negated pattern
         shares no variables and `uses_frontiers` is true.
         """
-        last = self.buffer.newest.get(())
-        if last is None:
+        newest_match = self.buffer.newest.get(())
+        if newest_match is None:
             return MIN_VALUE
-        if last.older is last:
-            return last.start if last.end < before else MIN_VALUE
+        if newest_match.older is newest_match:
+            return newest_match.start if newest_match.end < before else MIN_VALUE
         frontier = self._frontier(())
         # The last match that ends before the second operand also has the largest start of those; a first operand
         # that ends before that start is ruled out.
@@ -222,24 +222,24 @@ class NegationBuffer:
         if len(self.frontiers) > 2 * len(newest) + _STALE_TOLERANCE:
             self.frontiers = {key: frontier for key, frontier in self.frontiers.items() if key in newest}
 
-    def blocks(self, values: Values, after: int, before: int) -> bool:
+    def forbids_pair(self, values: Values, after: int, before: int) -> bool:
         """Return whether a negated match lies between two instants."""
         buffer = self.buffer
         if not buffer.newest:
             self.frontiers.clear()
             return False
         try:
-            key = self.asked.key(values)
+            key = self.pair_buffer.key(values)
         except ValueError:
             key = None
         if key is not None and not self.ever and None not in buffer.newest and self.uses_frontiers():
-            last = buffer.newest.get(key)
-            if last is None:
+            newest_match = buffer.newest.get(key)
+            if newest_match is None:
                 self.frontiers.pop(key, None)
                 return False
             # A key with one match is the usual case and needs no frontier.
-            if last.older is last:
-                return after < last.start and last.end < before
+            if newest_match.older is newest_match:
+                return after < newest_match.start and newest_match.end < before
             frontier = self.frontiers.get(key)
             if frontier is not None:
                 return frontier.between(after, before) is not None
@@ -281,30 +281,30 @@ class RuledOutSweep:
     A pass over all stored matches is made in slices, so no event waits for a complete pass.
 
     Args:
-        waiting: buffer of the first operands.
+        first_buffer: buffer of the first operands.
         absence: buffer of the negated matches. It shares variables with first operands only and has no conditions.
         positions: positions of the shared variables in the values of a first operand.
     """
 
-    def __init__(self, waiting: MatchBuffer, absence: NegationBuffer, positions: Sequence[int]):
-        self.waiting = waiting
+    def __init__(self, first_buffer: MatchBuffer, absence: NegationBuffer, positions: Sequence[int]):
+        self.first_buffer = first_buffer
         self.absence = absence
         self._key = key_function(tuple(positions))
         self._ruled_out: Deque[PartialMatch] = deque()
         self._negated: Deque[PartialMatch] = deque()
         self._first_open_end = MAX_VALUE
-        self._last = MIN_VALUE
+        self._last_order = MIN_VALUE
 
-    def begin(self, last: int) -> None:
+    def begin(self, last_order: int) -> None:
         """Begin a pass.
 
         Negated matches that arrive during the pass are left to the next one, because the pass may already have
         visited first operands that they rule out.
 
         Args:
-            last: order of the last match that has been stored.
+            last_order: order of the last match that has been stored.
         """
-        self._last = last
+        self._last_order = last_order
         self._ruled_out.clear()
         self._negated.clear()
         self._first_open_end = MAX_VALUE
@@ -312,9 +312,9 @@ class RuledOutSweep:
     def visit(self, match: PartialMatch) -> None:
         """Process the next match of the rule, in order of arrival."""
         if match.buffer is self.absence.buffer:
-            if match.key is not None and match.order <= self._last:
+            if match.key is not None and match.order <= self._last_order:
                 self._negated.append(match)
-        elif match.buffer is self.waiting and self._is_ruled_out(match):
+        elif match.buffer is self.first_buffer and self._is_ruled_out(match):
             self._ruled_out.append(match)
             if len(self._ruled_out) > MAX_RULED_OUT:
                 self._ruled_out.popleft().leave()
@@ -336,14 +336,17 @@ class RuledOutSweep:
             match = negated.popleft()
             if match.buffer is not None and match.start <= self._first_open_end:
                 surplus.append(match)
-        latest: Dict[Hashable, int] = {}
+        latest_end: Dict[Hashable, int] = {}
         for match in surplus:
-            latest[match.key] = max(match.start, latest.get(match.key, match.start))
+            latest_end[match.key] = max(match.start, latest_end.get(match.key, match.start))
         # First operands leave before the negated matches: an interrupt in between must not make a prevented pair
         # possible.
         if surplus:
             for match in self._ruled_out:
-                if match.buffer is not None and latest.get(self._key(match.values), match.end) > match.end:
+                if (
+                    match.buffer is not None
+                    and latest_end.get(self._key(match.values), match.end) > match.end
+                ):
                     match.leave()
         for match in surplus:
             match.leave()

@@ -10,7 +10,7 @@ tree of parts without recursion and shares the keys of common prefixes, so a lon
 one.
 
 If events are tracked for retraction and explanation, matches also lead to the occurrences that they contain:
-`leaves` and `sources` enumerate these, and `arrival` orders matches by the last of them.
+`event_tokens` and `lineage_tokens` enumerate these, and `arrival_number_of` orders matches by the last of them.
 """
 
 from enum import Enum
@@ -38,16 +38,16 @@ class MatchHolder(Protocol):
     """The place where a match is stored: a buffer or a run group.
 
     Attributes:
-        span: retention time in ns; None for no bound.
-        forbids: whether its matches belong to a negated pattern.
+        retention: retention time in ns; None for no bound.
+        is_negated: whether its matches belong to a negated pattern.
     """
 
     @property
-    def span(self) -> Optional[int]:
+    def retention(self) -> Optional[int]:
         """See above."""
 
     @property
-    def forbids(self) -> bool:
+    def is_negated(self) -> bool:
         """See above."""
 
     def remove(self, match: "PartialMatch") -> None:
@@ -60,7 +60,7 @@ class EventMatch:
     It has the attributes of a `PartialMatch` and is annotated as one, but takes 80 bytes instead of 136: millions may
     be stored. Its timestamp is its start, its end and its order, all three in one slot. This requires a timestamp
     that is larger than the orders of all matches that the rule has stored before; see `OrderedEventMatch`. The
-    attributes ``values``, ``event``, ``parts``, ``identity`` and ``used`` cannot be set.
+    attributes ``values``, ``event``, ``parts``, ``identity`` and ``consumed_by`` cannot be set.
 
     Attributes:
         values: the arguments of the event.
@@ -75,7 +75,7 @@ class EventMatch:
         newer: the match of the same key that was stored after it; for the newest match, the oldest one.
         order: increases with each match that the rule stores.
         identity: the identity by which a newer match replaces it; None if it has not been computed.
-        used: the match that consumed it last; else None.
+        consumed_by: the match that consumed it last; else None.
     """
 
     __slots__ = ("start", "term", "buffer", "key", "older", "newer")
@@ -95,9 +95,9 @@ class EventMatch:
         event: Hashable
         parts: "Optional[Parts]"
         identity: Hashable
-        used: "Optional[PartialMatch]"
+        consumed_by: "Optional[PartialMatch]"
     else:
-        event = parts = used = None
+        event = parts = consumed_by = None
 
         @property
         def values(self) -> Values:
@@ -121,12 +121,12 @@ class EventMatch:
             return value
 
     @property
-    def latest(self) -> int:
+    def latest_end(self) -> int:
         """The largest end so far; garbage control removes matches by it."""
         return self.end
 
     @property
-    def filed_by(self) -> Values:
+    def key_values(self) -> Values:
         """The values that contain the shared values of the key."""
         return self.values
 
@@ -160,12 +160,13 @@ class PartialMatch(OrderedEventMatch):
         values: values of the node's variables.
         event: token of the event, if the match consists of a single event; else None.
         term: the event, if this is the match of an event pattern; else None.
-        parts: the parts that it was joined from: matches, `TrackedMatch` and `Found`, and the number of a branch.
+        parts: the parts that it was joined from: matches, `TrackedMatch` and `ComputedValues`, and the number of a
+            branch.
 
     The other attributes are those of `EventMatch`.
     """
 
-    __slots__ = ("values", "event", "parts", "identity", "used")
+    __slots__ = ("values", "event", "parts", "identity", "consumed_by")
 
     def __init__(
         self,
@@ -183,10 +184,10 @@ class PartialMatch(OrderedEventMatch):
         self.term = term
         self.parts = parts
         self.buffer = None
-        self.used = None
+        self.consumed_by = None
 
 
-_DEFAULTED_ATTRIBUTES = frozenset(("values", "event", "parts", "identity", "used"))
+_DEFAULTED_ATTRIBUTES = frozenset(("values", "event", "parts", "identity", "consumed_by"))
 
 
 class TrackedMatch:
@@ -198,9 +199,9 @@ class TrackedMatch:
     Attributes:
         match: the last repetition; None if there is none.
         earlier: the `TrackedMatch` of the repetitions before it.
-        number: number of the last event in it, see `arrival`.
+        number: number of the last event in it, see `arrival_number_of`.
         linked: whether the occurrences that it contains refer to it, if events are tracked.
-        derived, held, suppressed, gone, reported, forgotten: as of an event that is tracked.
+        derived, dependents, suppressed, retracted, reported, forgotten: as of an event that is tracked.
     """
 
     __slots__ = (
@@ -209,9 +210,9 @@ class TrackedMatch:
         "number",
         "linked",
         "derived",
-        "held",
+        "dependents",
         "suppressed",
-        "gone",
+        "retracted",
         "reported",
     )
 
@@ -220,10 +221,12 @@ class TrackedMatch:
     def __init__(self, match: Optional[PartialMatch], earlier: Optional["TrackedMatch"]):
         self.match = match
         self.earlier = earlier
-        self.number: int = 0 if match is None or earlier is None else max(earlier.number, arrival(match))
-        self.linked = self.gone = self.reported = False
+        self.number: int = (
+            0 if match is None or earlier is None else max(earlier.number, arrival_number_of(match))
+        )
+        self.linked = self.retracted = self.reported = False
         self.derived: List[Any] = []
-        self.held: List[Holder] = []
+        self.dependents: List[Dependent] = []
         self.suppressed: List[Any] = []
 
     @property
@@ -238,7 +241,7 @@ class TrackedMatch:
         return repetitions
 
 
-NOTHING_HELD = TrackedMatch(None, None)
+NO_REPETITIONS = TrackedMatch(None, None)
 
 
 class Repetitions:
@@ -252,7 +255,7 @@ class Repetitions:
         raise NotImplementedError
 
 
-class Found(NamedTuple):
+class ComputedValues(NamedTuple):
     """Values that goals, repetitions and aggregates have computed for a match and that are not passed on.
 
     They belong to the identity of the match, like the values that are passed on; see `MatchKeys`.
@@ -261,7 +264,7 @@ class Found(NamedTuple):
     values: Values
 
 
-class Named(NamedTuple):
+class IdentityWithValues(NamedTuple):
     """Identity of a stored match, if its events do not determine all values that it passes on.
 
     Attributes:
@@ -273,9 +276,9 @@ class Named(NamedTuple):
     values: Tuple[Hashable, ...]
 
 
-MatchPart = Union[PartialMatch, TrackedMatch, Repetitions, Found, int]
+MatchPart = Union[PartialMatch, TrackedMatch, Repetitions, ComputedValues, int]
 Parts = Tuple[MatchPart, ...]
-Holder = Union[PartialMatch, Tuple[Any, ...]]
+Dependent = Union[PartialMatch, Tuple[Any, ...]]
 """An entry of an event: a stored match that contains it, or a node and the data that it must forget."""
 
 
@@ -327,11 +330,11 @@ def identity(match: EventMatch) -> Hashable:
             break
         path.append(parts[0])
     last = path[-1]
-    waited = last.__class__ is PartialMatch and last.identity is not None
-    key: Hashable = last.identity if waited else _identity_of(last, ())
-    if waited and key.__class__ is Named:
-        named: Any = key
-        key = named.structure
+    is_known = last.__class__ is PartialMatch and last.identity is not None
+    key: Hashable = last.identity if is_known else _identity_of(last, ())
+    if is_known and key.__class__ is IdentityWithValues:
+        named_key: Any = key
+        key = named_key.structure
     for longer in reversed(path[:-1]):
         key = _identity_of(longer, (key,))
     return key
@@ -346,14 +349,14 @@ def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
     for part in parts[len(key) :]:
         if isinstance(part, EventMatch):
             key += (identity(part),)
-        elif part.__class__ is Found:
+        elif part.__class__ is ComputedValues:
             key += (tuple([term_key(value) for value in part.values]),)
         elif part.__class__ is not TrackedMatch:
             key += (part,)
     return key[0] if len(key) == 1 else Identity(key)
 
 
-def leaves(match: PartialMatch) -> Iterator[Hashable]:
+def event_tokens(match: PartialMatch) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match consists of, in the order of the pattern."""
     inner: Any
     stack: List[EventMatch] = [match]
@@ -369,7 +372,7 @@ def leaves(match: PartialMatch) -> Iterator[Hashable]:
                     stack.extend(reversed(inner.matches))
 
 
-def sources(match: PartialMatch) -> Iterator[Hashable]:
+def lineage_tokens(match: PartialMatch) -> Iterator[Hashable]:
     """Yield the tokens of the events of a match; for the repetitions of a run the last `TrackedMatch`."""
     inner: Any
     stack: List[EventMatch] = [match]
@@ -388,14 +391,14 @@ def sources(match: PartialMatch) -> Iterator[Hashable]:
                 stack.extend(reversed(inner.matches))
 
 
-def arrival(match: PartialMatch) -> int:
+def arrival_number_of(match: PartialMatch) -> int:
     """Return the number of the last event of a match, at which it was complete; 0 if events are not tracked."""
-    return max((getattr(token, "number", 0) for token in sources(match)), default=0)
+    return max((getattr(token, "number", 0) for token in lineage_tokens(match)), default=0)
 
 
 def is_retracted(match: PartialMatch) -> bool:
     """Return whether an event of a match was retracted."""
-    return any(getattr(token, "gone", False) for token in leaves(match))
+    return any(getattr(token, "retracted", False) for token in event_tokens(match))
 
 
 def unify_sides(
@@ -413,7 +416,7 @@ def unify_sides(
     if all(
         unify(lefts[left_position], rights[right_position], trail) for left_position, right_position in shared
     ):
-        result = (_with(left, lefts), _with(right, rights))
+        result = (_with_values(left, lefts), _with_values(right, rights))
     # Only variables of the copies were bound, so no binding has to be undone.
     return result
 
@@ -433,7 +436,7 @@ def _renamed(values: Values) -> Values:
     return tuple([copy(value, fresh) for value in values])
 
 
-def _with(match: PartialMatch, values: List[Term]) -> PartialMatch:
+def _with_values(match: PartialMatch, values: List[Term]) -> PartialMatch:
     return PartialMatch(
         tuple([resolve(value) for value in values]),
         match.start,

@@ -7,7 +7,8 @@ if the retracted event had never existed.
 In a sequence with events in order, a second operand is not stored, because no first operand arrives after it. If
 first operands can be revived, `RetainedMatches` keeps a bounded number of second operands for them. A revived first
 operand joins the first of those that arrived after it and is still valid; a revived second operand joins only first
-operands that had arrived before it. The order of arrival is the number of the last event of a match, see `arrival`.
+operands that had arrived before it. The order of arrival is the number of the last event of a match, see
+`arrival_number_of`.
 """
 
 from collections import deque
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Deque, Hashable, Iterable, List, Optional
 from ...prolog.terms.types import Frame
 from .consumption_policy import Emit, Join, MatchSide, emit_each, metered, unify_and_join
 from .match_buffer import MatchBuffer
-from .partial_matches import PartialMatch, arrival, sources
+from .partial_matches import PartialMatch, arrival_number_of, lineage_tokens
 
 if TYPE_CHECKING:
     from ..provenance.lineage import LineageTracker
@@ -28,7 +29,9 @@ MAX_RETAINED_MATCHES = 10_000
 
 def is_valid(match: Optional[PartialMatch]) -> bool:
     """Return whether there is a match and none of its events was retracted."""
-    return match is not None and not any(getattr(token, "gone", False) for token in sources(match))
+    return match is not None and not any(
+        getattr(token, "retracted", False) for token in lineage_tokens(match)
+    )
 
 
 class RetainedMatches:
@@ -36,22 +39,22 @@ class RetainedMatches:
 
     def __init__(self, buffer: MatchBuffer):
         self.buffer = buffer
-        self._kept: Deque[PartialMatch] = deque()
+        self._retained: Deque[PartialMatch] = deque()
 
     def snapshot(self) -> List[PartialMatch]:
         """Return the matches that are kept, oldest first; see `restore`."""
-        return [match for match in self._kept if match.buffer is not None]
+        return [match for match in self._retained if match.buffer is not None]
 
     def restore(self, saved: List[PartialMatch]) -> None:
         """Set the matches that are kept; they are stored in the buffer already."""
-        self._kept = deque(saved)
+        self._retained = deque(saved)
 
     def add(self, match: PartialMatch, key: Hashable) -> None:
         """Keep a match; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
-        self._kept.append(match)
-        if len(self._kept) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.cap // 2):
-            self._kept.popleft().leave()
+        self._retained.append(match)
+        if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.cap // 2):
+            self._retained.popleft().leave()
 
 
 def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:
@@ -63,39 +66,41 @@ def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:
 
 
 def join_revived_first(
-    tracker: "LineageTracker", side: MatchSide, uses: bool, all_too: bool, emit: Emit
+    tracker: "LineageTracker", side: MatchSide, consumes: bool, joins_all: bool, emit: Emit
 ) -> Emit:
     """Return the action for a first operand: it is stored, or joins with later second operands if it is revived.
 
     Args:
         tracker: knows the number of the event that is being served.
         side: the first operand, with the buffer of the partners to search.
-        uses: whether the policy consumes partners.
-        all_too: whether a second operand joins with all stored first ones and is not consumed by them.
+        consumes: whether the policy consumes partners.
+        joins_all: whether a second operand joins with all stored first ones and is not consumed by them.
         emit: receives the results.
     """
-    own_buffer, other_buffer = side.own, side.other
+    own_buffer, other_buffer = side.own_buffer, side.other_buffer
 
     def arrive(match: PartialMatch, after: Frame) -> Frame:
         key = own_buffer.key_of(match)
-        arrival_number = arrival(match)
+        arrival_number = arrival_number_of(match)
         results: List[PartialMatch] = []
         if is_revived(tracker, arrival_number):
             for partner in metered(
-                other_buffer.partners_now(key, match.start, match.end), own_buffer.rule.meter
+                other_buffer.partner_list(key, match.start, match.end), own_buffer.rule.meter
             ):
                 # Only partners that arrived later and were not consumed by a match that is still valid would have
                 # been available.
-                if arrival(partner) <= arrival_number or (uses and not all_too and is_valid(partner.used)):
+                if arrival_number_of(partner) <= arrival_number or (
+                    consumes and not joins_all and is_valid(partner.consumed_by)
+                ):
                     continue
                 result = unify_and_join(side, match, key, partner)
                 if result is not None:
                     results.append(result)
-                    if uses:
-                        partner.used = match
-                    if uses or all_too:
+                    if consumes:
+                        partner.consumed_by = match
+                    if consumes or joins_all:
                         break
-        if not results or not (uses or all_too):
+        if not results or not (consumes or joins_all):
             own_buffer.add(match, key)
         return emit_each(iter(results), emit, after)
 
@@ -108,22 +113,22 @@ def join_in_order(tracker: "LineageTracker", join: Join) -> Join:
     A revived second operand joins only with first operands that arrived before it.
     """
 
-    def joined(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
-        arrival_number = arrival(match)
-        if is_revived(tracker, arrival_number) and arrival(partner) >= arrival_number:
+    def join_if_earlier(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
+        arrival_number = arrival_number_of(match)
+        if is_revived(tracker, arrival_number) and arrival_number_of(partner) >= arrival_number:
             return None
         return join(match, partner)
 
-    return joined
+    return join_if_earlier
 
 
 def earlier_partners(
     match: PartialMatch, partners: Iterable[PartialMatch], tracker: "LineageTracker"
 ) -> Iterable[PartialMatch]:
     """Return the partners that a match may join: all, or the earlier ones if the match is revived."""
-    arrival_number = arrival(match)
+    arrival_number = arrival_number_of(match)
     return (
-        [partner for partner in partners if arrival(partner) < arrival_number]
+        [partner for partner in partners if arrival_number_of(partner) < arrival_number]
         if is_revived(tracker, arrival_number)
         else partners
     )

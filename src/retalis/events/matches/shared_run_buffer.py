@@ -29,7 +29,7 @@ from typing import (
 )
 
 from ...prolog.terms.types import NIL, Term, Values, Var
-from .partial_matches import NOTHING_HELD, PartialMatch, Parts, Repetitions, identity
+from .partial_matches import NO_REPETITIONS, PartialMatch, Parts, Repetitions, identity
 
 if TYPE_CHECKING:
     from ..network.repeat_node import RepeatNode
@@ -47,7 +47,7 @@ class SharedLog:
         self.items = items
         self._sums = [0]
 
-    def begin_again(self) -> None:
+    def after_restore(self) -> None:
         """Forget cached sums, after repetitions were restored."""
         self._sums = [0]
 
@@ -108,7 +108,7 @@ def repetitions(match: PartialMatch, times: int) -> List[PartialMatch]:
     return [match, *reversed(later)]
 
 
-def set_chain_parts(match: PartialMatch, times: int) -> None:
+def set_join_parts(match: PartialMatch, times: int) -> None:
     """Set the parts of a match of ``times`` repetitions as a chain of `JoinNode` nodes would."""
     first, *middle, last = repetitions(match, times)
     for repetition in middle:
@@ -142,26 +142,26 @@ class RunCursor(PartialMatch):
 
     Attributes:
         first: its beginning: the first repetition, or a match of several repetitions that was stored separately.
-        apart: number of repetitions of such a match; 0 if the first repetition is in the log.
+        prefix_length: number of repetitions of such a match; 0 if the first repetition is in the log.
         log, at: position in the log where its repetitions in the group begin.
-        since: number of the first of those repetitions.
+        first_number: number of the first of those repetitions.
     """
 
-    __slots__ = ("first", "apart", "log", "at", "since")
+    __slots__ = ("first", "prefix_length", "log", "log_position", "first_number")
 
     buffer: "Optional[RunGroup]"
 
-    def __init__(self, first: PartialMatch, apart: int, train: "RunGroup"):
+    def __init__(self, first: PartialMatch, prefix_length: int, group: "RunGroup"):
         super().__init__(first.values, first.start, first.end, None, None, (first,))
         self.first = first
-        self.apart = apart
-        self.log = train.log
-        self.at = len(train.log.items)
-        self.since = train.taken
+        self.prefix_length = prefix_length
+        self.log = group.log
+        self.log_position = len(group.log.items)
+        self.first_number = group.repetition_count
 
     @property
-    def latest(self) -> int:
-        """The end so far; see `PartialMatch.latest`."""
+    def latest_end(self) -> int:
+        """The end so far; see `PartialMatch.latest_end`."""
         return self.end if self.buffer is None else self.buffer.end
 
 
@@ -171,150 +171,161 @@ class RunGroup:
     Attributes:
         node: the node that they belong to.
         key: their values.
-        tokens: the sequence with ``number`` repetitions is at ``number - 1``; removed sequences and None are gaps.
+        cursors: the sequence with ``number`` repetitions is at ``number - 1``; removed sequences and None are gaps.
         end: end of the last repetition.
         order: order of the shortest sequence, as if it were a match that was stored; each longer one has one less.
         log: the newest repetitions; sequences that began in the log before it refer to that one.
-        taken: number of repetitions so far.
-        alive: number of sequences that are stored.
+        repetition_count: number of repetitions so far.
+        cursor_count: number of sequences that are stored.
     """
 
-    __slots__ = ("node", "key", "tokens", "end", "order", "log", "taken", "alive")
+    __slots__ = (
+        "node",
+        "key",
+        "cursors",
+        "end",
+        "order",
+        "log",
+        "repetition_count",
+        "cursor_count",
+    )
 
     def __init__(self, node: "RepeatNode", key: Hashable):
         self.node = node
         self.key = key
-        self.tokens: Deque[Optional[RunCursor]] = deque()
+        self.cursors: Deque[Optional[RunCursor]] = deque()
         self.end = _BEFORE_ALL_INSTANTS
         self.order = 0
         self.log = SharedLog([])
-        self.taken = 0
-        self.alive = 0
+        self.repetition_count = 0
+        self.cursor_count = 0
 
-    def begin_again(self) -> None:
+    def after_restore(self) -> None:
         """Continue with sequences that were restored."""
-        self.tokens = deque(self.tokens)
+        self.cursors = deque(self.cursors)
 
     @property
-    def span(self) -> Optional[int]:
+    def retention(self) -> Optional[int]:
         """Retention time of the sequences in ns; None for no bound."""
         return self.node.limit
 
     @property
-    def forbids(self) -> bool:
+    def is_negated(self) -> bool:
         """True if the sequences belong to a negated pattern."""
-        return self.node.forbids
+        return self.node.is_negated
 
-    def at(self, number: int) -> Optional[RunCursor]:
+    def cursor_with(self, number: int) -> Optional[RunCursor]:
         """Return the sequence with ``number`` repetitions, or None."""
-        if number > len(self.tokens):
+        if number > len(self.cursors):
             return None
-        token = self.tokens[number - 1]
-        return None if token is None or token.buffer is None else token
+        cursor = self.cursors[number - 1]
+        return None if cursor is None or cursor.buffer is None else cursor
 
-    def present(self) -> Iterator[Tuple[int, RunCursor]]:
+    def numbered_cursors(self) -> Iterator[Tuple[int, RunCursor]]:
         """Yield all sequences with their numbers of repetitions, longest first."""
-        for number in range(len(self.tokens), 0, -1):
-            token = self.at(number)
-            if token is not None:
-                yield number, token
+        for number in range(len(self.cursors), 0, -1):
+            cursor = self.cursor_with(number)
+            if cursor is not None:
+                yield number, cursor
 
-    def put(self, number: int, token: RunCursor) -> None:
+    def add(self, number: int, cursor: RunCursor) -> None:
         """Add a sequence with ``number`` repetitions."""
-        tokens = self.tokens
-        while len(tokens) < number:
-            tokens.append(None)
-        tokens[number - 1] = token
-        self._begin(token)
+        cursors = self.cursors
+        while len(cursors) < number:
+            cursors.append(None)
+        cursors[number - 1] = cursor
+        self._begin(cursor)
 
     def advance(self, match: PartialMatch, longest: int) -> Optional[RunCursor]:
         """Extend all sequences with a repetition and begin a new one.
 
         Return the one that has ``longest`` repetitions now.
         """
-        tokens = self.tokens
-        while tokens and (tokens[-1] is None or tokens[-1].buffer is None):
-            tokens.pop()
-        token = RunCursor(match, 0, self)
-        # One append extends all sequences: each has one repetition more, because its place in `tokens` moves by
+        cursors = self.cursors
+        while cursors and (cursors[-1] is None or cursors[-1].buffer is None):
+            cursors.pop()
+        cursor = RunCursor(match, 0, self)
+        # One append extends all sequences: each has one repetition more, because its place in `cursors` moves by
         # one.
         self.log.items.append(match)
-        self.taken += 1
+        self.repetition_count += 1
         self.end = match.end
-        oldest = tokens.pop() if len(tokens) == longest - 1 else None
-        tokens.appendleft(token)
+        oldest = cursors.pop() if len(cursors) == longest - 1 else None
+        cursors.appendleft(cursor)
         rule = self.node.rule
         # Orders are reserved as if each sequence were stored anew, longest first. A sequence that leaves the group
         # later is then in the right place among matches that were stored separately.
         rule.order += longest
         self.order = rule.order
-        self._begin(token)
+        self._begin(cursor)
         return oldest
 
-    def _begin(self, token: RunCursor) -> None:
-        token.buffer = self
-        self.alive += 1
+    def _begin(self, cursor: RunCursor) -> None:
+        cursor.buffer = self
+        self.cursor_count += 1
         rule = self.node.rule
-        token.order = rule.order = rule.order + 1
+        cursor.order = rule.order = rule.order + 1
 
-    def renew(self, size: int) -> None:
+    def renew_log(self, size: int) -> None:
         """Begin a new log if the current one has ``size`` repetitions; no sequence is longer than that."""
         # A sequence spans at most two logs, so the old log is freed when its last sequence leaves.
         if len(self.log.items) >= size:
             self.log = SharedLog([])
 
-    def remove(self, token: PartialMatch) -> None:
+    def remove(self, cursor: PartialMatch) -> None:
         """Remove a sequence."""
-        token.end = self.end
-        token.buffer = None
-        self.alive -= 1
+        cursor.end = self.end
+        cursor.buffer = None
+        self.cursor_count -= 1
         self.node.rule.waiting -= 1
-        if not self.alive:
-            self.node.trains.pop(self.key, None)
+        if not self.cursor_count:
+            self.node.groups.pop(self.key, None)
 
-    def match_of(self, token: RunCursor, number: int) -> PartialMatch:
+    def match_of(self, cursor: RunCursor, number: int) -> PartialMatch:
         """Return a sequence with ``number`` repetitions as a separate match."""
         if number == 1:
-            return token.first
+            return cursor.first
         return PartialMatch(
-            self.node.values_of(token), token.start, self.end, None, None, (self._chain(token),)
+            self.node.values_of(cursor), cursor.start, self.end, None, None, (self._slices(cursor),)
         )
 
-    def _chain(self, token: RunCursor) -> BufferSlice:
-        before: Tuple[LogSlice, ...] = slices_of(token.first, token.apart) if token.apart else ()
-        log, last = token.log, self.log
+    def _slices(self, cursor: RunCursor) -> BufferSlice:
+        before: Tuple[LogSlice, ...] = (
+            slices_of(cursor.first, cursor.prefix_length) if cursor.prefix_length else ()
+        )
+        log, last = cursor.log, self.log
         if log is last:
-            return BufferSlice((*before, (log, token.at, len(log.items))))
-        return BufferSlice((*before, (log, token.at, len(log.items)), (last, 0, len(last.items))))
+            return BufferSlice((*before, (log, cursor.log_position, len(log.items))))
+        return BufferSlice((*before, (log, cursor.log_position, len(log.items)), (last, 0, len(last.items))))
 
 
 class RunGroupBuffer:
     """The sequences of all run groups of a node, in the role of a buffer.
 
     Attributes:
-        forbids: whether they belong to a negated pattern.
+        is_negated: whether they belong to a negated pattern.
     """
 
-    forbids = False
+    is_negated = False
 
     def __init__(self, node: "RepeatNode"):
         self._node = node
 
     @property
-    def span(self) -> Optional[int]:
+    def retention(self) -> Optional[int]:
         """Retention time of the sequences in ns; None for no bound."""
         return self._node.limit
 
     def repair(self) -> List[PartialMatch]:
         """Repair the groups after an interrupt; return the stored sequences, oldest first."""
         sequences = []
-        for key, train in list(self._node.trains.items()):
-            cursors = [token for _, token in train.present()]
-            train.alive = len(cursors)
+        for key, group in list(self._node.groups.items()):
+            cursors = [cursor for _, cursor in group.numbered_cursors()]
+            group.cursor_count = len(cursors)
             if not cursors:
-                del self._node.trains[key]
+                del self._node.groups[key]
             sequences += cursors
-        return sorted(sequences, key=lambda token: token.order)
+        return sorted(sequences, key=lambda cursor: cursor.order)
 
 
 NO_ITEMS = NIL
@@ -325,80 +336,83 @@ class Run(PartialMatch):
 
     Attributes:
         last: largest end so far.
-        fixed: values, set by the first repetition, of variables that also occur elsewhere in the rule; or None.
+        fixed_values: values, set by the first repetition, of variables that also occur elsewhere in the rule; or
+            None.
         state: state of the accumulator of an aggregate.
         items: values that conditions further up test for each repetition.
-        taken: the repetitions, if events are tracked.
-        held: their `TrackedMatch`, for the results.
-        steps: values of the start and of the repetition, for each repetition.
-        sound: number of the repetitions that its results still rest on.
-        open: variables that its repetitions share and that none of them binds.
+        repetitions: the repetitions, if events are tracked.
+        tracked: their `TrackedMatch`, for the results.
+        step_values: values of the start and of the repetition, for each repetition.
+        valid_count: number of the repetitions that its results still rest on.
+        free_vars: variables that its repetitions share and that none of them binds.
     """
 
     __slots__ = (
         "last",
-        "fixed",
+        "fixed_values",
         "state",
         "items",
-        "taken",
-        "held",
-        "steps",
-        "sound",
+        "repetitions",
+        "tracked",
+        "step_values",
+        "valid_count",
         "first",
-        "open",
+        "free_vars",
         "_next",
     )
 
-    def __init__(self, first: PartialMatch, state: object, free: int):
+    def __init__(self, first: PartialMatch, state: object, free_var_count: int):
         super().__init__(first.values, first.start, first.end, first.event, None, (first,))
         self.first = first
-        self.open = tuple([Var() for _ in range(free)])
+        self.free_vars = tuple([Var() for _ in range(free_var_count)])
         self._next: Optional[Tuple[int, Optional[Values], Term, Values, object]] = None
-        self.fixed: Optional[Values] = None
+        self.fixed_values: Optional[Values] = None
         self.items: Term = NO_ITEMS
         self.restart(state)
 
     @property
-    def latest(self) -> int:
-        """The largest end so far; see `PartialMatch.latest`."""
+    def latest_end(self) -> int:
+        """The largest end so far; see `PartialMatch.latest_end`."""
         return self.last
 
     @property
-    def filed_by(self) -> Values:
-        """The values of the key; see `PartialMatch.filed_by`."""
+    def key_values(self) -> Values:
+        """The values of the key; see `PartialMatch.key_values`."""
         return self.first.values
 
-    def begin_again(self) -> None:
+    def after_restore(self) -> None:
         """Accept attributes that were restored."""
         self._next = None
 
-    def become(self, last: int, fixed: Optional[Values], items: Term, values: Values, state: object) -> None:
+    def commit(
+        self, last: int, fixed_values: Optional[Values], items: Term, values: Values, state: object
+    ) -> None:
         """Extend the run, completely or not at all, even if an interrupt occurs."""
         # A write-ahead record: an interrupt between the assignments below leaves `_next` set, and `repair` repeats
         # them.
-        self._next = last, fixed, items, values, state
-        self.last, self.fixed, self.items, self.values, self.state = self._next
+        self._next = last, fixed_values, items, values, state
+        self.last, self.fixed_values, self.items, self.values, self.state = self._next
         self._next = None
 
     def repair(self) -> None:
         """Complete an extension that was interrupted."""
         if self._next is not None:
-            self.become(*self._next)
+            self.commit(*self._next)
         # An interrupt during unification may leave these variables bound.
-        for var in self.open:
+        for var in self.free_vars:
             var.ref = None
 
     def restart(self, state: object) -> None:
         """Reset the run to no repetitions, with the initial state of an accumulator."""
         self.values = self.first.values
         self.last = self.first.end
-        self.fixed = None
+        self.fixed_values = None
         self.state = state
         self.items = NO_ITEMS
-        self.taken: List[PartialMatch] = []
-        self.held = NOTHING_HELD
-        self.steps: List[Tuple[Values, Values]] = []
-        self.sound = 0
+        self.repetitions: List[PartialMatch] = []
+        self.tracked = NO_REPETITIONS
+        self.step_values: List[Tuple[Values, Values]] = []
+        self.valid_count = 0
 
 
 def identity_by_start(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:

@@ -140,9 +140,9 @@ class NegatedPattern:
         built = self._build()
         # All nodes that the call has added belong to the negated pattern.
         for node, _, _ in self._nodes[before:]:
-            node.forbids = True
+            node.is_negated = True
             for buffer in node.buffers():
-                buffer.forbids = True
+                buffer.is_negated = True
         return built
 
     def make(self) -> BuiltPattern:
@@ -357,7 +357,7 @@ def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], 
         high: Any = values[interval_positions[1]]
         if low.__class__ is Var:
             return values
-        if absence.blocks(values, low, low if ever else high):
+        if absence.forbids_pair(values, low, low if ever else high):
             return None
         return values
 

@@ -32,7 +32,12 @@ from ..fused.fused_single_event import Continuation, firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition
 from ..language.rule_head_parser import resolve_alarm
 from ..matches.consumption_policy import Emit
-from ..matches.expiration import VISITED_SLICE, ExpirationQueue, StartExpirationQueue, remove_stale_entries
+from ..matches.expiration import (
+    VISITED_SLICE_ENTRIES,
+    ExpirationQueue,
+    StartExpirationQueue,
+    remove_stale_entries,
+)
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
@@ -72,8 +77,9 @@ class RuleState(NamedTuple):
         nodes: class and state of each node.
         arrivals: stored matches in order of arrival, the positions of their buffers (-1: in a run group), and their
             orders.
-        later: matches that are stored when the next event is served: position of the buffer, and the match.
-        later_event: the event after which that happens.
+        deferred_matches: matches that are stored when the next event is served: position of the buffer, and the
+            match.
+        deferring_event: the event after which that happens.
         skipped: state of the after-match skip strategy; None if nothing is skipped.
     """
 
@@ -81,8 +87,8 @@ class RuleState(NamedTuple):
     times: Tuple[Any, ...]
     nodes: List[Any]
     arrivals: Tuple[List[PartialMatch], List[int], List[int]]
-    later: List[Tuple[int, PartialMatch]]
-    later_event: object
+    deferred_matches: List[Tuple[int, PartialMatch]]
+    deferring_event: object
     skipped: Any
 
 
@@ -110,7 +116,8 @@ class EventRule:
         window: longest interval that its label allows, in ns; None for no bound.
         idle: time in ns after which the state of a key without new events is dropped; None for no bound.
         listeners: the listeners of its event nodes.
-        sound: whether its nodes are connected for the current options; false after an interrupt during `configure`.
+        is_connected: whether its nodes are connected for the current options; false after an interrupt during
+            `configure`.
         waiting: number of stored partial matches.
         arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
             binds it.
@@ -122,7 +129,7 @@ class EventRule:
         allowed: largest time stamp that is known to be allowed to advance its clock.
         completion: receives the values of complete matches, if nothing is tracked.
         expiries: stored matches by expiration.
-        sweep_at: number of stored matches above which `look_through` continues to remove matches that are ruled out.
+        sweep_at: number of stored matches above which `remove_excess` continues to remove matches that are ruled out.
     """
 
     def __init__(self, network: "RuleBase", definition: RuleDefinition, serial: int, name: str):
@@ -138,7 +145,7 @@ class EventRule:
         self.skipping: Optional[AfterMatchSkip] = None
         self.window: Optional[int] = None
         self.idle: Optional[int] = None
-        self.sound = False
+        self.is_connected = False
         self.waiting = 0
         self.dropped = 0
         self.firings = RuleMetrics()
@@ -146,7 +153,7 @@ class EventRule:
         self.alarms_past = 0
         self.late = 0
         self.timed = False
-        self._watched = False
+        self._tracks_stored = False
         self.clock: int = _BEFORE_ALL_INSTANTS
         self.allowed: int = _BEFORE_ALL_INSTANTS
         self.completion: Optional[Continuation] = None
@@ -157,14 +164,14 @@ class EventRule:
         self.sweep_at = _NO_SWEEP
         self._sweeping = False
         self._sweeps: List[RuledOutSweep] = []
-        self._to_visit = False
+        self._visits_remain = False
         self._span: Optional[int] = None
         self._collected_at: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
         self._by_end = ExpirationQueue()
         self.listeners: List[Listener] = []
-        self.later: List[Tuple[MatchBuffer, PartialMatch, Hashable]] = []
-        self._later_event: object = None
+        self.deferred_matches: List[Tuple[MatchBuffer, PartialMatch, Hashable]] = []
+        self._deferring_event: object = None
         self._unused = definition.unused
         head = definition.head
         compiler = RuleCompiler(self, [] if head is None else [head], definition.pattern)
@@ -189,8 +196,8 @@ class EventRule:
         check_policy(mode.policy)
         root: Any = self.root
         # If an interrupt prevents the rest, the rule is configured again before it is used.
-        self.sound = False
-        self.settle()
+        self.is_connected = False
+        self.store_deferred()
         self.mode = mode
         self.skipping = skipping = skip_state_for(self, mode)
         self.window = window
@@ -198,41 +205,44 @@ class EventRule:
         self.idle = None if garbage is None else garbage[0]
         # Operators on streams have clocks of their own.
         self.timed = garbage is not None and not root.alone
-        for node, span, limits in self.nodes:
-            limit = limits.late if mode.out_of_order else limits.in_order
+        for node, span, retentions in self.nodes:
+            limit = retentions.late if mode.out_of_order else retentions.in_order
             node.set_span(
                 smaller_bound(span, window) if node.windowed else span, smaller_bound(limit, window)
             )
-            self.timed = self.timed or any(buffer.span is not None for buffer in node.buffers())
-        spans = [buffer.span for buffer in self._buffers() if buffer.span is not None]
+            self.timed = self.timed or any(buffer.retention is not None for buffer in node.buffers())
+        spans = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
         self._span = max(spans, key=spans.count) if spans else None
-        self._watched = self.timed or mode.tracked or skipping is not None
+        self._tracks_stored = self.timed or mode.tracked or skipping is not None
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [
-            sweep for node, _, _ in self.nodes for sweep in node.sweeps(mode) if sweep.waiting.span is None
+            sweep
+            for node, _, _ in self.nodes
+            for sweep in node.sweeps(mode)
+            if sweep.first_buffer.retention is None
         ]
         self._sweeps = [] if skipping is not None else sweeps
         if mode.tracked:
             self._expand_matches()
         self._end_sweep()
-        self._refile_matches()
+        self._enqueue_all_expirations()
         # Each node listens again in `bind`, in the order that its new options require.
         self.unlisten()
         self.completion = completion = self._continuation_of_head()
         complete = completion.action
 
-        def take(match: PartialMatch, after: Frame) -> Frame:
+        def complete_match(match: PartialMatch, after: Frame) -> Frame:
             return complete(match.term, match.values, match.start, match.end, after)
 
-        whole: Emit = self._complete_tracked if mode.tracked else take
+        complete_root: Emit = self._complete_tracked if mode.tracked else complete_match
         if skipping is not None:
-            skipping.connect(root, whole, mode)
+            skipping.connect(root, complete_root, mode)
         elif root.alone and not self.timed and not mode.tracked:
             # Match objects would take 12 % more time, and goals are fused only here.
             root.bind_alone(completion)
         else:
-            root.bind(whole, mode)
-        self.sound = True
+            root.bind(complete_root, mode)
+        self.is_connected = True
 
     def _expand_matches(self) -> None:
         """Replace stored matches that cannot hold all attributes, which tracking sets."""
@@ -253,7 +263,7 @@ class EventRule:
 
     def state(self) -> RuleState:
         """Return the state, for `restore` of another rule with the same definition."""
-        places = {id(buffer): position for position, buffer in enumerate(self._buffers())}
+        buffer_positions = {id(buffer): position for position, buffer in enumerate(self._buffers())}
         stored = [match for match in self.arrivals if match.buffer is not None]
         firings = self.firings
         return RuleState(
@@ -265,11 +275,11 @@ class EventRule:
             [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
             (
                 stored,
-                [places.get(id(match.buffer), -1) for match in stored],
+                [buffer_positions.get(id(match.buffer), -1) for match in stored],
                 [int(match.order) for match in stored],
             ),
-            [(places[id(buffer)], match) for buffer, match, _ in self.later],
-            self._later_event,
+            [(buffer_positions[id(buffer)], match) for buffer, match, _ in self.deferred_matches],
+            self._deferring_event,
             None if self.skipping is None else self.skipping.snapshot(),
         )
 
@@ -302,11 +312,12 @@ class EventRule:
                 buffers[position].put_back(list(matches))
         self._reset_arrivals(stored)
         self.waiting = len(set(self.arrivals))
-        self.later = [
-            (buffers[position], match, buffers[position].key_of(match)) for position, match in state.later
+        self.deferred_matches = [
+            (buffers[position], match, buffers[position].key_of(match))
+            for position, match in state.deferred_matches
         ]
-        self._later_event = state.later_event
-        self._refile_matches()
+        self._deferring_event = state.deferring_event
+        self._enqueue_all_expirations()
 
     def repair(self) -> None:
         """Repair the stored matches after an interrupt."""
@@ -319,7 +330,7 @@ class EventRule:
             match.repair()
         self.waiting = len(waiting)
         self._reset_arrivals(waiting)
-        self._refile_matches()
+        self._enqueue_all_expirations()
         for node, _, _ in self.nodes:
             node.repair()
 
@@ -328,12 +339,12 @@ class EventRule:
         self.arrivals.extend(waiting)
         self._end_sweep()
 
-    def _refile_matches(self) -> None:
+    def _enqueue_all_expirations(self) -> None:
         """Enter all stored matches into the expiration queues by their current retention times."""
         self._clear_expirations()
         for match in self.arrivals:
             if match.buffer is not None:
-                self._file(match, match.buffer.span)
+                self._enqueue_expiration(match, match.buffer.retention)
         if self.skipping is not None:
             self.skipping.refile(self.arrivals)
 
@@ -414,7 +425,7 @@ class EventRule:
 
     def clear_matches(self) -> None:
         """Remove all partial matches, runs and negated matches."""
-        self.later = []
+        self.deferred_matches = []
         for node, _, _ in self.nodes:
             node.clear()
         for match in list(self.arrivals):
@@ -423,30 +434,30 @@ class EventRule:
         self._clear_expirations()
         self._end_sweep()
 
-    def add_later(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
+    def defer_storage(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
         """Store a match in a buffer when the next event is served; immediately if no event is being served."""
         if self.network.dispatcher.current is None:
             buffer.add(match, key)
             return
-        self._later_event = self.network.dispatcher.token()
-        self.later.append((buffer, match, key))
+        self._deferring_event = self.network.dispatcher.token()
+        self.deferred_matches.append((buffer, match, key))
 
-    def add_those_of_other_events(self, event: object) -> None:
+    def store_deferred_of_earlier_events(self, event: object) -> None:
         """Store the matches that were deferred until another event is served."""
-        if self._later_event != event:
-            self.settle()
+        if self._deferring_event != event:
+            self.store_deferred()
         if self.skipping is not None:
             self.skipping.begin(event)
 
-    def settle(self, only: Optional[MatchBuffer] = None) -> None:
+    def store_deferred(self, only: Optional[MatchBuffer] = None) -> None:
         """Store all deferred matches; with ``only``, those of one buffer."""
-        for entry in list(self.later):
+        for entry in list(self.deferred_matches):
             buffer, match, key = entry
             if only is None or buffer is only:
                 # Not None if an interrupt came between the next two lines.
                 if match.buffer is None:
                     buffer.add(match, key)
-                self.later.remove(entry)
+                self.deferred_matches.remove(entry)
 
     def tick(self, end: int) -> None:
         """Advance the rule's clock and remove the matches that have expired."""
@@ -460,9 +471,9 @@ class EventRule:
         self.clock = end
         self.expiries.expire(end)
         if self._garbage is not None:
-            self._collect(*self._garbage)
+            self._collect_garbage(*self._garbage)
 
-    def _collect(self, window: int, step: int) -> None:
+    def _collect_garbage(self, window: int, step: int) -> None:
         """Remove the matches that ended before the window of garbage control, at most once per step."""
         clock = self.clock
         if self._collected_at is None:
@@ -470,11 +481,11 @@ class EventRule:
         if clock - self._collected_at < step:
             return
         self._collected_at = clock
-        for match in self._by_end.take(clock - window):
-            if match.latest < clock - window:
+        for match in self._by_end.pop_expired(clock - window):
+            if match.latest_end < clock - window:
                 match.leave()
             else:  # a run that was extended since it was entered
-                self._by_end.add(match.latest, match, self.waiting)
+                self._by_end.add(match.latest_end, match, self.waiting)
 
     def keep(self, match: PartialMatch, span: Optional[int]) -> None:
         """Count a match that has been stored; if there are too many, drop the oldest."""
@@ -482,26 +493,26 @@ class EventRule:
         arrivals = self.arrivals
         arrivals.append(match)
         # Most rules need none of this: no expiration, no tracking, no skip strategy.
-        if self._watched:
-            self._watch(match, span)
+        if self._tracks_stored:
+            self._track_stored(match, span)
         number = self.waiting
         if number > self.sweep_at or number > self.network.cap or len(arrivals) > 2 * number + SPARE:
-            self.look_through()
+            self.remove_excess()
 
-    def look_through(self) -> None:
+    def remove_excess(self) -> None:
         """Drop the oldest match if there are too many; remove stale entries if they are the larger part."""
-        many = 2 * self.waiting + SPARE
-        if self.waiting > self.sweep_at or (self._sweeping and len(self.arrivals) > many):
+        max_entries = 2 * self.waiting + SPARE
+        if self.waiting > self.sweep_at or (self._sweeping and len(self.arrivals) > max_entries):
             self._sweep()
-        elif len(self.arrivals) > many:
+        elif len(self.arrivals) > max_entries:
             self._visited = remove_stale_entries(self.arrivals, self._visited) or 0
             # Fewer matches are stored than at the last pass, so the next one begins earlier.
             if self._sweeps:
                 self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
         if self.waiting > self.network.cap:
             self._drop_oldest()
-        if len(self.expiries) > many:
-            self.expiries.forget_gone(self.waiting)
+        if len(self.expiries) > max_entries:
+            self.expiries.remove_stale(self.waiting)
 
     def _sweep(self) -> None:
         """Remove some of the matches that are ruled out; see `RuledOutSweep`.
@@ -510,16 +521,18 @@ class EventRule:
         when twice as many matches are stored, so each match is visited a constant number of times on average.
         """
         if not self._sweeping:
-            self._sweeping = self._to_visit = True
+            self._sweeping = self._visits_remain = True
             self._visited = 0
             for sweep in self._sweeps:
                 sweep.begin(self.order)
         # First operands are visited completely before any negated match is removed; see `RuledOutSweep.begin`.
-        if self._to_visit:
-            following = remove_stale_entries(self.arrivals, self._visited, self._visit)
-            self._to_visit = following is not None
-            self._visited = following or 0
-        if not self._to_visit and all(sweep.drop_negated(VISITED_SLICE) for sweep in self._sweeps):
+        if self._visits_remain:
+            next_start = remove_stale_entries(self.arrivals, self._visited, self._visit)
+            self._visits_remain = next_start is not None
+            self._visited = next_start or 0
+        if not self._visits_remain and all(
+            sweep.drop_negated(VISITED_SLICE_ENTRIES) for sweep in self._sweeps
+        ):
             self._end_sweep()
         else:
             self.sweep_at = self.waiting + _MATCHES_PER_SWEEP_STEP
@@ -530,12 +543,12 @@ class EventRule:
 
     def _end_sweep(self) -> None:
         """End the current pass, if any, and set the number of matches at which the next one begins."""
-        self._sweeping = self._to_visit = False
+        self._sweeping = self._visits_remain = False
         for sweep in self._sweeps:
             sweep.begin(self.order)
         self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _NO_SWEEP
 
-    def _watch(self, match: PartialMatch, span: Optional[int]) -> None:
+    def _track_stored(self, match: PartialMatch, span: Optional[int]) -> None:
         """Enter a stored match into the expiration queues, and register it with the events that it contains."""
         # A match that arrives after its retention time cannot be part of a result.
         if span is not None and match.start + span < self.clock:
@@ -545,20 +558,20 @@ class EventRule:
         if network.mode.tracked:
             network.tracker.hold(match)
         if self.timed and match.buffer is not None:
-            self._file(match, span)
+            self._enqueue_expiration(match, span)
         if self.skipping is not None:
             self.skipping.note(match)
 
-    def _file(self, match: PartialMatch, span: Optional[int]) -> None:
+    def _enqueue_expiration(self, match: PartialMatch, span: Optional[int]) -> None:
         if span is not None:
             self.expiries.add(span, match, self.waiting)
         if self._garbage is not None:
-            self._by_end.add(match.latest, match, self.waiting)
+            self._by_end.add(match.latest_end, match, self.waiting)
 
     def _drop_oldest(self) -> None:
         """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
         arrivals, cap = self.arrivals, self.network.cap
-        max_visits = min(VISITED_SLICE, len(arrivals))
+        max_visits = min(VISITED_SLICE_ENTRIES, len(arrivals))
         for _ in range(max_visits):
             oldest = arrivals.popleft()
             # The slice of `remove_stale_entries` begins at this position, which moves with the first entry.
@@ -587,7 +600,7 @@ class EventRule:
             self._builder = compile_builder(self.definition.head, self.root.vars, "head of a rule")
         return self._builder(values)
 
-    def _complete_nothing(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _count_match(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         self.firings.number += 1
         self.firings.last = end
         return after
@@ -596,7 +609,7 @@ class EventRule:
         """Return the continuation for the values of a complete match."""
         head = self.definition.head
         if head is None:
-            return Continuation(self._complete_nothing)
+            return Continuation(self._count_match)
         key: Optional[Functor] = None
         if head.__class__ is Atom:
             key = head.functor
@@ -613,9 +626,9 @@ class EventRule:
             return after
 
         complete = firing_action(head, self.root.vars, self, gate, failed)
-        shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
-        instead = shortcut and shortcut(self, complete)
-        return Continuation(instead, True, gate) if instead else Continuation(complete, False, gate)
+        make_replacement = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
+        replacement = make_replacement and make_replacement(self, complete)
+        return Continuation(replacement, True, gate) if replacement else Continuation(complete, False, gate)
 
     def _complete_tracked(self, match: PartialMatch, after: Frame) -> Frame:
         window = self.window

@@ -39,13 +39,13 @@ class Buffer(Protocol):
     """A place where matches are stored.
 
     Attributes:
-        forbids: whether its matches belong to a negated pattern.
+        is_negated: whether its matches belong to a negated pattern.
     """
 
-    forbids: bool
+    is_negated: bool
 
     @property
-    def span(self) -> Optional[int]:
+    def retention(self) -> Optional[int]:
         """Retention time in ns; None for no bound."""
 
     def repair(self) -> List[PartialMatch]:

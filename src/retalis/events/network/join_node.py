@@ -36,7 +36,7 @@ from ..matches.consumption_policy import (
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer, RuledOutSweep
-from ..matches.partial_matches import Found, NetworkOptions, PartialMatch, is_retracted
+from ..matches.partial_matches import ComputedValues, NetworkOptions, PartialMatch, is_retracted
 from ..matches.revived_matches import RetainedMatches, join_in_order, join_revived_first
 from .goal_evaluation import Buffer, Test
 from .pattern_nodes import EventNode, Fuse, IdentityFunction, NetworkNode, computed_values_getter
@@ -145,10 +145,10 @@ class JoinNode(NetworkNode):
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
-        self.left_buffer.span = self.right_buffer.span = limit
+        self.left_buffer.retention = self.right_buffer.retention = limit
         late = self.rule.mode.out_of_order
         for absence in self.absences:
-            absence.buffer.span = retention_for_late(span, limit) if late else limit
+            absence.buffer.retention = retention_for_late(span, limit) if late else limit
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -175,16 +175,16 @@ class JoinNode(NetworkNode):
         operator = self.operator
         self.out = out
         self.joined = self._join(True)
-        self.left_buffer.reach = interval_bounds(operator.name, self.span, False)
-        self.right_buffer.reach = interval_bounds(operator.name, self.span, True)
-        self.left_buffer.least_end = None
+        self.left_buffer.partner_bounds = interval_bounds(operator.name, self.span, False)
+        self.right_buffer.partner_bounds = interval_bounds(operator.name, self.span, True)
+        self.left_buffer.min_end_for = None
         for absence in self.absences:
             # Without shared variables the bound is the same for all first operands, so the search can use it.
             if absence.uses_frontiers() and not absence.shared:
-                self.left_buffer.least_end = absence.least_end
+                self.left_buffer.min_end_for = absence.min_first_end
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
-        self.left_buffer.identify(None if operator.everything else left_name)
-        self.right_buffer.identify(None if self._keeps(mode) else right_name)
+        self.left_buffer.set_identity_function(None if operator.everything else left_name)
+        self.right_buffer.set_identity_function(None if self._keeps(mode) else right_name)
         left_action = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
         for negated, absence in zip(self.negated, self.absences):
             _bind(negated, absence.arrive, mode, self._fuse_absence(negated, absence, mode))
@@ -218,9 +218,9 @@ class JoinNode(NetworkNode):
         waits, stays = both or late or keeps, late or keeps
         right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
         if keeps:
-            right = right._replace(wait=self.kept_sides.add)
+            right = right._replace(store=self.kept_sides.add)
         if self.double and mode.policy.replacing and (both or late):
-            right = right._replace(wait=self._wait_later)
+            right = right._replace(store=self._wait_later)
         return right
 
     def _bind_sides(
@@ -258,7 +258,7 @@ class JoinNode(NetworkNode):
             return only_waits
         arrive = join_one_partner(left, policy.newest, True, out, once)
         # The event of a right operand is stored when it has been tried as a left operand too; see `_wait_later`.
-        if right.wait and both:
+        if right.store and both:
             return self._after_waiting(arrive), None
         return arrive, self._fuse(left, True, out, mode)
 
@@ -281,7 +281,7 @@ class JoinNode(NetworkNode):
             self.operator,
             self.span,
             list(zip(self.vars, self.taken)),
-            [absence.blocks for absence in self.absences],
+            [absence.forbids_pair for absence in self.absences],
             self.tests,
             self.vars[len(self.taken) :],
             computed_values_getter(self.vars, len(self.taken), self.keep),
@@ -312,10 +312,10 @@ class JoinNode(NetworkNode):
         with.
         """
         if match.event is None and self.operator.either:
-            self.rule.settle(self.right_buffer)
+            self.rule.store_deferred(self.right_buffer)
             self.right_buffer.add(match, key)
         else:
-            self.rule.add_later(self.right_buffer, match, key)
+            self.rule.defer_storage(self.right_buffer, match, key)
 
     def _after_waiting(self, arrive: Emit) -> Emit:
         """Return an action that first stores the right operands of the current event.
@@ -326,8 +326,8 @@ class JoinNode(NetworkNode):
         buffer = self.right_buffer
 
         def arrive_after_waiting(match: PartialMatch, after: Frame) -> Frame:
-            if match.event is None and rule.later:
-                rule.settle(buffer)
+            if match.event is None and rule.deferred_matches:
+                rule.store_deferred(buffer)
             return arrive(match, after)
 
         return arrive_after_waiting
@@ -352,7 +352,7 @@ class JoinNode(NetworkNode):
         lines += ["    lv = l.values", "    rv = r.values"]
         lines.append(f"    values = ({', '.join(self.taken)}{',' if len(self.taken) == 1 else ''})")
         for number, absence in enumerate(self.absences):
-            names[f"absence{number}"] = absence.blocks
+            names[f"absence{number}"] = absence.forbids_pair
             lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
         for number, test in enumerate(self.tests):
             names[f"test{number}"] = test
@@ -362,8 +362,11 @@ class JoinNode(NetworkNode):
                 "        return None",
             ]
         known = len(self.taken)
-        names["Found"], names["own"] = Found, computed_values_getter(self.vars, known, self.keep)
-        parts = "(l, r, Found(own(values)))" if len(self.vars) > known else "(l, r)"
+        names["ComputedValues"], names["own"] = (
+            ComputedValues,
+            computed_values_getter(self.vars, known, self.keep),
+        )
+        parts = "(l, r, ComputedValues(own(values)))" if len(self.vars) > known else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", names, f"join by {operator.name}"
@@ -391,7 +394,7 @@ class JoinNode(NetworkNode):
         left, right = pair
         mode = self.rule.mode
         # Meanwhile the operands may have been consumed by other pairs, or retracted themselves.
-        if left.buffer is None or right.used is not None:
+        if left.buffer is None or right.consumed_by is not None:
             return after
         if right.buffer is None and self._right_waits(mode):
             return after
@@ -402,7 +405,7 @@ class JoinNode(NetworkNode):
             return after
         if mode.policy.consuming or self.operator.everything:
             left.leave()
-            right.used = left
+            right.consumed_by = left
             if self.operator.either:
                 right.leave()
         return self.out(result, after)

@@ -43,11 +43,11 @@ from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
 from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import (
-    Found,
+    ComputedValues,
     NetworkOptions,
     PartialMatch,
     TrackedMatch,
-    arrival,
+    arrival_number_of,
     is_retracted,
     unify_sides,
     unify_values,
@@ -198,16 +198,16 @@ class KleeneValues(NetworkNode):
                 result_values = test(result_values, start, end)
             if result_values is None:
                 return None
-        own = Found(self._found(result_values))
-        event = run.event if run.fixed is None else None
+        own = ComputedValues(self._found(result_values))
+        event = run.event if run.fixed_values is None else None
         # The `TrackedMatch` is needed even if it is empty: with one part, the match would look like a condition
         # around its start.
-        return PartialMatch(result_values, start, end, event, None, (run.first, run.held, own))
+        return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, own))
 
     def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
-        for var, position in zip(run.open, self._open_at):
+        for var, position in zip(run.free_vars, self._open_at):
             unify(var, values[position], trail)
         bound = tuple([resolve(element) for element in values]), resolve(value)
         undo(trail, 0)
@@ -280,8 +280,8 @@ class KleeneNode(KleeneValues):
     def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
-        self.buffer.span = limit
-        self.incoming.span = limit
+        self.buffer.retention = limit
+        self.incoming.retention = limit
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -302,12 +302,14 @@ class KleeneNode(KleeneValues):
         self.waits_later = self.late and self.double and policy.replacing
         revised = mode.revised and not self.late
         self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
-        self.buffer.reach = interval_bounds(SEQ, self.span, False)
-        self.incoming.reach = interval_bounds(SEQ, self.span, True)
-        self.buffer.identify(
+        self.buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
+        self.incoming.partner_bounds = interval_bounds(SEQ, self.span, True)
+        self.buffer.set_identity_function(
             (identity_by_start if policy.replacing else identity_by_start_interval)(self._first_name)
         )
-        self.incoming.identify(self._repeated_name if policy.replacing and not self.keeps else None)
+        self.incoming.set_identity_function(
+            self._repeated_name if policy.replacing and not self.keeps else None
+        )
         self._found = computed_values_getter(self.vars, self._same_at, self._keep)
         self.out = out
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
@@ -328,14 +330,14 @@ class KleeneNode(KleeneValues):
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             run = Run(match, self.empty, len(self.open_vars))
             key = buffer.key_of(run)
-            older = buffer.namesake(run, key)
+            older = buffer.find_identical(run, key)
             # The same occurrence may arrive twice, for example by two branches of an `or`; it must not reset its
             # run.
             if older is not None and older.start == run.start and older.end == run.end:
                 return after
             buffer.add(run, key)
             result = self._result_without(run) if fires else None
-            if self.late or (self.keeps and is_revived(self.rule.network.tracker, arrival(run))):
+            if self.late or (self.keeps and is_revived(self.rule.network.tracker, arrival_number_of(run))):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
                 return emit_each(iter(results), out, after)
@@ -349,13 +351,15 @@ class KleeneNode(KleeneValues):
         A revived start takes the repetitions that arrived after it and are still available.
         """
         results = []
-        arrival_number = arrival(run) if self.keeps else 0
-        for match in metered(self.incoming.partners_now(key, run.start, run.end), self.rule.meter):
-            if self.keeps and (arrival(match) <= arrival_number or (self.consuming and is_valid(match.used))):
+        arrival_number = arrival_number_of(run) if self.keeps else 0
+        for match in metered(self.incoming.partner_list(key, run.start, run.end), self.rule.meter):
+            if self.keeps and (
+                arrival_number_of(match) <= arrival_number or (self.consuming and is_valid(match.consumed_by))
+            ):
                 continue
             extended, result = self.extending(run, match, has_equal_key(key, match))
             if extended:
-                match.used = run
+                match.consumed_by = run
                 if self.consuming and self.late:
                     match.leave()
             if result is not None:
@@ -367,7 +371,7 @@ class KleeneNode(KleeneValues):
         # An event that may also be a start is stored after it was tried as such; else it would replace an older
         # repetition that the start needs.
         if self.waits_later:
-            self.rule.add_later(self.incoming, match, key)
+            self.rule.defer_storage(self.incoming, match, key)
         elif self.late:
             self.incoming.add(match, key)
         elif self.keeps:
@@ -386,7 +390,7 @@ class KleeneNode(KleeneValues):
             for run in metered(runs, meter):
                 extended, result = extend(run, match, has_equal_key(key, run))
                 if extended:
-                    match.used = run
+                    match.consumed_by = run
                     break
             if waits:
                 self._wait(match, key)
@@ -400,7 +404,7 @@ class KleeneNode(KleeneValues):
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             key = self.incoming.key_of(match)
-            runs: Iterable[PartialMatch] = self.buffer.partners_now(key, match.start, match.end)
+            runs: Iterable[PartialMatch] = self.buffer.partner_list(key, match.start, match.end)
             if ordered:
                 runs = earlier_partners(match, runs, self.rule.network.tracker)
             # The repetition is stored before results are emitted: a start that follows from a result must find it.
@@ -441,7 +445,7 @@ class KleeneNode(KleeneValues):
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
-        step: Any = values + tuple([match.values[position] for position in self._step_at]) + run.open
+        step: Any = values + tuple([match.values[position] for position in self._step_at]) + run.free_vars
         for test in self.step_tests:
             step = test(step, match.start, match.end)
             if step is None:
@@ -472,8 +476,8 @@ class KleeneNode(KleeneValues):
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Add a repetition to a run if the values together satisfy the tests; return as `extend`."""
         fixed: Any = tuple([step[position] for position in self.fixed_at])
-        if run.fixed is not None:
-            fixed = unify_values(run.fixed, fixed)
+        if run.fixed_values is not None:
+            fixed = unify_values(run.fixed_values, fixed)
             if fixed is None:
                 return False, None
         items: Term = NO_ITEMS
@@ -489,13 +493,13 @@ class KleeneNode(KleeneValues):
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None
-        # All tests have passed. From here on the run must not stay half extended, see `Run.become`.
-        run.become(last, fixed, items, values, state)
+        # All tests have passed. From here on the run must not stay half extended, see `Run.commit`.
+        run.commit(last, fixed, items, values, state)
         if self.tracked:
-            run.taken.append(match)
-            run.held = TrackedMatch(match, run.held)
-            run.steps.append((values, step))
-            run.sound += 1
+            run.repetitions.append(match)
+            run.tracked = TrackedMatch(match, run.tracked)
+            run.step_values.append((values, step))
+            run.valid_count += 1
         return True, self.result_of(run, fitted)
 
     def forget(self, run: Run, match: PartialMatch) -> bool:
@@ -509,11 +513,11 @@ class KleeneNode(KleeneValues):
         """
         if is_retracted(run.first):
             return []
-        repetitions = [pair for pair in zip(run.taken, run.steps) if is_valid(pair[0])]
-        if len(repetitions) == len(run.taken):
+        repetitions = [pair for pair in zip(run.repetitions, run.step_values) if is_valid(pair[0])]
+        if len(repetitions) == len(run.repetitions):
             return []
         # Results before the first retracted repetition remain valid and are not emitted again.
-        sound = next(index for index, match in enumerate(run.taken) if not is_valid(match))
+        sound = next(index for index, match in enumerate(run.repetitions) if not is_valid(match))
         # Accumulators cannot remove a value, so the run is computed from the start.
         run.restart(self.empty)
         results = []
@@ -534,13 +538,13 @@ class KleeneNode(KleeneValues):
             result = retried
         else:
             run, match = retried
-            if run.buffer is None or (self.consuming and match.used is not None):
+            if run.buffer is None or (self.consuming and match.consumed_by is not None):
                 return after
             extended, result = self.extending(run, match, False)
             if extended:
-                match.used = run
+                match.consumed_by = run
         if result is None or is_retracted(result):
             return after
         # The result arrives after its events; a match that has fired meanwhile may have skipped it.
-        skipping = None if self.forbids else self.rule.skipping
+        skipping = None if self.is_negated else self.rule.skipping
         return self.out(result, after) if skipping is None or skipping.takes(result.start) else after

@@ -39,7 +39,13 @@ from ..fused.fused_single_event import Continuation
 from ..language.pattern_tree import Aggregate, Either, Pattern, Star, Windowed, children, own_terms
 from ..matches.consumption_policy import Emit
 from ..matches.negation import NegationBuffer, RuledOutSweep
-from ..matches.partial_matches import Found, Named, NetworkOptions, PartialMatch, identity
+from ..matches.partial_matches import (
+    ComputedValues,
+    IdentityWithValues,
+    NetworkOptions,
+    PartialMatch,
+    identity,
+)
 from .goal_evaluation import Buffer, RuleGoal, Test
 
 if TYPE_CHECKING:
@@ -95,7 +101,7 @@ def identity_by_values(positions: List[int]) -> IdentityFunction:
     """Return an identity function by events and by the values at some positions."""
     if not positions:
         return identity
-    return lambda match: Named(
+    return lambda match: IdentityWithValues(
         identity(match), tuple([term_key(match.values[position]) for position in positions])
     )
 
@@ -103,7 +109,7 @@ def identity_by_values(positions: List[int]) -> IdentityFunction:
 def computed_values_getter(
     names: Sequence[Var], known: int, carried: AbstractSet[Var]
 ) -> Callable[[Values], Values]:
-    """Return a function for the values that a node has computed itself and does not pass on; see `Found`.
+    """Return a function for the values that a node has computed itself and does not pass on; see `ComputedValues`.
 
     Args:
         names: variables of its values.
@@ -137,7 +143,7 @@ class NetworkNode:
     """True if the pattern is one event with conditions and goals, so that values are passed instead of matches."""
     whole = False
     """True if the values of its matches are the arguments of an event."""
-    forbids = False
+    is_negated = False
     """True if it belongs to a negated pattern; its matches are not skipped after a match."""
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
@@ -221,15 +227,15 @@ class EventNode(NetworkNode):
         def arrive_known(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = token()
             # Matches of the previous event are stored before this event looks for partners.
-            if rule.later:
-                rule.add_those_of_other_events(event)
+            if rule.deferred_matches:
+                rule.store_deferred_of_earlier_events(event)
             if rule.timed:
                 rule.tick(end)
             return out(PartialMatch(values, start, end, event, term, None), after)
 
         def arrive_unskipped(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = token()
-            rule.add_those_of_other_events(event)
+            rule.store_deferred_of_earlier_events(event)
             if rule.timed:
                 rule.tick(end)
             return out(PartialMatch(values, start, end, event, term, None), after) if takes(start) else after
@@ -242,7 +248,7 @@ class EventNode(NetworkNode):
             else:
                 rule.listen(self, fuse(plain), fused=True)
         else:
-            takes = (lambda start: True) if self.forbids else rule.skipping.takes
+            takes = (lambda start: True) if self.is_negated else rule.skipping.takes
             rule.listen(self, arrive_unskipped)
 
     def bind_alone(self, completion: Continuation) -> None:
@@ -287,7 +293,9 @@ class FilterNode(NetworkNode):
             # A new match is needed only if a condition has bound variables; those bindings are part of its
             # identity.
             if values is not match.values:
-                match = PartialMatch(values, start, end, match.event, None, (match, Found(own(values))))
+                match = PartialMatch(
+                    values, start, end, match.event, None, (match, ComputedValues(own(values)))
+                )
             return out(match, after)
 
         self.child.bind(arrive, mode)
@@ -394,7 +402,8 @@ class ActionNode(NetworkNode):
 
             def solved(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
                 return out(
-                    PartialMatch(values, start, end, match.event, None, (match, Found(own(values)))), then
+                    PartialMatch(values, start, end, match.event, None, (match, ComputedValues(own(values)))),
+                    then,
                 )
 
             # Events that the goal makes are derived from this match, so that they are retracted together with it.
@@ -450,7 +459,7 @@ class NotNode(NetworkNode):
         tracked = mode.tracked
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
-            if absence.blocks(match.values, match.start, match.start):
+            if absence.forbids_pair(match.values, match.start, match.start):
                 if tracked:
                     tracker.suppressed(self, match)
                 return after
@@ -511,6 +520,6 @@ class EarlyTestNode(NetworkNode):
 def _unskipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
     """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile."""
     skipping = node.rule.skipping
-    if skipping is None or node.forbids:
+    if skipping is None or node.is_negated:
         return emit
     return lambda match, after: emit(match, after) if skipping.takes(match.start) else after

@@ -42,7 +42,7 @@ from ..matches.shared_run_buffer import (
     RunGroup,
     RunGroupBuffer,
     SharedLog,
-    set_chain_parts,
+    set_join_parts,
     set_slice_parts,
     slices_of,
 )
@@ -86,7 +86,7 @@ class RepeatNode(NetworkNode):
 
     Attributes:
         limit: retention time of stored matches in ns; None for no bound.
-        trains: run groups, by their values.
+        groups: run groups, by their values.
         visits: number of sequences, or repetition counts, that were visited one by one; for tests of the complexity.
     """
 
@@ -110,7 +110,7 @@ class RepeatNode(NetworkNode):
         self._separate: Dict[Hashable, Dict[int, None]] = {}
         self._join_nodes: List[JoinNode] = []
         self._relays: List[_Relay] = []
-        self.trains: Dict[Hashable, RunGroup] = {}
+        self.groups: Dict[Hashable, RunGroup] = {}
         self._group_buffer = RunGroupBuffer(self)
         self.span: Optional[int] = None
         self.limit: Optional[int] = None
@@ -128,7 +128,7 @@ class RepeatNode(NetworkNode):
         self.span = span
         self.limit = limit
         for buffer in self._buffers.values():
-            buffer.span = limit
+            buffer.retention = limit
         for joining in self._join_nodes:
             joining.set_span(span, limit)
 
@@ -151,33 +151,37 @@ class RepeatNode(NetworkNode):
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
-        apart = [(key, list(numbers)) for key, numbers in self._separate.items()]
-        return self._is_grouped, list(self._buffers), list(self.trains.values()), apart
+        separate = [(key, list(numbers)) for key, numbers in self._separate.items()]
+        return self._is_grouped, list(self._buffers), list(self.groups.values()), separate
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        together, numbers, trains, apart = saved
-        if self._is_grouped and not together:
+        was_grouped, numbers, groups, separate = saved
+        if self._is_grouped and not was_grouped:
             self._switch_to_joins()
         for number in numbers:
             self._buffer(number)
-        self.trains = {train.key: train for train in trains}
-        self._separate = {key: dict.fromkeys(lengths) for key, lengths in apart}
+        self.groups = {group.key: group for group in groups}
+        self._separate = {key: dict.fromkeys(lengths) for key, lengths in separate}
 
     def buffer_lengths(self, saved: Any) -> List[int]:
         """Return for each buffer that the node has after it has restored a state how many repetitions a match has.
 
         Zero for the buffer of the run groups, whose sequences have any length.
         """
-        together, numbers, _, _ = saved
-        if self._is_grouped and together:
+        was_grouped, numbers, _, _ = saved
+        if self._is_grouped and was_grouped:
             return [0, *dict.fromkeys([*self._buffers, *numbers])]
         known = dict.fromkeys([*self._buffers, *range(1, self.times), *numbers])
         return [0, *known, *[1] * (self.times - 1)]
 
-    def values_of(self, token: RunCursor) -> Values:
+    def values_of(self, cursor: RunCursor) -> Values:
         """Return the values of a sequence."""
-        return token.values if token.apart > 1 else tuple([token.values[position] for position in self._kept])
+        return (
+            cursor.values
+            if cursor.prefix_length > 1
+            else tuple([cursor.values[position] for position in self._kept])
+        )
 
     def _arrive(self, match: PartialMatch, after: Frame) -> Frame:
         if self._is_grouped:
@@ -189,93 +193,95 @@ class RepeatNode(NetworkNode):
                 result = self._take(match, key)
                 return after if result is None else self._out(result, after)
         return emit_each(
-            metered(self._served(), self.rule.meter), lambda relay, then: relay.take(match, then), after
+            metered(self._receiving_relays(), self.rule.meter),
+            lambda relay, then: relay.take(match, then),
+            after,
         )
 
     # ---- run groups ----------------------------------------------------------------------------------
 
     def _take(self, match: PartialMatch, key: Hashable) -> Optional[PartialMatch]:
         """Extend the open sequences with a repetition; return the match that it completes, or None."""
-        train = self.trains.get(key)
-        apart = self._separate.get(key)
-        if train is None:
-            train = RunGroup(self, key)
+        group = self.groups.get(key)
+        separate = self._separate.get(key)
+        if group is None:
+            group = RunGroup(self, key)
         # A repetition must follow the last one of the group. If it does not, only sequences stored separately can
         # take it.
-        if match.start <= train.end:
-            return self._extend_separate(train, match, apart)
-        train.renew(self.times)
-        if apart:
-            self._regroup(train, match, apart)
+        if match.start <= group.end:
+            return self._extend_separate(group, match, separate)
+        group.renew_log(self.times)
+        if separate:
+            self._regroup(group, match, separate)
         # Sequences that are too old expire by the rule's clock. A time stamp in the far future does not move the
         # clock, so sequences that cannot take it must stay available for later repetitions.
         if self.span is not None and match.end > self.rule.clock:
-            self._ungroup_too_long(train, match)
-        longest = train.advance(match, self.times)
-        self.trains[key] = train
+            self._ungroup_too_long(group, match)
+        longest = group.advance(match, self.times)
+        self.groups[key] = group
         self.visits += 1
         result = None
         # The result is made before its cursor leaves the group, which may drop the log.
         if longest is not None:
-            result = train.match_of(longest, self.times)
+            result = group.match_of(longest, self.times)
             longest.leave()
-        token: Any = train.tokens[0]
-        self.rule.keep(token, self.limit)
+        cursor: Any = group.cursors[0]
+        self.rule.keep(cursor, self.limit)
         if self._mode.tracked:
-            self._note(train, match)
-        if apart and self._mode.policy.replacing:
-            self._replace(train, apart)
+            self._register_dependency(group, match)
+        if separate and self._mode.policy.replacing:
+            self._replace(group, separate)
         return result
 
-    def _regroup(self, train: RunGroup, match: PartialMatch, apart: Dict[int, None]) -> None:
+    def _regroup(self, group: RunGroup, match: PartialMatch, separate: Dict[int, None]) -> None:
         """Add separately stored sequences to a group, in place of those with the same length.
 
         The policy decides which of two sequences with the same length stays in the group.
         """
         newest = self._mode.policy.newest
-        for number in list(apart):
+        for number in list(separate):
             self.visits += 1
-            token = train.at(number)
-            if token is not None and newest and self._fits(token, match):
+            cursor = group.cursor_with(number)
+            if cursor is not None and newest and self._fits(cursor, match):
                 # It is newer than the separately stored sequences.
                 continue
-            sequence = self._first_fit(number, train.key, match, apart)
+            sequence = self._first_fit(number, group.key, match, separate)
             if sequence is None:
                 continue
-            if token is not None:
-                self._ungroup(train, token, number)
+            if cursor is not None:
+                self._ungroup(group, cursor, number)
             sequence.leave()
-            sequence = RunCursor(sequence, number, train)
-            train.put(number, sequence)
+            sequence = RunCursor(sequence, number, group)
+            group.add(number, sequence)
             self.rule.keep(sequence, self.limit)
 
-    def _ungroup_too_long(self, train: RunGroup, match: PartialMatch) -> None:
+    def _ungroup_too_long(self, group: RunGroup, match: PartialMatch) -> None:
         """Store the sequences separately that would be too long with a match that does not move the rule's clock."""
-        for number, token in list(train.present()):
+        for number, cursor in list(group.numbered_cursors()):
             self.visits += 1
-            if not self._fits(token, match):
-                self._ungroup(train, token, number)
+            if not self._fits(cursor, match):
+                self._ungroup(group, cursor, number)
 
-    def _replace(self, train: RunGroup, apart: Dict[int, None]) -> None:
+    def _replace(self, group: RunGroup, separate: Dict[int, None]) -> None:
         """Remove the separately stored sequences that consist of the same events as the ones in the group."""
-        for number in apart:
-            token, buffer = train.at(number), self._buffers[number]
-            if token is not None and train.key in buffer.newest:
-                older = buffer.namesake(train.match_of(token, number), train.key)
+        for number in separate:
+            cursor, buffer = group.cursor_with(number), self._buffers[number]
+            if cursor is not None and group.key in buffer.newest:
+                older = buffer.find_identical(group.match_of(cursor, number), group.key)
                 if older is not None:
                     older.leave()
 
     def _extend_separate(
-        self, train: RunGroup, match: PartialMatch, apart: Optional[Dict[int, None]]
+        self, group: RunGroup, match: PartialMatch, separate: Optional[Dict[int, None]]
     ) -> Optional[PartialMatch]:
         """Extend the separately stored sequences with a repetition that overlaps the last one of the group."""
         result = None
-        apart = apart or {}
+        separate = separate or {}
         # Longest first: a sequence that is extended becomes one of the next length, and must not take the same
         # repetition again.
-        for number in sorted(apart, reverse=True):
+        for number in sorted(separate, reverse=True):
             self.visits += 1
-            sequence = self._first_fit(number, train.key, match, apart)
+            sequence = self._first_fit(number, group.key, match, separate)
             if sequence is None:
                 continue
             sequence.leave()
@@ -284,22 +290,22 @@ class RepeatNode(NetworkNode):
                 if number > 1
                 else tuple([sequence.values[position] for position in self._kept])
             )
-            chain = BufferSlice((*slices_of(sequence, number), (SharedLog([match]), 0, 1)))
-            longer = PartialMatch(values, sequence.start, match.end, None, None, (chain,))
+            slices = BufferSlice((*slices_of(sequence, number), (SharedLog([match]), 0, 1)))
+            longer = PartialMatch(values, sequence.start, match.end, None, None, (slices,))
             if number + 1 == self.times:
                 result = longer
             else:
-                self._store_new_sequence(train, longer, number + 1)
-        self._store_new_sequence(train, match, 1)
+                self._store_new_sequence(group, longer, number + 1)
+        self._store_new_sequence(group, match, 1)
         return result
 
     def _first_fit(
-        self, number: int, key: Hashable, match: PartialMatch, apart: Dict[int, None]
+        self, number: int, key: Hashable, match: PartialMatch, separate: Dict[int, None]
     ) -> Optional[PartialMatch]:
         """Return the separately stored sequence of a length that takes a repetition, or None."""
         buffer = self._buffers[number]
         if key not in buffer.newest:
-            del apart[number]
+            del separate[number]
             return None
         partners = buffer.partners(key, match.start, match.end, self._mode.policy.newest)
         for candidate in metered(partners, self.rule.meter):
@@ -310,22 +316,22 @@ class RepeatNode(NetworkNode):
     def _fits(self, sequence: PartialMatch, match: PartialMatch) -> bool:
         return self.span is None or match.end - sequence.start <= self.span
 
-    def _store_new_sequence(self, train: RunGroup, match: PartialMatch, number: int) -> None:
+    def _store_new_sequence(self, group: RunGroup, match: PartialMatch, number: int) -> None:
         """Store a new sequence separately; it is newer than the one with the same length in the group."""
-        token = train.at(number)
-        if token is not None:
-            if self._mode.policy.replacing and identity(train.match_of(token, number)) == identity(match):
-                token.leave()
+        cursor = group.cursor_with(number)
+        if cursor is not None:
+            if self._mode.policy.replacing and identity(group.match_of(cursor, number)) == identity(match):
+                cursor.leave()
             else:
-                self._ungroup(train, token, number)
-        self._store_separately(match, number, train.key)
+                self._ungroup(group, cursor, number)
+        self._store_separately(match, number, group.key)
 
-    def _ungroup(self, train: RunGroup, token: RunCursor, number: int) -> None:
+    def _ungroup(self, group: RunGroup, cursor: RunCursor, number: int) -> None:
         """Remove a sequence from a group and store it separately, with the age that it had in the group."""
-        match = train.match_of(token, number)
-        token.leave()
+        match = group.match_of(cursor, number)
+        cursor.leave()
         # The sequence is as old as its last repetition.
-        self._store_separately(match, number, train.key, train.order - number + 1)
+        self._store_separately(match, number, group.key, group.order - number + 1)
 
     def _store_separately(
         self, match: PartialMatch, number: int, key: Hashable, order: Optional[int] = None
@@ -345,48 +351,48 @@ class RepeatNode(NetworkNode):
         if buffer is None:
             shared = self._kept if number == 1 else tuple(range(len(self._kept)))
             buffer = self._buffers[number] = MatchBuffer(self.rule, shared)
-            buffer.span = self.limit
-            buffer.forbids = self.forbids
+            buffer.retention = self.limit
+            buffer.is_negated = self.is_negated
             self._set_up(buffer, number)
         return buffer
 
     def _set_up(self, buffer: MatchBuffer, number: int) -> None:
-        buffer.reach = interval_bounds(SEQ, self.span, False)
+        buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
         # Matches of one key have the same values, so these do not belong to the identity of longer sequences.
         name = self._names[0] if number == 1 else identity
-        buffer.identify(name if self._mode.policy.replacing else None)
+        buffer.set_identity_function(name if self._mode.policy.replacing else None)
 
     # ---- retracted events ----------------------------------------------------------------------------
 
-    def _note(self, train: RunGroup, match: PartialMatch) -> None:
+    def _register_dependency(self, group: RunGroup, match: PartialMatch) -> None:
         """Register the group with the events of a repetition."""
-        number = train.taken - 1
+        number = group.repetition_count - 1
         for occurrence in known_in(match):
-            if occurrence.gone:
-                self.forget(train, number)
+            if occurrence.retracted:
+                self.forget(group, number)
                 return
-            occurrence.held.append((self, train, number))
+            occurrence.dependents.append((self, group, number))
 
-    def forget(self, train: RunGroup, number: int) -> bool:
+    def forget(self, group: RunGroup, number: int) -> bool:
         """Remove all sequences that contain a repetition whose event was retracted; nothing follows from that."""
-        for _, token in list(train.present()):
-            if token.since <= number:
-                token.leave()
+        for _, cursor in list(group.numbered_cursors()):
+            if cursor.first_number <= number:
+                cursor.leave()
         return False
 
     # ---- join nodes ----------------------------------------------------------------------------------
 
     def _switch_to_joins(self) -> None:
         """Switch to join nodes, and move all sequences to their buffers."""
-        for train in sorted(self.trains.values(), key=lambda stored: stored.order):
+        for group in sorted(self.groups.values(), key=lambda stored: stored.order):
             # Oldest group first, longest sequence first: the order in which they were stored.
-            for number, token in list(train.present()):
-                self._ungroup(train, token, number)
+            for number, cursor in list(group.numbered_cursors()):
+                self._ungroup(group, cursor, number)
         self._separate = {}
         self._is_grouped = False
         for number, buffer in self._buffers.items():
             for stored in buffer.all() if number > 1 else ():
-                set_chain_parts(stored, number)
+                set_join_parts(stored, number)
         if not self._join_nodes:
             shared = frozenset(self.vars)
             self._relays = [_Relay(self.child, shared) for _ in range(self.times)]
@@ -394,21 +400,21 @@ class RepeatNode(NetworkNode):
             for number, relay in enumerate(self._relays[1:], 1):
                 left = JoinNode(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(number))
                 left.left_buffer = self._buffer(number)
-                left.right_buffer.forbids = self.forbids
+                left.right_buffer.is_negated = self.is_negated
                 left.set_span(self.span, self.limit)
                 self._join_nodes.append(left)
-        self._join_nodes[-1].bind(self._give if self._mode.policy.replacing else self._out, self._mode)
+        self._join_nodes[-1].bind(self._emit_slices if self._mode.policy.replacing else self._out, self._mode)
 
     def _names_at(self, number: int) -> Tuple[IdentityFunction, IdentityFunction]:
         single_name, longer_name = self._names
         return (single_name if number == 1 else longer_name), single_name
 
-    def _give(self, match: PartialMatch, after: Frame) -> Frame:
+    def _emit_slices(self, match: PartialMatch, after: Frame) -> Frame:
         """Emit a match of all repetitions with the parts that a run group gives it; it may replace one of those."""
         set_slice_parts(match, self.times)
         return self._out(match, after)
 
-    def _served(self) -> Iterator[_Relay]:
+    def _receiving_relays(self) -> Iterator[_Relay]:
         """Yield the relays that a match is sent to, last repetition first.
 
         Relays whose join node has no stored partner are skipped, unless the match may be stored there.

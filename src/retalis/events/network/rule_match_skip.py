@@ -103,7 +103,7 @@ class AfterMatchSkip:
         """Add an entry for a match that has been stored."""
         buffer = match.buffer
         # A negated match is not skipped: it must prevent later matches, too.
-        if buffer is None or buffer.forbids:
+        if buffer is None or buffer.is_negated:
             return
         waiting = self._rule.waiting
         if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:

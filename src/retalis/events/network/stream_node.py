@@ -43,12 +43,12 @@ from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.negation import NegationBuffer
 from ..matches.partial_matches import (
-    NOTHING_HELD,
-    Found,
+    NO_REPETITIONS,
+    ComputedValues,
     NetworkOptions,
     PartialMatch,
     TrackedMatch,
-    arrival,
+    arrival_number_of,
     is_retracted,
 )
 from ..provenance.event_log import known_in
@@ -196,7 +196,7 @@ class Replay:
         remaining: List[Tuple[StreamOutput, TrackedMatch]] = []
         missing: List[TrackedMatch] = []
         for output, held in self._outputs:
-            if held.gone:
+            if held.retracted:
                 continue
             key = _key(output)
             if counts[key]:
@@ -480,7 +480,7 @@ class StreamNode(NetworkNode):
                 after = reentrancy.before(after)
             if not outputs:
                 return after
-            return self._emit_outputs(outputs, after, arrival(match) if mode.tracked else 0)
+            return self._emit_outputs(outputs, after, arrival_number_of(match) if mode.tracked else 0)
 
         self._arrivals[channel] = arrive
         return arrive
@@ -608,7 +608,7 @@ class StreamNode(NetworkNode):
             # Instants that the operator has computed have integer seconds.
             if end is not last.end or end.__class__ is FloatSeconds:
                 start, end = int(start), int(end)
-            return PartialMatch(values, start, end, None, None, (Found(values), *held))
+            return PartialMatch(values, start, end, None, None, (ComputedValues(values), *held))
         match: PartialMatch = last.match
         if output.end != match.end:
             return PartialMatch(match.values, match.start, int(output.end), None, None, (match, *held))
@@ -621,7 +621,7 @@ class StreamNode(NetworkNode):
         parts = tuple(
             [item.match for item in output.items if item.match is not None]
         )  # untracked elements have no match
-        held = TrackedMatch(PartialMatch((), output.start, output.end, None, None, parts), NOTHING_HELD)
+        held = TrackedMatch(PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS)
         held.number = max(held.number, arrival_number)
         if self.replay is not None:
             self.replay.record_output(output, held)
@@ -634,7 +634,7 @@ class StreamNode(NetworkNode):
         assert self.replay is not None
         self.replay.record_element(channel, item, now)
         for occurrence in known_in(item.match):
-            occurrence.held.append((self, self, item.match))
+            occurrence.dependents.append((self, self, item.match))
 
     def forget(self, node: "StreamNode", match: PartialMatch) -> bool:
         """Exclude a match whose events were retracted; return whether the outputs may change."""

@@ -36,7 +36,14 @@ from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.listeners import Listener, ListenerPhase
-from ..matches.partial_matches import Holder, PartialMatch, TrackedMatch, is_retracted, leaves, sources
+from ..matches.partial_matches import (
+    Dependent,
+    PartialMatch,
+    TrackedMatch,
+    event_tokens,
+    is_retracted,
+    lineage_tokens,
+)
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
@@ -52,8 +59,8 @@ class Occurrence:
         match: match of the rule, or of the goal that created it; None for an input event.
         derived: occurrences derived from it, as long as it is remembered.
         forgotten: whether it is too old to be remembered; partial matches may still use it.
-        held: partial matches that use it.
-        gone: whether it was retracted.
+        dependents: partial matches that use it.
+        retracted: whether it was retracted.
         reported: whether the retraction was reported, by the ``rev`` event that named it or by a derived one.
         takes_back: for a derived event ``rev(E)``, the occurrences that it retracts.
         suppressed: matches that it has prevented, with the nodes that try them again.
@@ -69,8 +76,8 @@ class Occurrence:
         "match",
         "derived",
         "forgotten",
-        "held",
-        "gone",
+        "dependents",
+        "retracted",
         "reported",
         "takes_back",
         "suppressed",
@@ -86,8 +93,8 @@ class Occurrence:
         self.match = match
         self.derived: List[Tracked] = []
         self.forgotten = False
-        self.held: List[Holder] = []
-        self.gone = False
+        self.dependents: List[Dependent] = []
+        self.retracted = False
         self.reported = False
         self.takes_back: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
@@ -163,13 +170,13 @@ class Suppressed:
 
 def occurrences_in(match: PartialMatch) -> List[Occurrence]:
     """Return the tracked events of a match."""
-    return [token for token in leaves(match) if isinstance(token, Occurrence)]
+    return [token for token in event_tokens(match) if isinstance(token, Occurrence)]
 
 
 def known_in(match: PartialMatch) -> List[Tracked]:
     """Return the tracked events of a match, with the last `TrackedMatch` for repetitions, after linking it."""
     tracked: List[Tracked] = []
-    for source in sources(match):
+    for source in lineage_tokens(match):
         if isinstance(source, TrackedMatch):
             _link(source)
             tracked.append(source)
@@ -194,7 +201,7 @@ def _link(last: TrackedMatch) -> None:
             origins.append(repetition.earlier)
         for source in origins:
             # Oldest first, so that a retracted repetition marks all that build on it.
-            repetition.gone = repetition.gone or source.gone
+            repetition.retracted = repetition.retracted or source.retracted
             if not source.forgotten:
                 source.derived.append(repetition)
 

@@ -44,7 +44,7 @@ from ..language.pattern_tree import (
     Within,
 )
 from ..language.stream_parser import rate_operator_term, window_term
-from ..matches.partial_matches import Found, PartialMatch, TrackedMatch
+from ..matches.partial_matches import ComputedValues, PartialMatch, TrackedMatch
 from ..matches.shared_run_buffer import repetitions
 from .event_log import Occurrence
 from .lineage import LineageTracker
@@ -234,7 +234,7 @@ def _is_wrapped(parts: Sequence[Any]) -> bool:
     return (
         bool(parts)
         and isinstance(parts[0], PartialMatch)
-        and (len(parts) == 1 or parts[1].__class__ is Found)
+        and (len(parts) == 1 or parts[1].__class__ is ComputedValues)
     )
 
 

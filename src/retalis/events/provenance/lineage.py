@@ -33,7 +33,7 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..matches.consumption_policy import metered
-from ..matches.partial_matches import PartialMatch, TrackedMatch, sources
+from ..matches.partial_matches import PartialMatch, TrackedMatch, lineage_tokens
 from ..matches.shared_run_buffer import Run
 from .event_log import MatchOrPair, Occurrence, RetryNode, Suppressed, Tracked, following, known_in
 
@@ -106,9 +106,9 @@ class LineageTracker:
         self._by_term.clear()
         for occurrence in self._recent:
             self._by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
-            if occurrence.gone:
+            if occurrence.retracted:
                 # A retraction may have been interrupted after marking and before removal.
-                for match in occurrence.held:
+                for match in occurrence.dependents:
                     if isinstance(match, PartialMatch):
                         match.leave()
 
@@ -192,23 +192,23 @@ class LineageTracker:
     def hold(self, match: PartialMatch) -> None:
         """Record that a partial match uses its events."""
         for occurrence in known_in(match):
-            if occurrence.gone:
+            if occurrence.retracted:
                 match.leave()
                 return
-            held = occurrence.held
-            held.append(match)
+            dependents = occurrence.dependents
+            dependents.append(match)
             # Matches that have left their buffer are swept at each doubling, so the cost per match is constant.
-            if len(held) > 64 and len(held) & (len(held) - 1) == 0:
-                occurrence.held = [
+            if len(dependents) > 64 and len(dependents) & (len(dependents) - 1) == 0:
+                occurrence.dependents = [
                     match_or_run
-                    for match_or_run in held
+                    for match_or_run in dependents
                     if not isinstance(match_or_run, PartialMatch) or match_or_run.buffer is not None
                 ]
 
     def hold_repetition(self, run: Run, match: PartialMatch, node: RetryNode) -> None:
         """Record that a run was extended by a match."""
         for occurrence in known_in(match):
-            occurrence.held.append((node, run, match))
+            occurrence.dependents.append((node, run, match))
 
     def suppressed(self, node: RetryNode, what: MatchOrPair) -> None:
         """Record a match that the last negated match has suppressed."""
@@ -225,7 +225,9 @@ class LineageTracker:
         unmade: List[Tracked] = []
         if retracted is None:
             retracted = [
-                occurrence for occurrence in self._by_term.get(term_key(values[0]), ()) if not occurrence.gone
+                occurrence
+                for occurrence in self._by_term.get(term_key(values[0]), ())
+                if not occurrence.retracted
             ]
             if not retracted:
                 self._rules.took_nothing_back(values[0], token.rule)
@@ -272,7 +274,7 @@ class LineageTracker:
                 lost_result
                 for node in dict.fromkeys(touched.values())
                 for lost_result in node.unmade()
-                if not lost_result.gone
+                if not lost_result.retracted
             ]
             # If the limit is exceeded here, the invalid outputs remain.
             gone = _mark_gone(invalid, meter)
@@ -295,8 +297,8 @@ class LineageTracker:
         """
         runs: Dict[Any, _RunNode] = {}
         for node in gone:
-            held, node.held = node.held, []
-            for match in held:
+            dependents, node.dependents = node.dependents, []
+            for match in dependents:
                 if isinstance(match, PartialMatch):
                     match.leave()
                 elif match[0].forget(*match[1:]):
@@ -318,7 +320,7 @@ class LineageTracker:
 
     def _retry(self, node: RetryNode, what: MatchOrPair, after: Frame) -> Frame:
         # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
-        node.rule.add_those_of_other_events(self._rules.dispatcher.token())
+        node.rule.store_deferred_of_earlier_events(self._rules.dispatcher.token())
         return node.retry(what, after)
 
     def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Again:
@@ -329,7 +331,7 @@ class LineageTracker:
 
     def all(self) -> List[Occurrence]:
         """Return the remembered events that are not retracted, the oldest first."""
-        return [occurrence for occurrence in self._recent if not occurrence.gone]
+        return [occurrence for occurrence in self._recent if not occurrence.retracted]
 
 
 def _number(suppressed: Suppressed) -> int:
@@ -349,13 +351,13 @@ def _mark_gone(retracted: Sequence[Tracked], meter: Optional[Meter]) -> Optional
     gone: List[Tracked] = []
     while stack:
         node = stack.pop()
-        if node.gone:
+        if node.retracted:
             continue
-        if meter is not None and meter(1 + len(node.held) + len(node.suppressed)):
+        if meter is not None and meter(1 + len(node.dependents) + len(node.suppressed)):
             for marked in gone:
-                marked.gone = False
+                marked.retracted = False
             return None
-        node.gone = True
+        node.retracted = True
         gone.append(node)
         stack += reversed(node.derived)
     return gone
@@ -376,7 +378,7 @@ def _unlink(oldest: Occurrence) -> None:
     """Remove a dropped occurrence from the repetitions it came from, which live as long as their run."""
     repetition: Any
     if oldest.match is not None:
-        for repetition in sources(oldest.match):
+        for repetition in lineage_tokens(oldest.match):
             if repetition.__class__ is TrackedMatch:
                 repetition.derived = [derived for derived in repetition.derived if derived is not oldest]
 

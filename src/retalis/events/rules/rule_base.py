@@ -317,7 +317,7 @@ class RuleBase:
         self.deadlines.clear()
         for rule in self.rules:
             rule.repair()
-            if not rule.sound:
+            if not rule.is_connected:
                 self._configure(rule)
             owned_listeners.update(rule.listeners)
         self.dispatcher.keep_only(ListenerPhase.RULES, owned_listeners)

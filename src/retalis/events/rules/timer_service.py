@@ -180,7 +180,7 @@ class RuleAlarm:
         """Emit the event, unless an event that it was derived from has been retracted."""
         token = self.token
         if token is not None:
-            if token.gone:
+            if token.retracted:
                 return
             token.term, token.start, token.end = self.term, self.start, self.instant
         machine = self.rules.logic.machine
