@@ -520,7 +520,7 @@ class Checkpointer:
         """
         engine = self._engine
         # Only taking the state blocks the engine; encoding of clauses and records and the disk access do not.
-        state = engine.executor.call(lambda: engine.dispatcher.undisturbed(self._take), (REQUEST,))
+        state = engine.executor.call(lambda: engine.dispatcher.run_restoring_context(self._take), (REQUEST,))
         sections, clauses, records = state
         if clauses is not None:
             sections["clauses"] = to_bytes(clauses)

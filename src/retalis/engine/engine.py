@@ -467,7 +467,7 @@ class Engine:
             work: the function.
             what: name of the work in warnings about its duration.
         """
-        return self.executor.call(lambda: self.dispatcher.undisturbed(work), (what,))
+        return self.executor.call(lambda: self.dispatcher.run_restoring_context(work), (what,))
 
     # ---- callbacks and text --------------------------------------------------------------------------
 
@@ -648,7 +648,7 @@ class Engine:
                 self._call_or_raise((DELETE_MEMORY, name))
             return existed
 
-        return self.executor.call(lambda: self.dispatcher.undisturbed(delete), (REQUEST,))
+        return self.executor.call(lambda: self.dispatcher.run_restoring_context(delete), (REQUEST,))
 
     def has_subscription(self, topic: Term, name: Term) -> bool:
         """Return whether a subscription with a topic and an id exists.
@@ -690,7 +690,9 @@ class Engine:
         False
         """
         return self.executor.call(
-            lambda: self.dispatcher.undisturbed(lambda: self.knowledge.subscriptions.delete(topic, name)),
+            lambda: self.dispatcher.run_restoring_context(
+                lambda: self.knowledge.subscriptions.delete(topic, name)
+            ),
             (REQUEST,),
         )
 
@@ -718,7 +720,7 @@ class Engine:
             engine_snapshot = EngineSnapshot(self)
             return encode_state(engine_snapshot.take(), engine_snapshot.records())
 
-        return pack(self.executor.call(lambda: self.dispatcher.undisturbed(encode), (REQUEST,)))
+        return pack(self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (REQUEST,)))
 
     @classmethod
     def restore(
@@ -819,7 +821,7 @@ class Engine:
                 machine.trail.clear()
 
     def _call_undisturbed(self, goal: Term) -> bool:
-        return self.dispatcher.undisturbed(lambda: self._once(goal))
+        return self.dispatcher.run_restoring_context(lambda: self._once(goal))
 
     def _reset_program(self) -> None:
         """Clear all memories, transforms, pending queries and partial matches, because time went back."""

@@ -73,7 +73,7 @@ class EngineSnapshot:
             "followed": engine.event_input.followed is not None,
             "taken": engine.event_input.taken,
             "dropped": engine.executor.dropped,
-            "tokens": engine.dispatcher.tokens,
+            "tokens": engine.dispatcher.next_token_number,
             "sent": keep_sent(knowledge),
         }
         sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": counters}
@@ -181,7 +181,7 @@ class EngineSnapshot:
         engine.clock.restore(counters["clock"])
         engine.event_input.taken = counters["taken"]
         engine.executor.dropped = counters["dropped"]
-        engine.dispatcher.tokens = counters["tokens"]
+        engine.dispatcher.next_token_number = counters["tokens"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
         """Load the Python modules of the program again; they must be in its folder."""

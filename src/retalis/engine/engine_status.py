@@ -448,7 +448,7 @@ def _list_rules(
             firings.number,
             None if firings.last is None else int(firings.last),
             firings.errors,
-            rule.held,
+            rule.match_count,
             rule.dropped,
             rule.keys,
             rule.bytes,

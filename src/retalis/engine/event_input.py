@@ -63,7 +63,7 @@ class EventInput:
         self._clock = clock
         self.followed = followed
         self._reset_program = reset_program
-        self._serve = dispatcher.serve
+        self._serve = dispatcher.dispatch_input
         self.taken = 0
 
     def take(

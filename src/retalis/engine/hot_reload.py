@@ -81,13 +81,13 @@ def _describe_rules(
     unchanged_rules = set(unchanged.values())
     removed = [f"{rule.name}{_format_lost_matches(rule)}" for rule in old if rule not in unchanged_rules]
     added = [f"{rule.name}{_format_position(rule.place)}" for rule in new if rule not in unchanged]
-    match_count = sum(rule.held for rule in unchanged_rules)
+    match_count = sum(rule.match_count for rule in unchanged_rules)
     with_matches = f", with {_format_match_count(match_count)}" if match_count else ""
     return _format_section("rules", added, removed, [], f"{len(unchanged_rules)} kept{with_matches}")
 
 
 def _format_lost_matches(rule: EventRule) -> str:
-    return f", with {_format_match_count(rule.held)}" if rule.held else ""
+    return f", with {_format_match_count(rule.match_count)}" if rule.match_count else ""
 
 
 def _format_match_count(number: int) -> str:
@@ -303,7 +303,7 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
         finally:
             engine.deployments[key] = transaction.deployment
 
-    return engine.executor.call(lambda: engine.dispatcher.undisturbed(replace), (REQUEST,))
+    return engine.executor.call(lambda: engine.dispatcher.run_restoring_context(replace), (REQUEST,))
 
 
 def load_into_trial(
@@ -534,7 +534,9 @@ class ReloadTransaction:
         knowledge, machine = self._engine.knowledge, self._engine.logic.machine
         if knowledge.memories.find(instance.id) is None:
             tell_deleted = knowledge.memories.report_deleted
-            self._engine.dispatcher.apart(lambda: machine.run(tell_deleted(instance, machine.done)))
+            self._engine.dispatcher.run_without_context(
+                lambda: machine.run(tell_deleted(instance, machine.done))
+            )
 
     # ---- rollback ------------------------------------------------------------------------------------
 

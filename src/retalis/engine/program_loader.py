@@ -109,4 +109,4 @@ class ProgramLoader:
             with self._files.loading(folder):
                 return work()
 
-        return self._executor.call(lambda: self._dispatcher.undisturbed(run_with_files), (REQUEST,))
+        return self._executor.call(lambda: self._dispatcher.run_restoring_context(run_with_files), (REQUEST,))

@@ -49,7 +49,7 @@ class ProjectionPublisher:
                 rospy.logdebug("%s: %s", UNREAD_ARGUMENTS_TOPIC, error)
 
     def _publish_changes(self) -> None:
-        unread_positions = self._dispatcher.unread.tell()
+        unread_positions = self._dispatcher.projection.announce()
         text = json.dumps(
             {str(functor): sorted(positions) for functor, positions in unread_positions.items()}
         )

@@ -402,7 +402,7 @@ class RetalisNode:
 
     def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
         """Return a function from a topic to its present role in the program, whose rules may change."""
-        embedded, is_read = self._parameters.embedded, self.engine.dispatcher.takes_name
+        embedded, is_read = self._parameters.embedded, self.engine.dispatcher.has_listener_for_name
         resolve_name = rospy.resolve_name
         named = set(map(resolve_name, self._named_topics(topics)))
         # Topics that the node subscribes by default, with the names of their events.

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Var, functor, make_list
-from retalis.events.dispatch.discrimination_tree import make_plan, takes_all
+from retalis.events.dispatch.discrimination_tree import make_plan, matches_all_events
 
 P = functor("p", 2)
 
@@ -63,7 +63,7 @@ def test_a_new_constant_looks_at_its_own_listeners_only():
 def test_a_pattern_is_looked_at_however_deep_its_arguments_are():
     """The hash of a tuple that is 400,000 deep ended the process."""
     deep = make_list(list(range(400_000)))
-    assert not takes_all(functor("ev", 1)(deep))
+    assert not matches_all_events(functor("ev", 1)(deep))
     one, other = Var(), Var()
-    assert takes_all(functor("ev", 2)(one, other))
-    assert not takes_all(functor("ev", 2)(one, one))
+    assert matches_all_events(functor("ev", 2)(one, other))
+    assert not matches_all_events(functor("ev", 2)(one, one))

@@ -13,7 +13,7 @@ SEEN = "subscribe(seen(_,_), [], _, t, seen)"
 
 
 def told(engine, kind=IMAGE):
-    return set(engine.dispatcher.unread.tell().get(kind, ()))
+    return set(engine.dispatcher.projection.announce().get(kind, ()))
 
 
 def made(rules="", goals=""):
@@ -125,7 +125,7 @@ def test_a_rule_that_takes_messages_whole_by_a_fused_action_does_not_take_those_
 def test_what_is_told_is_bounded(monkeypatch):
     monkeypatch.setattr(room, "MAX_FUNCTORS", 5)
     engine = made(goals="".join(f"subscribe(kind{at}(_), [], seen, t, {at})\n" for at in range(10)))
-    assert len(engine.dispatcher.unread.tell()) == 5
+    assert len(engine.dispatcher.projection.announce()) == 5
 
 
 PARTS = [

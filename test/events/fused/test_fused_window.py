@@ -70,7 +70,7 @@ def run(text, events, cap, cut):
         found,
         reports,
         (clock, following, late, order, items),
-        made.held,
+        made.match_count,
         made.firings.number,
         made.dropped,
     )

@@ -57,7 +57,7 @@ def test_what_is_passed_over_is_not_held():
     program = Program(STARS.format("a, later(b) where X > 5"))
     program.feed(" ".join(f"e(1)@{at}" for at in range(50)))
     (rule,) = program.engine.rules.rules
-    assert rule.held == 1
+    assert rule.match_count == 1
     assert program.feed("e(6)@50") == "s([1,6])@0-50"
 
 
@@ -90,7 +90,7 @@ def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
     program.feed(" ".join(f"e({at})@{at}" for at in range(100, 150)))
     assert "more than 100 ways to take its steps from one start; 1 have been" in str(program.warnings[0])
     (rule,) = program.engine.rules.rules
-    assert rule.held == 150
+    assert rule.match_count == 150
     # the way in which b began with 10 was one too many, and that in which it began with 140 was not
     assert program.feed("e(10)@150 e(500)@151 e(-1)@152") == ""
     program.feed(" ".join(f"e({at})@{at + 200}" for at in range(150)))
@@ -104,7 +104,7 @@ def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted
     (rule,) = program.engine.rules.rules
     for at in range(120):
         program.feed(f"e({at})@{at}")
-        assert rule.held <= 50
+        assert rule.match_count <= 50
     assert rule.dropped
     assert "has more than 50 partial matches" in str(program.warnings[0])
 

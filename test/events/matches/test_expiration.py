@@ -34,7 +34,7 @@ def test_all_go_after_their_instant_and_none_before(late):
     for order in range(500):
         instant = order + source.randint(0, late)
         matches.append((instant, Waiting(order)))
-        expiries.add(*matches[-1], waiting=500)
+        expiries.add(*matches[-1], stored_count=500)
         expiries.expire(order - 50)
         assert all((match.buffer is None) == (instant < order - 50) for instant, match in matches)
     assert len(expiries) == sum(match.buffer is not None for _, match in matches)
@@ -152,7 +152,7 @@ def test_what_has_left_is_dropped(step):
     expiries = ExpirationQueue()
     for order in range(20_000):
         match = Waiting(order)
-        expiries.add(order * step, match, waiting=1)
+        expiries.add(order * step, match, stored_count=1)
         if order:
             match.leave()
     assert len(expiries) < 2000
@@ -182,7 +182,7 @@ def test_matches_go_after_their_span_whatever_the_order_of_their_starts():
         matches.append((order + source.randint(-20, 0), span, Waiting(order)))
         start, _, match = matches[-1]
         match.start = start
-        waiting.add(span, match, waiting=300)
+        waiting.add(span, match, stored_count=300)
         waiting.expire(order)
         # A match that comes out of order may be late already; it goes at the next look.
         assert [match.buffer is None for _, _, match in matches] == [

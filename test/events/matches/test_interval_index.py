@@ -138,10 +138,10 @@ def test_it_is_idle_when_it_was_only_kept_up_to_date():
     waiting = [Interval(order, order, order) for order in range(10)]
     index = IntervalIndex(waiting, False)
     for order in range(10, 30):
-        assert not index.idle
+        assert not index.is_idle
         waiting.append(Interval(order, order, order))
         index.add(waiting[-1])
         assert [one.order for one in index.search((order, order, order, order), True, MAX_VALUE)] == [order]
     for _ in range(15):
         index.remove(waiting.pop())
-    assert index.size == 15 and index.idle
+    assert index.size == 15 and index.is_idle

@@ -95,7 +95,7 @@ def test_a_chain_of_events_that_makes_itself_anew_ends():
         rules + "none(0). same(S, S). step(X, _, X) :- Y is X + 1, event(a(Y), [1,1])."
     )
     engine.dispatcher.max_depth = 30
-    engine.dispatcher._deepest = 31  # noqa: SLF001
+    engine.dispatcher._max_chain_length = 31  # noqa: SLF001
     engine.event("a(1)", 1)
     assert len(seen) < 200
     assert any("derived one from another" in report for report in reports)

@@ -99,7 +99,7 @@ def test_a_clock_that_goes_back_clears_all():
     engine.clock.move_to(0, back=True)
     engine.advance()
     assert sum(len(stream) for stream in engine.streams()) == 0
-    assert sum(rule.held for rule in engine.event_rules) == 0
+    assert sum(rule.match_count for rule in engine.event_rules) == 0
     assert engine.feed("in(2)@1") == "w([2])@1-1 t(2)@1-1"
     assert engine.feed("tick@20") == "a(1)@0-2 d(2)@1-2 c(2)@1-6"
 
@@ -129,7 +129,7 @@ def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
     engine = Run(flags + HOLDING[name], cap=5)
     for number in range(150):
         engine.event(f"in({number})", number / 10)
-        assert engine.event_rules[0].held <= 5
+        assert engine.event_rules[0].match_count <= 5
     (stream,) = engine.streams()
     assert entries(stream) <= 100
     assert engine.event_rules[0].dropped == 145
@@ -153,7 +153,7 @@ def test_alarms_and_wishes_are_as_many_as_nodes_wait():
         engine.event(f"in({number})", number / 50)
         assert len(clock.alarms) <= 3
         assert len(own.deadlines) <= 2 * 3 + 64
-    assert sum(rule.held for rule in engine.event_rules) >= 650
+    assert sum(rule.match_count for rule in engine.event_rules) >= 650
 
 
 def test_what_comes_too_late_is_counted_and_said_seldom():
@@ -457,7 +457,7 @@ def test_matches_of_steps_that_wait_are_given_on_where_what_they_wait_for_is_one
     engine = Run(f"{flags}w(L) <- aggregate(list(X), in(X), L, steps([{steps}])).", cap=5)
     for number in range(20):
         engine.event(f"in({number})", number)
-        assert engine.event_rules[0].held <= 5
+        assert engine.event_rules[0].match_count <= 5
     engine.event("in(80)", 20)
     assert [one.partition("@")[0] for one in engine.seen] == [f"w([{number}])" for number in range(20)]
     assert engine.event_rules[0].dropped == 3

@@ -48,7 +48,7 @@ class Bench:
         rules = SimpleNamespace(
             clock=self.clock,
             logic=SimpleNamespace(machine=machine),
-            dispatcher=SimpleNamespace(apart=lambda work: work()),
+            dispatcher=SimpleNamespace(run_without_context=lambda work: work()),
         )
         self.deadlines = NodeTimers(rules)
         self.rung = []

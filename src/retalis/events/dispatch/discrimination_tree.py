@@ -24,7 +24,7 @@ Path = Tuple[int, ...]
 Steps = Tuple[ListenerStep, ...]
 """Leaf of a plan: pairs of matcher and action, in order."""
 
-NOBODY: Steps = ()
+NO_LISTENERS: Steps = ()
 
 
 _UNKNOWN_KEY = object()
@@ -37,7 +37,7 @@ def make_plan(listeners: List[Listener]) -> "Plan":
     return _build_plan(listeners, (), _MAX_TESTS)
 
 
-def takes_all(pattern: Term) -> bool:
+def matches_all_events(pattern: Term) -> bool:
     """Return whether all arguments of a pattern are distinct variables."""
     if pattern.__class__ is not tuple:
         return False
@@ -53,34 +53,46 @@ class SwitchNode:
 
     Attributes:
         path: argument positions from the root of the event to the tested term.
-        at: position of the argument for a path of length 1, else 0.
+        argument_position: position of the argument for a path of length 1, else 0.
         table: built branches by key; None for a branch that is not built yet.
         default: branch for keys that no pattern has; None until it is built.
-        all: branch for events with a variable at the path; None until it is built.
-        groups: listeners whose pattern has a constant or functor at the path, by key.
-        any: listeners whose pattern has a variable there.
-        tested: paths of this node and all nodes above it.
-        depth: number of tests that may follow, including this one.
+        variable_branch: branch for events with a variable at the path; None until it is built.
+        listeners_by_key: listeners whose pattern has a constant or functor at the path, by key.
+        variable_listeners: listeners whose pattern has a variable there.
+        tested_paths: paths of this node and all nodes above it.
+        remaining_tests: number of tests that may follow, including this one.
     """
 
-    __slots__ = ("path", "at", "table", "default", "all", "groups", "any", "tested", "depth")
+    __slots__ = (
+        "path",
+        "argument_position",
+        "table",
+        "default",
+        "variable_branch",
+        "listeners_by_key",
+        "variable_listeners",
+        "tested_paths",
+        "remaining_tests",
+    )
 
-    def __init__(self, path: Path, listeners: List[Listener], tested: Tuple[Path, ...], depth: int):
+    def __init__(
+        self, path: Path, listeners: List[Listener], tested_paths: Tuple[Path, ...], remaining_tests: int
+    ):
         self.path = path
-        self.at = path[0] if len(path) == 1 else 0
-        self.tested = (*tested, path)
-        self.depth = depth
-        self.groups: Dict[Hashable, List[Listener]] = {}
+        self.argument_position = path[0] if len(path) == 1 else 0
+        self.tested_paths = (*tested_paths, path)
+        self.remaining_tests = remaining_tests
+        self.listeners_by_key: Dict[Hashable, List[Listener]] = {}
         for listener in listeners:
-            self.groups.setdefault(_key_at(listener.pattern, path), []).append(listener)
-        self.any = self.groups.pop(None, [])
-        self.table: Dict[Hashable, Optional[Plan]] = dict.fromkeys(self.groups)
+            self.listeners_by_key.setdefault(_key_at(listener.pattern, path), []).append(listener)
+        self.variable_listeners = self.listeners_by_key.pop(None, [])
+        self.table: Dict[Hashable, Optional[Plan]] = dict.fromkeys(self.listeners_by_key)
         self.default: Optional[Plan] = None
-        self.all: Optional[Plan] = None
+        self.variable_branch: Optional[Plan] = None
 
     def branch(self, term: Any) -> "Plan":
         """Return the rest of the plan for an event."""
-        value: Any = term[self.at] if self.at else _subterm_at(term, self.path)
+        value: Any = term[self.argument_position] if self.argument_position else _subterm_at(term, self.path)
         argument_class = value.__class__
         if argument_class is Lazy:
             key: Hashable = value.functor
@@ -93,9 +105,9 @@ class SwitchNode:
             value = deref(value)
             if value.__class__ is Var:
                 # An unbound variable in an event can unify with every constant: all patterns remain candidates.
-                if self.all is None:
-                    self.all = self._build_plan_of_groups(*self.groups.values())
-                return self.all
+                if self.variable_branch is None:
+                    self.variable_branch = self._build_plan_of_groups(*self.listeners_by_key.values())
+                return self.variable_branch
             key = _discrimination_key(value)
         else:
             key = _discrimination_key(value)
@@ -105,37 +117,37 @@ class SwitchNode:
             if plan is None:
                 plan = self.default = self._build_plan_of_groups()
         elif plan is None:
-            plan = self.table[key] = self._build_plan_of_groups(self.groups[key])
+            plan = self.table[key] = self._build_plan_of_groups(self.listeners_by_key[key])
         return plan  # type: ignore[no-any-return]
 
     def _build_plan_of_groups(self, *groups: List[Listener]) -> "Plan":
         """Return the plan for the listeners of some groups and those with a variable at the path."""
-        listeners = sorted(chain(self.any, *groups), key=_order_of)
-        return _build_plan(listeners, self.tested, self.depth - 1)
+        listeners = sorted(chain(self.variable_listeners, *groups), key=_listener_order)
+        return _build_plan(listeners, self.tested_paths, self.remaining_tests - 1)
 
 
 Plan = Union[SwitchNode, Steps]
 
 
-def _order_of(listener: Listener) -> Tuple[int, ...]:
+def _listener_order(listener: Listener) -> Tuple[int, ...]:
     return listener.order
 
 
-def _build_plan(listeners: List[Listener], tested: Tuple[Path, ...], depth: int) -> "Plan":
+def _build_plan(listeners: List[Listener], tested_paths: Tuple[Path, ...], remaining_tests: int) -> "Plan":
     if not listeners:
-        return NOBODY
-    path = _best_path(listeners, tested) if depth > 0 else None
+        return NO_LISTENERS
+    path = _best_path(listeners, tested_paths) if remaining_tests > 0 else None
     if path is None:
         return tuple([(listener.matcher, listener.action) for listener in listeners])
-    return SwitchNode(path, listeners, tested, depth)
+    return SwitchNode(path, listeners, tested_paths, remaining_tests)
 
 
-def _best_path(listeners: List[Listener], tested: Tuple[Path, ...]) -> Optional[Path]:
+def _best_path(listeners: List[Listener], tested_paths: Tuple[Path, ...]) -> Optional[Path]:
     """Return the path where most patterns have a constant or functor, or None."""
     path_counts: Dict[Path, int] = Counter()
     for listener in listeners:
         for path in _constant_paths(listener.pattern):
-            if path not in tested:
+            if path not in tested_paths:
                 path_counts[path] += 1
     if not path_counts:
         return None
@@ -193,7 +205,7 @@ def _subterm_at(term: Term, path: Path) -> Term:
     return term
 
 
-Passes = Callable[..., bool]
+FilterFunction = Callable[..., bool]
 """Predicate on seconds, nanoseconds and the arguments at the positions of a filter."""
 
 
@@ -208,7 +220,7 @@ class PushdownFilter:
     __slots__ = ("plan", "passes", "__weakref__")
 
     plan: Optional[Plan]
-    passes: Passes
+    passes: FilterFunction
 
     def __init__(self, positions: Tuple[int, ...], plan: Optional[Plan]):
         self.plan = plan
@@ -221,37 +233,39 @@ _VALID_TIME_TEST = (
 _FILTER_NAMES = {
     "SwitchNode": SwitchNode,
     "Atom": Atom,
-    "NOBODY": NOBODY,
+    "NO_LISTENERS": NO_LISTENERS,
     "LAST": LAST // SECOND,
     "SECOND": SECOND,
 }
 
 
-def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], Passes]:
+def _filter_factory(positions: Tuple[int, ...]) -> Callable[[PushdownFilter], FilterFunction]:
     """Return a factory for `PushdownFilter.passes`, which follows a plan as far as it tests known arguments."""
     parameters = ", ".join(["seconds", "nanoseconds", *[f"a{position}" for position in positions]])
-    # The path of a nested test is not among the known arguments: its node has ``at == 0``, which no position equals,
-    # so the filter passes the event.
+    # The path of a nested test is not among the known arguments: its node has ``argument_position == 0``, which no
+    # position equals, so the filter passes the event.
     argument_selection = [
-        Block(f"{'if' if index == 0 else 'elif'} at == {position}:", [f"value = a{position}"])
+        Block(f"{'if' if index == 0 else 'elif'} argument_position == {position}:", [f"value = a{position}"])
         for index, position in enumerate(positions)
     ]
     walk: List[Statement] = [
-        "at = plan.at",
+        "argument_position = plan.argument_position",
         *argument_selection,
         Block("else:", ["return True"]),
         Block("if value.__class__ is not Atom:", ["return True"]),
         "plan = plan.table.get(value, plan.default)",
     ]
     body: List[Statement] = [
-        # A plan of None is neither a node nor `NOBODY`, so the filter is open while the plan is not known. Only
+        # A plan of None is neither a node nor `NO_LISTENERS`, so the filter is open while the plan is not known. Only
         # atoms are looked up in the tables; other kinds of arguments pass.
         "plan = event_filter.plan",
         *([Block("while plan.__class__ is SwitchNode:", walk)] if positions else []),
-        f"return plan is not NOBODY or not ({_VALID_TIME_TEST})",
+        f"return plan is not NO_LISTENERS or not ({_VALID_TIME_TEST})",
     ]
     source = source_of(
         [Block("def generated(event_filter):", [Block(f"def passes({parameters}):", body), "return passes"])]
     )
-    factory: Callable[[PushdownFilter], Passes] = shared_function(source, _FILTER_NAMES, "event_filter")
+    factory: Callable[[PushdownFilter], FilterFunction] = shared_function(
+        source, _FILTER_NAMES, "event_filter"
+    )
     return factory

@@ -22,7 +22,7 @@ from ...prolog.terms.term_traversal import copy, is_ground, is_plain
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from .discrimination_tree import SwitchNode
 from .listener_index import ListenerIndex, functor_of_event
-from .listeners import AT_ONCE, CAUSE_AGAIN, DEPTH, GROUND, SERVE, TERM, TOKEN, Context
+from .listeners import CALL_LISTENERS, DEPTH, GROUND, MAX_RECURSIVE_DEPTH, RESTORE_CAUSE, TERM, TOKEN, Context
 
 Result = TypeVar("Result")
 
@@ -36,8 +36,8 @@ class Dispatcher(ListenerIndex):
 
     Attributes:
         current: `Context` of the event that is being dispatched, or None.
-        mark: creates the token of an event; lineage tracking replaces it.
-        at_once: depth up to which derived events are dispatched by recursive calls.
+        create_token: creates the token of an event; lineage tracking replaces it.
+        max_recursive_depth: depth up to which derived events are dispatched by recursive calls.
         tracked: whether tokens record the lineage of events.
         retractions: number of retractions, each with all events that depended on the retracted one.
         cause: with tracking, the rule and match whose goal is running, or the token of the event whose query is
@@ -50,9 +50,9 @@ class Dispatcher(ListenerIndex):
     def __init__(self, logic: Optional[PrologSystem] = None, max_depth: int = 1000) -> None:
         super().__init__()
         self.max_depth = max_depth
-        self._deepest = max_depth + 1
+        self._max_chain_length = max_depth + 1
         # The limit for chains of events may be lower than the depth for recursion.
-        self.at_once = min(AT_ONCE, self._deepest)
+        self.max_recursive_depth = min(MAX_RECURSIVE_DEPTH, self._max_chain_length)
         self._machine: Any = None if logic is None else logic.machine
         self._done: Any = None if logic is None else logic.machine.done
         self._run: Any = None if logic is None else logic.machine.run
@@ -61,7 +61,7 @@ class Dispatcher(ListenerIndex):
         self.current: Any = None
         self.cause: Any = None
         self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[EventAction]]] = {}
-        self.mark: Callable[[Context], Any] = lambda context: next(self._tokens)
+        self.create_token: Callable[[Context], Any] = lambda context: next(self._tokens)
         self.tracked = False
         self.retractions = 0
 
@@ -78,7 +78,7 @@ class Dispatcher(ListenerIndex):
         after: Frame,
         token: Any = None,
         ground: Optional[bool] = None,
-        own: bool = True,
+        is_owned: bool = True,
     ) -> Frame:
         """Return the frame that dispatches an event and then goes on with ``after``.
 
@@ -92,8 +92,8 @@ class Dispatcher(ListenerIndex):
             after: the frame to go on with.
             token: identity of the event, if it has one already.
             ground: whether the event has no variables, if that is known.
-            own: whether the term has no bound variables and shares no unbound ones; otherwise the event is copied,
-                but only if it has listeners.
+            is_owned: whether the term has no bound variables and shares no unbound ones; otherwise the event is
+                copied, but only if it has listeners.
 
         Raises:
             UsageError: if the term is not an event, it ends before it starts, or the chain of derived events is too
@@ -118,15 +118,15 @@ class Dispatcher(ListenerIndex):
         if not plan:
             return after
         # After the plan is known: events without listeners are never copied.
-        if not own:
+        if not is_owned:
             term, ground = _owned_copy(term)
         parent = self.current
         depth = 1 if parent is None else parent[DEPTH] + 1
         context = [term, start, end, parent, depth, ground, self.cause, token]
         steps = iter(plan)
-        frame: Frame = (SERVE, self, steps, context, after)
+        frame: Frame = (CALL_LISTENERS, self, steps, context, after)
         # Each level of recursion uses several Python frames. The loop of the machine uses none.
-        if depth > self.at_once:
+        if depth > self.max_recursive_depth:
             return self._defer_frame(frame, depth)
         self.current = context
         # Inlined from `_Serve.run`, because a call costs 5 % of a short event.
@@ -139,7 +139,7 @@ class Dispatcher(ListenerIndex):
         self.current = parent
         return after
 
-    def serve(self, term: Any, start: int, end: int, ground: Optional[bool]) -> None:
+    def dispatch_input(self, term: Any, start: int, end: int, ground: Optional[bool]) -> None:
         """Dispatch an input event and all events derived from it, by a fused action if possible.
 
         If an exception is raised, the previous context is restored. Arguments and errors are those of `dispatch`.
@@ -166,7 +166,7 @@ class Dispatcher(ListenerIndex):
 
     def _defer_frame(self, frame: Frame, depth: int) -> Frame:
         """Return the frame of a derived event for the loop of the machine, if the limits allow it."""
-        if depth > self._deepest:
+        if depth > self._max_chain_length:
             raise UsageError(f"more than {self.max_depth} events were derived one from another")
         # Deep chains check the limits of the input event; shallow ones are bounded by their depth.
         if self._budget.closed:
@@ -184,7 +184,7 @@ class Dispatcher(ListenerIndex):
     def call(
         self,
         goal: CompiledGoal,
-        given: Values,
+        inputs: Values,
         on_error: Callable[[Values, PrologError], None],
         solved: EventAction,
         term: Term,
@@ -200,7 +200,7 @@ class Dispatcher(ListenerIndex):
 
         Args:
             goal: the goal.
-            given: its inputs.
+            inputs: its inputs.
             on_error: called with ``values`` and the error if the goal raises one.
             solved: called with term, values with the outputs of the first solution appended, start, end and next
                 frame.
@@ -211,12 +211,12 @@ class Dispatcher(ListenerIndex):
             after: the next frame, also if there is no solution.
         """
         context = self.current
-        if context is not None and context[DEPTH] > AT_ONCE:
+        if context is not None and context[DEPTH] > MAX_RECURSIVE_DEPTH:
             return self._call_by_frames(
-                context, goal, given, on_error, solved, term, values, start, end, after
+                context, goal, inputs, on_error, solved, term, values, start, end, after
             )
         try:
-            outputs = goal.test(given)
+            outputs = goal.test(inputs)
         except PrologError as error:
             self.current = context
             on_error(values, error)
@@ -227,7 +227,7 @@ class Dispatcher(ListenerIndex):
         self,
         context: Context,
         goal: CompiledGoal,
-        given: Values,
+        inputs: Values,
         on_error: Callable[[Values, PrologError], None],
         solved: EventAction,
         term: Term,
@@ -246,19 +246,19 @@ class Dispatcher(ListenerIndex):
             on_error(values, error)
 
         return self._machine.attempt(  # type: ignore[no-any-return]
-            goal, given, lambda outputs: solved(term, values + outputs, start, end, after), after, failed
+            goal, inputs, lambda outputs: solved(term, values + outputs, start, end, after), after, failed
         )
 
     @property
-    def tokens(self) -> int:
+    def next_token_number(self) -> int:
         """The number of the next event, if events are identified by numbers."""
         # Reading the next value of a counter consumes it, so the counter is replaced.
         number = next(self._tokens)
         self._tokens = count(number)
         return number
 
-    @tokens.setter
-    def tokens(self, number: int) -> None:
+    @next_token_number.setter
+    def next_token_number(self, number: int) -> None:
         self._tokens = count(number)
 
     def state(self) -> Tuple[Any, Any]:
@@ -285,19 +285,19 @@ class Dispatcher(ListenerIndex):
         """
         previous = self.cause
 
-        def restoring(*solution: Any) -> Frame:
+        def restore_cause(*solution: Any) -> Frame:
             self.cause = previous
             return then(*solution)
 
         self.cause = cause
-        return restoring, (CAUSE_AGAIN, self, previous, after)
+        return restore_cause, (RESTORE_CAUSE, self, previous, after)
 
-    def following(self, token: object, after: Frame) -> Frame:
+    def set_cause(self, token: object, after: Frame) -> Frame:
         """Set the cause of events to the event with a token; return the frame that ends this."""
         previous, self.cause = self.cause, token
-        return CAUSE_AGAIN, self, previous, after
+        return RESTORE_CAUSE, self, previous, after
 
-    def undisturbed(self, work: Callable[[], Result]) -> Result:
+    def run_restoring_context(self, work: Callable[[], Result]) -> Result:
         """Return the result of ``work``; if it raises an exception, restore the context first."""
         state = self.state()
         try:
@@ -306,7 +306,7 @@ class Dispatcher(ListenerIndex):
             self.restore(*state)
             raise
 
-    def apart(self, work: Callable[[], Result]) -> Result:
+    def run_without_context(self, work: Callable[[], Result]) -> Result:
         """Return the result of ``work``; the events that it dispatches are not derived from the current event."""
         state = self.state()
         self.restore(None, None)
@@ -331,7 +331,7 @@ class Dispatcher(ListenerIndex):
         """Return the unique token of the current event."""
         context = self._require_context()
         if context[TOKEN] is None:
-            context[TOKEN] = self.mark(context)
+            context[TOKEN] = self.create_token(context)
         return context[TOKEN]
 
     def _require_context(self) -> Context:

@@ -13,12 +13,12 @@ from ...foundation.bounded_caches import Cache
 from ...foundation.errors import UsageError
 from ...prolog.terms.term_traversal import copy, term_key
 from ...prolog.terms.types import Atom, EventAction, Functor, Term, Var
-from .discrimination_tree import Plan, PushdownFilter, make_plan, takes_all
+from .discrimination_tree import Plan, PushdownFilter, make_plan, matches_all_events
 from .listeners import ArgumentProjection, Listener, ListenerPhase, unread_positions
 from .matcher_compiler import Matcher, compile_matcher
 
 
-def nothing() -> None:
+def do_nothing() -> None:
     """Do nothing."""
 
 
@@ -31,14 +31,14 @@ class ListenerIndex:
 
     Attributes:
         fused: by functor, action that takes an event without its values; see `listen`.
-        unread: arguments of events that no listener reads.
+        projection: arguments of events that no listener reads.
         on_change: called when listeners are added or removed; it must be fast and must not fail.
     """
 
     def __init__(self) -> None:
         self._listeners: Dict[Optional[Functor], Dict[Listener, None]] = {}
-        self.unread = ArgumentProjection(self._listeners)
-        self.on_change: Callable[[], object] = nothing
+        self.projection = ArgumentProjection(self._listeners)
+        self.on_change: Callable[[], object] = do_nothing
         self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
         self.fused: Dict[Functor, EventAction] = {}
         self._filters: Dict[Functor, WeakValueDictionary[Tuple[int, ...], PushdownFilter]] = {}
@@ -48,7 +48,7 @@ class ListenerIndex:
 
     def listen(
         self,
-        stage: ListenerPhase,
+        phase: ListenerPhase,
         pattern: Term,
         action: EventAction,
         rank: Tuple[int, ...] = (),
@@ -60,7 +60,7 @@ class ListenerIndex:
         A listener that is added while an event is dispatched gets later events only.
 
         Args:
-            stage: phase in which it is called.
+            phase: phase in which it is called.
             pattern: an atom, a compound term, or a variable for all events. It is copied.
             action: processes a match and returns the next frame, which is its argument ``after`` if it is finished.
             rank: position within the phase; by default after all others.
@@ -74,7 +74,7 @@ class ListenerIndex:
             UsageError: if the pattern is a number or a string, which no event is.
         """
         unread = unread_positions(pattern, unused)
-        partial = pattern.__class__ is Var and pattern in unused
+        accepts_omitted = pattern.__class__ is Var and pattern in unused
         # The caller may bind the variables of its own pattern later.
         pattern = copy(pattern)
         functor = _functor_of(pattern)
@@ -83,11 +83,11 @@ class ListenerIndex:
         matcher = self._matchers.get(key)
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
-        order = (int(stage), *(rank or (next(self._order),)), next(self._order))
-        listener = Listener(order, pattern, functor, matcher, action, fused, unread, partial)
+        order = (int(phase), *(rank or (next(self._order),)), next(self._order))
+        listener = Listener(order, pattern, functor, matcher, action, fused, unread, accepts_omitted)
         self._listeners.setdefault(functor, {})[listener] = None
-        # The listener must be in the table before `guard` runs; see `ArgumentProjection.tell`.
-        self.unread.guard(listener)
+        # The listener must be in the table before `reject_incomplete_events` runs; see `ArgumentProjection.announce`.
+        self.projection.reject_incomplete_events(listener)
         self._changed(functor)
         return listener
 
@@ -100,11 +100,11 @@ class ListenerIndex:
                 del self._listeners[listener.functor]
             self._changed(listener.functor)
 
-    def keep_only(self, stage: ListenerPhase, chosen: Collection[Listener]) -> None:
+    def remove_all_except(self, phase: ListenerPhase, chosen: Collection[Listener]) -> None:
         """Remove all listeners of a phase except some."""
         for group in list(self._listeners.values()):
             for listener in list(group):
-                if listener.order[0] == stage and listener not in chosen:
+                if listener.order[0] == phase and listener not in chosen:
                     self.remove(listener)
 
     def event_filter(self, functor: Functor, positions: Tuple[int, ...] = ()) -> PushdownFilter:
@@ -126,7 +126,7 @@ class ListenerIndex:
             event_filter = filters[positions] = PushdownFilter(positions, self._plans.get(functor))
         return event_filter
 
-    def takes_name(self, name: str) -> bool:
+    def has_listener_for_name(self, name: str) -> bool:
         """Return whether a pattern has this event name; patterns for all events are ignored."""
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
@@ -156,7 +156,7 @@ class ListenerIndex:
             for event_filter in list(filters.values()):
                 event_filter.plan = plan
         # Without values, an action cannot tell a match from a mismatch, so the pattern must accept all events.
-        if len(listeners) == 1 and listeners[0].fused and takes_all(listeners[0].pattern):
+        if len(listeners) == 1 and listeners[0].fused and matches_all_events(listeners[0].pattern):
             self.fused[functor] = listeners[0].action
         return plan
 

@@ -41,7 +41,7 @@ class Listener:
         action: called with each match.
         unread: arguments of the event, counted from 1, that the action does not read.
         fused: whether the action may be called without values; see `ListenerIndex.listen`.
-        partial: whether it takes all events, including those with `NOT_READ` arguments.
+        accepts_omitted: whether it takes all events, including those with `NOT_READ` arguments.
     """
 
     __slots__ = (
@@ -52,7 +52,7 @@ class Listener:
         "action",
         "fused",
         "unread",
-        "partial",
+        "accepts_omitted",
     )
 
     def __init__(
@@ -64,7 +64,7 @@ class Listener:
         action: EventAction,
         fused: bool,
         unread: FrozenSet[int],
-        partial: bool,
+        accepts_omitted: bool,
     ):
         self.order = order
         self.pattern = pattern
@@ -73,10 +73,10 @@ class Listener:
         self.action = action
         self.fused = fused
         self.unread = unread
-        self.partial = partial
+        self.accepts_omitted = accepts_omitted
 
 
-AT_ONCE = 5
+MAX_RECURSIVE_DEPTH = 5
 """Depth up to which derived events are dispatched by recursive calls; deeper ones by the loop of the machine."""
 
 Context = List[Any]
@@ -99,7 +99,7 @@ TOKEN = 7
 """Unique token of the event; None until `Dispatcher.token` is called."""
 
 
-class _Serve:
+class _CallListeners:
     """Code of a frame that calls the remaining listeners of an event."""
 
     @staticmethod
@@ -142,9 +142,9 @@ class _RestoreCause:
         return after
 
 
-SERVE = _Serve()
+CALL_LISTENERS = _CallListeners()
 RESTORE_CONTEXT = _RestoreContext()
-CAUSE_AGAIN = _RestoreCause()
+RESTORE_CAUSE = _RestoreCause()
 
 
 NOT_READ = atom("$not_read")
@@ -153,16 +153,16 @@ NOT_READ = atom("$not_read")
 Positions = FrozenSet[int]
 """Argument positions, counted from 1."""
 
-NONE: Positions = frozenset()
+NO_POSITIONS: Positions = frozenset()
 
-MAX_FUNCTORS = 1000
+MAX_PROJECTED_FUNCTORS = 1000
 """Maximum number of functors for which projections are announced."""
 
 
 def unread_positions(pattern: Term, unused: AbstractSet[Var]) -> Positions:
     """Return the arguments of a pattern that are variables without another occurrence and without use."""
     if pattern.__class__ is not tuple or not unused:
-        return NONE
+        return NO_POSITIONS
     counts = occurrences([pattern], None)
     return frozenset(
         position
@@ -182,29 +182,31 @@ class ArgumentProjection:
         self._listeners = listeners
         self._announced: Dict[Functor, Positions] = {}
 
-    def tell(self) -> Dict[Functor, Positions]:
+    def announce(self) -> Dict[Functor, Positions]:
         """Return, by functor, the arguments that sources may omit from now on.
 
         Thread-safe. The result is stored before it is checked a second time: a listener that is added concurrently is
-        either seen by the second check, or sees the stored result in `guard`.
+        either seen by the second check, or sees the stored result in `reject_incomplete_events`.
         """
-        # Announced positions are never withdrawn here: events with placeholders may be on their way, so `guard` must
-        # know all positions that were ever announced.
+        # Announced positions are never withdrawn here: events with placeholders may be on their way, so
+        # `reject_incomplete_events` must know all positions that were ever announced.
         for functor, positions in self._find_commonly_unread().items():
-            announced = self._announced.get(functor, NONE)
-            if positions and (announced or len(self._announced) < MAX_FUNCTORS):
+            announced = self._announced.get(functor, NO_POSITIONS)
+            if positions and (announced or len(self._announced) < MAX_PROJECTED_FUNCTORS):
                 self._announced[functor] = announced | positions
         unread = self._find_commonly_unread()
         return {
             functor: positions & self._announced[functor]
             for functor, positions in unread.items()
-            if positions & self._announced.get(functor, NONE)
+            if positions & self._announced.get(functor, NO_POSITIONS)
         }
 
     def _find_commonly_unread(self) -> Dict[Functor, Positions]:
         groups = list(self._listeners.items())
         if any(
-            functor is None and not listener.partial for functor, group in groups for listener in list(group)
+            functor is None and not listener.accepts_omitted
+            for functor, group in groups
+            for listener in list(group)
         ):
             # Some listener reads all arguments of all events.
             return {}
@@ -214,19 +216,19 @@ class ArgumentProjection:
             if functor is not None and group
         }
 
-    def guard(self, listener: Listener) -> None:
+    def reject_incomplete_events(self, listener: Listener) -> None:
         """Make a new listener reject events that lack an argument that it reads.
 
         The listener must be in the table already.
         """
         functor = listener.functor
         if functor is not None:
-            missing = self._announced.get(functor, NONE) - listener.unread
+            missing = self._announced.get(functor, NO_POSITIONS) - listener.unread
             if missing:
                 listener.matcher = _reject_missing(listener.matcher, sorted(missing))
                 # A fused action would bypass the guarded matcher.
                 listener.fused = False
-        elif self._announced and not listener.partial:
+        elif self._announced and not listener.accepts_omitted:
             listener.matcher = _reject_any_missing(listener.matcher)
 
 

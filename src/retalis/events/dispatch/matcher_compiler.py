@@ -52,9 +52,11 @@ class _MatcherGenerator:
     def __init__(self, pattern: CompoundTerm):
         self.pattern = pattern
         self.lines: List[str] = []
-        self.given = codegen.BoundNames({"deref": deref, "Lazy": Lazy, "Var": Var, "same": _is_same_value})
-        self.names = self.given.values
-        self.places: Dict[Var, str] = {}
+        self.bound_names = codegen.BoundNames(
+            {"deref": deref, "Lazy": Lazy, "Var": Var, "same": _is_same_value}
+        )
+        self.names = self.bound_names.values
+        self.names_by_var: Dict[Var, str] = {}
 
     def matcher(self) -> Matcher:
         order = variables(self.pattern)
@@ -63,7 +65,7 @@ class _MatcherGenerator:
         while pending:
             # Depth first, left to right, so that the order of tests follows the order of the pattern.
             pending.extend(reversed(self._emit_unpacking(*pending.pop())))
-        values = ", ".join(self.places[var] for var in order)
+        values = ", ".join(self.names_by_var[var] for var in order)
         self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
         source = "def generated(term):\n" + "\n".join(self.lines) + "\n"
         matcher: Matcher = shared_function(source, self.names, "matcher")
@@ -75,17 +77,17 @@ class _MatcherGenerator:
         tests: List[str] = []
         targets = []
         for argument in pattern[1:]:
-            if argument.__class__ is Var and argument not in self.places:
+            if argument.__class__ is Var and argument not in self.names_by_var:
                 variable = self._new_name()
-                self.places[argument] = variable
+                self.names_by_var[argument] = variable
                 targets.append(variable)
                 continue
             variable = self._new_name()
             targets.append(variable)
             if argument.__class__ is Var:
                 tests.append(
-                    f"    if {variable} is not {self.places[argument]} and not same({variable}, "
-                    f"{self.places[argument]}):\n        return general(term, None)"
+                    f"    if {variable} is not {self.names_by_var[argument]} and not same({variable}, "
+                    f"{self.names_by_var[argument]}):\n        return general(term, None)"
                 )
             elif argument.__class__ is tuple:
                 functor = self._constant_name(argument[0])
@@ -116,10 +118,10 @@ class _MatcherGenerator:
         return f"{variable}.__class__ is not {class_name} or {variable} != {name}"
 
     def _new_name(self) -> str:
-        return self.given.name("a")
+        return self.bound_names.name("a")
 
     def _constant_name(self, value: object) -> str:
-        return self.given.name("k", value)
+        return self.bound_names.name("k", value)
 
 
 def _is_same_value(left: Term, right: Term) -> bool:
@@ -131,11 +133,12 @@ def _is_same_value(left: Term, right: Term) -> bool:
 
 
 def _general_matcher(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]], Optional[Values]]:
-    """Return the general matcher; ``met`` is the value that stopped the generated code, or None."""
+    """Return the general matcher; ``mismatch`` is the value that stopped the generated code, or None."""
 
-    def general(term: Term, met: Optional[Term]) -> Optional[Values]:
-        # Generated code has compared a constant with ``met``. If ``met`` is not a variable, they differ for good.
-        if met is not None and deref(met).__class__ is not Var:
+    def general(term: Term, mismatch: Optional[Term]) -> Optional[Values]:
+        # Generated code has compared a constant with ``mismatch``. If ``mismatch`` is not a variable, they differ for
+        # good.
+        if mismatch is not None and deref(mismatch).__class__ is not Var:
             return None
         return unify_pattern(pattern, order, term)
 
@@ -145,11 +148,11 @@ def _general_matcher(pattern: Term, order: List[Var]) -> Callable[[Term, Optiona
 def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Values]:
     """Unify a copy of the pattern with the event, and undo all bindings."""
     # A copy, because the pattern is shared by all events and must stay unbound.
-    fresh: Dict[Var, Term] = {var: Var() for var in order}
+    new_vars: Dict[Var, Term] = {var: Var() for var in order}
     trail: Trail = []
     values: Optional[Values] = None
-    if unify(copy(pattern, fresh), term, trail):
-        values = tuple(resolve(fresh[var]) for var in order)
+    if unify(copy(pattern, new_vars), term, trail):
+        values = tuple(resolve(new_vars[var]) for var in order)
     undo(trail, 0)
     return values
 
@@ -176,30 +179,30 @@ def builder_source(term: Term, known: Mapping[Var, str], names: codegen.BoundNam
         known: expressions for the values of variables.
         names: collects the objects that the statements refer to.
     """
-    places = dict(known)
+    names_by_var = dict(known)
     lines: List[str] = []
 
     def constant(value: object) -> str:
         return names.name("k", value)
 
-    def leaf(item: Term) -> str:
+    def leaf_source(item: Term) -> str:
         if item.__class__ is not Var:
             return constant(item)
-        if item not in places:
-            places[item] = f"u{len(places)}"
-            lines.append(f"{places[item]} = {names.constant(Var, Var)}()")
-        return places[item]
+        if item not in names_by_var:
+            names_by_var[item] = f"u{len(names_by_var)}"
+            lines.append(f"{names_by_var[item]} = {names.constant(Var, Var)}()")
+        return names_by_var[item]
 
     term = resolve(term)
-    return lines, constant(term) if is_ground(term) else _emit_assignments(term, leaf, constant, lines)
+    return lines, constant(term) if is_ground(term) else _emit_assignments(term, leaf_source, constant, lines)
 
 
 def _emit_assignments(
-    term: Term, leaf: Callable[[Term], str], constant: Callable[[object], str], lines: List[str]
+    term: Term, leaf_source: Callable[[Term], str], constant: Callable[[object], str], lines: List[str]
 ) -> str:
     """Emit one assignment per compound with variables, inner ones first; return the name of the outermost one."""
     if term.__class__ is not tuple:
-        return leaf(term)
+        return leaf_source(term)
     stack: List[List[Any]] = [[term, []]]
     while True:
         source, arguments = stack[-1]
@@ -214,7 +217,7 @@ def _emit_assignments(
         # An explicit stack, because terms may be nested deeper than the recursion limit.
         item = source[len(arguments) + 1]
         if item.__class__ is not tuple:
-            arguments.append(leaf(item))
+            arguments.append(leaf_source(item))
         elif is_ground(item):
             arguments.append(constant(item))
         else:

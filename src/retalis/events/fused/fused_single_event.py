@@ -17,9 +17,9 @@ from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import are_ground
 from ...prolog.terms.types import TRUE, EventAction, Frame, Functor, Term, Values, Var
 from ...prolog.terms.unification import undo
-from ..dispatch.discrimination_tree import NOBODY, PushdownFilter
+from ..dispatch.discrimination_tree import NO_LISTENERS, PushdownFilter
 from ..dispatch.dispatcher import Dispatcher
-from ..dispatch.listeners import AT_ONCE, DEPTH, GROUND, RESTORE_CONTEXT
+from ..dispatch.listeners import DEPTH, GROUND, MAX_RECURSIVE_DEPTH, RESTORE_CONTEXT
 from ..dispatch.matcher_compiler import builder_source
 
 _PASS_ALL_FILTER = PushdownFilter((), None)
@@ -63,7 +63,7 @@ def firing_action(
         "firings.last = end",
         # The firing is counted first: metrics must not depend on whether the event has listeners.
         "plan = event_filter.plan",
-        Block("if plan is NOBODY:", ["return after"]),
+        Block("if plan is NO_LISTENERS:", ["return after"]),
         *lines,
         Block("try:", _dispatch_statements(event)),
         Block("except UsageError as error:", ["return failed(error, after)"]),
@@ -74,7 +74,7 @@ def firing_action(
         dispatcher=rule.network.dispatcher,
         failed=failed,
         RESTORE_CONTEXT=RESTORE_CONTEXT,
-        NOBODY=NOBODY,
+        NO_LISTENERS=NO_LISTENERS,
         UsageError=UsageError,
     )
     # Inlined from the function that `Budget.meter` returns.
@@ -96,7 +96,7 @@ def _dispatch_statements(event: str) -> List[Statement]:
         "context = dispatcher.current",
         Block(
             "if plan.__class__ is not tuple or len(plan) != 1 or context is None"
-            f" or context[{DEPTH}] >= dispatcher.at_once or start > end:",
+            f" or context[{DEPTH}] >= dispatcher.max_recursive_depth or start > end:",
             [f"return dispatcher.dispatch({event}, start, end, after)"],
         ),
         f"dispatcher.current = [{event}, start, end, context, context[{DEPTH}] + 1, None, dispatcher.cause, None]",
@@ -141,7 +141,7 @@ def goal_action(
         "plain": plain,
         "solved": completion.action,
         "event_filter": completion.event_filter,
-        "NOBODY": NOBODY,
+        "NO_LISTENERS": NO_LISTENERS,
         "firings": rule.firings,
         "dispatcher": rule.network.dispatcher,
         "machine": machine,
@@ -160,7 +160,7 @@ def _goal_source(inputs: int) -> str:
     body: List[Statement] = [
         "context = dispatcher.current",
         Block(
-            f"if not code.steady or not context[{GROUND}] or context[{DEPTH}] > {AT_ONCE}:",
+            f"if not code.steady or not context[{GROUND}] or context[{DEPTH}] > {MAX_RECURSIVE_DEPTH}:",
             ["return plain(term, term[1:] if values is None else values, start, end, after)"],
         ),
         Block("if values is None:", [f"_, {values} = term"]),
@@ -193,7 +193,8 @@ def _goal_source(inputs: int) -> str:
         Block("finally:", ["budget.goal = outer_goal"]),
         Block("if not solved_goal:", ["return after"]),
         Block(
-            "if event_filter.plan is NOBODY:", ["firings.number += 1", "firings.last = end", "return after"]
+            "if event_filter.plan is NO_LISTENERS:",
+            ["firings.number += 1", "firings.last = end", "return after"],
         ),
         f"return solved(term, ({values},), start, end, after)",
     ]
@@ -218,7 +219,11 @@ def question_action(
         plain: creates the event and dispatches it.
         meter: counts the pattern work of the rule; see `Budget.meter`.
     """
-    event_filter, ground, at_once = dispatcher.event_filter(key), dispatcher.ground, dispatcher.at_once
+    event_filter, ground, at_once = (
+        dispatcher.event_filter(key),
+        dispatcher.ground,
+        dispatcher.max_recursive_depth,
+    )
 
     def ask_directly(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
         context = dispatcher.current

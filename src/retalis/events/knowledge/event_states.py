@@ -298,7 +298,7 @@ class DeclaredState:
         if ended is not None:
             machine = self._logic.machine
             # The alarm may be called while another event is dispatched; the event of the state does not depend on it.
-            self._dispatcher.apart(
+            self._dispatcher.run_without_context(
                 lambda: machine.run(self._dispatch_ended((self, iter([ended]), machine.done)))
             )
 
@@ -520,7 +520,7 @@ class StateRegistry:
         owned_listeners = {
             listener for declaration in self._all.values() for listener in declaration.listeners
         }
-        self._dispatcher.keep_only(ListenerPhase.STATES, owned_listeners)
+        self._dispatcher.remove_all_except(ListenerPhase.STATES, owned_listeners)
 
     def snapshot(self) -> List[Any]:
         """Return the states of each declaration, in order; see `restore`."""

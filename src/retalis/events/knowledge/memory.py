@@ -24,7 +24,7 @@ from ...prolog.terms.list_terms import conjunction, list_items
 from ...prolog.terms.term_traversal import freeze, is_ground, term_key, variables
 from ...prolog.terms.types import COMMA, EMPTY_BLOCK, TRUE, Atom, Frame, Term, Values, Var, deref, functor
 from ...prolog.terms.unification import compare
-from ..dispatch.discrimination_tree import NOBODY
+from ..dispatch.discrimination_tree import NO_LISTENERS
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import GROUND, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
@@ -562,7 +562,7 @@ class Recorder:
         self, record: MemoryRecord, has_variables: bool, instances: Iterator[MemoryInstance], after: Frame
     ) -> Frame:
         end = int(record[2])
-        has_update_listeners = self._updates.plan is not NOBODY
+        has_update_listeners = self._updates.plan is not NO_LISTENERS
         for instance in instances:
             if has_variables:
                 instance.has_variables = True

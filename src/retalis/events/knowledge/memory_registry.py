@@ -17,7 +17,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms import timestamps
 from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.types import MINUS, NIL, Atom, Frame, Functor, Lazy, Term, Var, deref, functor
-from ..dispatch.discrimination_tree import NOBODY
+from ..dispatch.discrimination_tree import NO_LISTENERS
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from .memory import (
@@ -224,7 +224,9 @@ class MemoryInstances:
         recorders = {instance.recorder for instance in self.instances.values()}
         for recorder in recorders:
             recorder.keep_only(lambda candidate: self.find(candidate.id) is candidate)
-        self._dispatcher.keep_only(ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders})
+        self._dispatcher.remove_all_except(
+            ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders}
+        )
 
     def _find_or_create_recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
         """Return the recorder of the newest memory if it records the same of the same events, else a new one.
@@ -252,7 +254,7 @@ class MemoryInstances:
 
     def _process_update(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
         """Return the frame that processes an update: first the pending queries, then the report of the update."""
-        if instance.active and self._updates.plan is not NOBODY:
+        if instance.active and self._updates.plan is not NO_LISTENERS:
             instant = self._stamp()
             update = (UPDATED, instance.id, timestamps.to_term(end))
             # The report becomes the continuation of the queries, so they are called before its listeners.

@@ -351,7 +351,7 @@ class DerivedQuery(TriggeredQuery):
         return self._token
 
     def _execute_derived(self, values: Values, start: int, end: int, after: Frame) -> Frame:
-        return self._query.execute(values, start, end, self._dispatcher.following(self._token, after))
+        return self._query.execute(values, start, end, self._dispatcher.set_cause(self._token, after))
 
 
 def compile_general_query(context: QueryContext) -> TriggeredQuery:
@@ -628,7 +628,7 @@ class PendingQueries:
         machine = self._logic.machine
         report = GIVEN_UP(event, query, make_list(pairs))
         # The alarm may be called while another event is dispatched; the report does not depend on it.
-        self._dispatcher.apart(
+        self._dispatcher.run_without_context(
             lambda: machine.run(self._dispatcher.dispatch(report, instant, instant, machine.done))
         )
 

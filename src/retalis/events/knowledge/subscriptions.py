@@ -373,7 +373,7 @@ class Subscriptions:
         """Repair the subscriptions after an interrupt."""
         # An interrupt may leave a listener without a subscription, which would deliver events that nobody asked
         # for.
-        self._dispatcher.keep_only(
+        self._dispatcher.remove_all_except(
             ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
         )
         for rate in self._rate_limiters():

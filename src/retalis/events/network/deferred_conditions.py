@@ -119,23 +119,23 @@ class NegatedPattern:
 
     Args:
         build: builds the nodes.
-        twins: receives each further copy together with the first one.
+        copies: receives each further copy together with the first one.
         nodes: nodes of the rule, to which the built nodes are added.
     """
 
     def __init__(
         self,
         build: Callable[[], BuiltPattern],
-        twins: List[Tuple[BuiltPattern, BuiltPattern]],
+        copies: List[Tuple[BuiltPattern, BuiltPattern]],
         nodes: Sequence[Tuple[NetworkNode, Any, Any]],
     ):
         self._nodes = nodes
         self._build = build
-        self._twins = twins
-        self._made = False
-        self.first = self._forbidden()
+        self._copies = copies
+        self._first_is_used = False
+        self.first = self._build_negated()
 
-    def _forbidden(self) -> BuiltPattern:
+    def _build_negated(self) -> BuiltPattern:
         before = len(self._nodes)
         built = self._build()
         # All nodes that the call has added belong to the negated pattern.
@@ -147,19 +147,19 @@ class NegatedPattern:
 
     def make(self) -> BuiltPattern:
         """Return the nodes that were built first, or at a further call a copy."""
-        if not self._made:
-            self._made = True
+        if not self._first_is_used:
+            self._first_is_used = True
             return self.first
-        copy = self._forbidden()
-        self._twins.append((copy, self.first))
+        copy = self._build_negated()
+        self._copies.append((copy, self.first))
         return copy
 
-    def needs(self, context: AbstractSet[Var], known: Set[Var]) -> Set[Var]:
+    def needs(self, context: AbstractSet[Var], known_vars: Set[Var]) -> Set[Var]:
         """Return the variables of a context that the pattern uses and that are not known."""
         mentioned = set(self.first.node.vars)
         for condition in self.first.deferred:
             mentioned |= condition.needs
-        return (mentioned & context) - known
+        return (mentioned & context) - known_vars
 
 
 class DeferredConditions(NamedTuple):
@@ -195,7 +195,7 @@ class DeferredConditions(NamedTuple):
 
 
 def split_ready(
-    deferred: List[DeferredConditions], sure: Set[Var], context: AbstractSet[Var]
+    deferred: List[DeferredConditions], always_bound: Set[Var], context: AbstractSet[Var]
 ) -> Tuple[List[DeferredConditions], List[DeferredConditions]]:
     """Divide conditions into those that can be tested where some variables are bound, and the others.
 
@@ -204,11 +204,13 @@ def split_ready(
     ready: List[DeferredConditions] = []
     later: List[DeferredConditions] = []
     for condition in deferred:
-        if (condition.needs - sure) & context:
+        if (condition.needs - always_bound) & context:
             later.append(condition)
         else:
             ready.append(condition)
-            sure = sure if condition.goal is None else sure | set(variables(condition.goal))
+            always_bound = (
+                always_bound if condition.goal is None else always_bound | set(variables(condition.goal))
+            )
     return ready, later
 
 
@@ -251,9 +253,9 @@ def early_test(
     up.
     """
     test, result_vars = deferred_test(rule, node, condition, names)
-    places = positions(names)
-    needed = [places[var] for var in condition.needs]
-    mark = places[condition.start]
+    position_of = positions(names)
+    needed = [position_of[var] for var in condition.needs]
+    mark = position_of[condition.start]
     new = result_vars[len(names) :]
 
     def early(values: Values, start: int, end: int) -> Optional[Values]:
@@ -279,21 +281,21 @@ def _test_of_each(
     list_position = names.index(items.var)
     mentioned = [] if condition.goal is None else variables(condition.goal)
     match_vars = set(names)
-    known = [*names, *(var for var in mentioned if var in items.same and var not in match_vars)]
-    width = len(known)
-    test_one, result_vars = deferred_test(rule, node, condition, [*known, *items.names])
+    known_vars = [*names, *(var for var in mentioned if var in items.same and var not in match_vars)]
+    width = len(known_vars)
+    test_one, result_vars = deferred_test(rule, node, condition, [*known_vars, *items.names])
     items.names = result_vars[width:]
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
-        rest = values[list_position]
-        base = values + tuple([Var() for _ in known[len(values) :]])
-        if rest.__class__ is Var:
+        remaining_items = values[list_position]
+        base = values + tuple([Var() for _ in known_vars[len(values) :]])
+        if remaining_items.__class__ is Var:
             return base
         oldest_first = []
         # The list ends with NO_ITEMS.
-        while rest.__class__ is tuple:
-            oldest_first.append(rest[1][2:])
-            rest = rest[2]
+        while remaining_items.__class__ is tuple:
+            oldest_first.append(remaining_items[1][2:])
+            remaining_items = remaining_items[2]
         tested: Term = NO_ITEMS
         for item in reversed(oldest_first):
             result = test_one((*base, *item), start, end)
@@ -303,7 +305,7 @@ def _test_of_each(
             tested = append_item(tested, result[width:])
         return (*base[:list_position], tested, *base[list_position + 1 :])
 
-    return test, known
+    return test, known_vars
 
 
 def negation_buffer_for(
@@ -318,23 +320,23 @@ def negation_buffer_for(
         ever: whether any time before counts.
     """
     conditions = negated.deferred
-    own = negated.node.vars
-    places = positions(names)
-    shared = [(at, places[var]) for at, var in enumerate(own) if var in places]
+    own_vars = negated.node.vars
+    position_of = positions(names)
+    shared = [(position, position_of[var]) for position, var in enumerate(own_vars) if var in position_of]
     absence = NegationBuffer(rule, shared, ever)
     if not conditions:
         return absence
-    new = [var for var in own if var not in places]
-    at = [at for at, var in enumerate(own) if var not in places]
-    known = [*names, *new]
+    new = [var for var in own_vars if var not in position_of]
+    new_positions = [position for position, var in enumerate(own_vars) if var not in position_of]
+    known_vars = [*names, *new]
     tests = []
     for deferred in conditions:
-        test, known = deferred_test(rule, absence, deferred, known)
+        test, known_vars = deferred_test(rule, absence, deferred, known_vars)
         tests.append(test)
     tracker = rule.network.tracker
 
     def condition(values: Values, match: PartialMatch) -> bool:
-        both: Any = values + tuple([match.values[index] for index in at])
+        both: Any = values + tuple([match.values[index] for index in new_positions])
         before = tracker.blocker
         for test in tests:
             both = test(both, match.start, match.end)
@@ -353,11 +355,11 @@ def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], 
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
         # An instant, or a variable in a branch that was not taken.
-        low: Any = values[interval_positions[0]]
-        high: Any = values[interval_positions[1]]
-        if low.__class__ is Var:
+        gap_start: Any = values[interval_positions[0]]
+        gap_end: Any = values[interval_positions[1]]
+        if gap_start.__class__ is Var:
             return values
-        if absence.forbids_pair(values, low, low if ever else high):
+        if absence.forbids_pair(values, gap_start, gap_start if ever else gap_end):
             return None
         return values
 
@@ -379,8 +381,8 @@ class Wrapping(NamedTuple):
 
 def may_be_revived(pattern: Pattern) -> bool:
     """Return whether retracting an event can create a match of a pattern, instead of only removing some."""
-    kinds = (Absent, Star, Aggregate, Windowed, Shaped, Awaited)
-    return any(isinstance(part, kinds) for part in walk(pattern))
+    operators = (Absent, Star, Aggregate, Windowed, Shaped, Awaited)
+    return any(isinstance(part, operators) for part in walk(pattern))
 
 
 def goal_variables(conditions: List[Condition]) -> VarSet:
@@ -389,7 +391,7 @@ def goal_variables(conditions: List[Condition]) -> VarSet:
 
 
 def order_by_result_use(
-    conditions: Sequence[TestedCondition], known: Sequence[Var], result: Sequence[Var]
+    conditions: Sequence[TestedCondition], known_vars: Sequence[Var], result: Sequence[Var]
 ) -> List[Tuple[bool, TestedCondition]]:
     """Return the conditions of an aggregate, and for each whether it depends on the result.
 
@@ -400,7 +402,7 @@ def order_by_result_use(
     for condition in conditions:
         mentioned = set() if condition.goal is None else set(variables(condition.goal))
         if mentioned & result_vars:
-            result_vars |= mentioned.difference(known)
+            result_vars |= mentioned.difference(known_vars)
             late.append((True, condition))
         else:
             early.append((False, condition))
@@ -422,15 +424,17 @@ def serving_order(either: bool, left: BuiltPattern, right: BuiltPattern) -> List
 def may_share_event(left: BuiltPattern, right: BuiltPattern) -> bool:
     """Return whether one event may be in both operands of a pair."""
 
-    def kinds(built: BuiltPattern) -> Set[Term]:
+    def functors_of(built: BuiltPattern) -> Set[Term]:
         functors = set()
         for leaf in built.leaves:
             term = leaf.term
             functors.add(term[0] if term.__class__ is tuple else term)
         return functors
 
-    ours, theirs = kinds(left), kinds(right)
-    return bool(ours & theirs) or any(functor.__class__ is Var for functor in ours | theirs)
+    left_functors, right_functors = functors_of(left), functors_of(right)
+    return bool(left_functors & right_functors) or any(
+        functor.__class__ is Var for functor in left_functors | right_functors
+    )
 
 
 def unwrap(pattern: Pattern) -> Wrapping:

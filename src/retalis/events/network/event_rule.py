@@ -177,7 +177,7 @@ class EventRule:
         compiler = RuleCompiler(self, [] if head is None else [head], definition.pattern)
         self.root = compiler.build()
         self.nodes = compiler.nodes
-        self.double = any(getattr(node, "double", False) for node, _, _ in self.nodes)
+        self.shares_events = any(getattr(node, "shares_events", False) for node, _, _ in self.nodes)
         self._builder: Optional[Callable[[Values], Term]] = None
 
     def configure(
@@ -204,11 +204,11 @@ class EventRule:
         self._garbage = garbage
         self.idle = None if garbage is None else garbage[0]
         # Operators on streams have clocks of their own.
-        self.timed = garbage is not None and not root.alone
+        self.timed = garbage is not None and not root.is_single_event
         for node, span, retentions in self.nodes:
             limit = retentions.late if mode.out_of_order else retentions.in_order
             node.set_span(
-                smaller_bound(span, window) if node.windowed else span, smaller_bound(limit, window)
+                smaller_bound(span, window) if node.tests_window else span, smaller_bound(limit, window)
             )
             self.timed = self.timed or any(buffer.retention is not None for buffer in node.buffers())
         spans = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
@@ -237,9 +237,9 @@ class EventRule:
         complete_root: Emit = self._complete_tracked if mode.tracked else complete_match
         if skipping is not None:
             skipping.connect(root, complete_root, mode)
-        elif root.alone and not self.timed and not mode.tracked:
+        elif root.is_single_event and not self.timed and not mode.tracked:
             # Match objects would take 12 % more time, and goals are fused only here.
-            root.bind_alone(completion)
+            root.bind_values(completion)
         else:
             root.bind(complete_root, mode)
         self.is_connected = True
@@ -346,7 +346,7 @@ class EventRule:
             if match.buffer is not None:
                 self._enqueue_expiration(match, match.buffer.retention)
         if self.skipping is not None:
-            self.skipping.refile(self.arrivals)
+            self.skipping.rebuild_entries(self.arrivals)
 
     def _clear_expirations(self) -> None:
         self.expiries.reset(self._span)
@@ -379,7 +379,7 @@ class EventRule:
     def ground_with_event(self) -> int:
         """Number of leading values of a match that contain variables only if its event does."""
         node: Any = self.root
-        if not node.alone:
+        if not node.is_single_event:
             return 0
         while not isinstance(node, EventNode):
             # Its results may come from earlier events.
@@ -389,9 +389,9 @@ class EventRule:
         return len(node.vars)
 
     @property
-    def held(self) -> int:
+    def match_count(self) -> int:
         """Number of matches in its buffers and in its operators on streams."""
-        return self.waiting + sum(node.held() for node, _, _ in self.nodes)
+        return self.waiting + sum(node.stored_count() for node, _, _ in self.nodes)
 
     @property
     def keys(self) -> int:
@@ -447,7 +447,7 @@ class EventRule:
         if self._deferring_event != event:
             self.store_deferred()
         if self.skipping is not None:
-            self.skipping.begin(event)
+            self.skipping.begin_event(event)
 
     def store_deferred(self, only: Optional[MatchBuffer] = None) -> None:
         """Store all deferred matches; with ``only``, those of one buffer."""
@@ -560,7 +560,7 @@ class EventRule:
         if self.timed and match.buffer is not None:
             self._enqueue_expiration(match, span)
         if self.skipping is not None:
-            self.skipping.note(match)
+            self.skipping.add_entry(match)
 
     def _enqueue_expiration(self, match: PartialMatch, span: Optional[int]) -> None:
         if span is not None:

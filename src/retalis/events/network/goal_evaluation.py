@@ -89,12 +89,12 @@ class ConditionState:
     """State of condition tests, shared by all rules.
 
     Attributes:
-        nested: number of conditions being tested, one within the other.
-        checked: interval that ``t1/1`` and ``t2/1`` return: that of the innermost condition that has one.
+        depth: number of conditions being tested, one within the other.
+        interval: interval that ``t1/1`` and ``t2/1`` return: that of the innermost condition that has one.
     """
 
-    nested: int = 0
-    checked: Optional[Tuple[int, int]] = None
+    depth: int = 0
+    interval: Optional[Tuple[int, int]] = None
 
 
 Test = Callable[[Values, int, int], Optional[Values]]
@@ -112,31 +112,31 @@ class RuleGoal:
     Args:
         rule: the rule that contains it.
         goal: the goal.
-        known: variables of the values of a match.
+        given_vars: variables of the values of a match.
 
     Attributes:
-        result_vars: ``known``, then the other variables of the goal.
+        result_vars: ``given_vars``, then the other variables of the goal.
     """
 
-    def __init__(self, rule: "EventRule", goal: Term, known: Sequence[Var]):
+    def __init__(self, rule: "EventRule", goal: Term, given_vars: Sequence[Var]):
         self.rule = rule
         self.goal = goal
-        self.known = list(known)
+        self.given_vars = list(given_vars)
         mentioned = positions(variables(goal))
-        places = positions(self.known)
-        inputs = [var for var in self.known if var in mentioned]
-        self.positions = tuple(places[var] for var in inputs)
-        self._takes_all = inputs == self.known
-        self.outputs = [var for var in mentioned if var not in places]
-        self.result_vars = [*self.known, *self.outputs]
+        position_of = positions(self.given_vars)
+        inputs = [var for var in self.given_vars if var in mentioned]
+        self.positions = tuple(position_of[var] for var in inputs)
+        self._takes_all = inputs == self.given_vars
+        self.outputs = [var for var in mentioned if var not in position_of]
+        self.result_vars = [*self.given_vars, *self.outputs]
         self._from_outside = (
             rule.network.logic.from_outside
         )  # read here, because the other forms of the goal are compiled later
         self._compiled: Dict[Tuple[object, ...], CompiledGoal] = {}
         self._inputs = inputs
-        self._plain = self._compile(inputs, self.outputs, False)
+        self._ground_goal = self._compile(inputs, self.outputs, False)
         self._dispatcher = rule.network.dispatcher
-        self._under_way = rule.network.under_way
+        self._condition_state = rule.network.condition_state
 
     def test(self, values: Values) -> Optional[Values]:
         """Return the values extended by those of the first solution; None if there is none.
@@ -144,18 +144,18 @@ class RuleGoal:
         An error counts as failure and is reported.
         """
         current = self._dispatcher.current
-        under_way = self._under_way
-        under_way.nested += 1
+        condition_state = self._condition_state
+        condition_state.depth += 1
         try:
-            if under_way.nested > _MAX_CONDITION_DEPTH:
+            if condition_state.depth > _MAX_CONDITION_DEPTH:
                 raise resource_error("conditions_that_make_events")
             given = tuple([values[position] for position in self.positions])
             if are_ground(given):
-                solution = self._plain.test(given)
+                solution = self._ground_goal.test(given)
                 if solution is None:
                     return None
                 return values + solution if solution else values
-            return self._open().test(values)
+            return self._open_goal().test(values)
         except PrologError as error:
             # An error may leave a nested dispatch unfinished; the event that was served before the condition is
             # current again.
@@ -163,7 +163,7 @@ class RuleGoal:
             self.failed(error)
             return None
         finally:
-            under_way.nested -= 1
+            condition_state.depth -= 1
 
     def act(
         self,
@@ -190,17 +190,19 @@ class RuleGoal:
         # With ground inputs, the goal returns only its other variables; the values of the match are passed beside
         # it.
         if ground or are_ground(given):
-            goal, kept = self._plain, values
+            goal, passed_values = self._ground_goal, values
         else:
-            goal, given, kept = self._open(), values, ()
-        return self._dispatcher.call(goal, given, self._reported, solved, term, kept, start, end, after)
+            goal, given, passed_values = self._open_goal(), values, ()
+        return self._dispatcher.call(
+            goal, given, self._reported, solved, term, passed_values, start, end, after
+        )
 
     @property
-    def plain(self) -> CompiledGoal:
+    def ground_goal(self) -> CompiledGoal:
         """The goal for inputs without variables."""
-        return self._plain
+        return self._ground_goal
 
-    def alone(self, completion: Continuation) -> Continuation:
+    def continuation_for_event(self, completion: Continuation) -> Continuation:
         """Return the continuation that calls the goal for a single event and continues with a completion.
 
         Usually the event has no variables, and the goal is a call that is executed in one step; that case is fused.
@@ -208,13 +210,16 @@ class RuleGoal:
         act, solved = self.act, completion.action
         dispatcher = self._dispatcher
 
-        def plain(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def act_on_event(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return act(term, values, start, end, dispatcher.ground(), solved, after)
 
-        if self.outputs or not self._takes_all or not self.known:
-            return Continuation(plain)
+        if self.outputs or not self._takes_all or not self.given_vars:
+            return Continuation(act_on_event)
         return Continuation(
-            goal_action(self._plain, len(self.known), self.rule, self.failed, plain, completion), True
+            goal_action(
+                self._ground_goal, len(self.given_vars), self.rule, self.failed, act_on_event, completion
+            ),
+            True,
         )
 
     def act_on_all(
@@ -232,7 +237,7 @@ class RuleGoal:
         ground = ground or are_ground(given)
         # All solutions are computed first: events that follow from the first solution must not change the later
         # ones.
-        goal = self._compile(self._inputs, self.outputs, True) if ground else self._open(True)
+        goal = self._compile(self._inputs, self.outputs, True) if ground else self._open_goal(True)
 
         def each(term: Term, collected: Values, start: int, end: int, after: Frame) -> Frame:
             solutions = [tuple(list_items(item) or ()) for item in list_items(collected[0]) or ()]
@@ -247,9 +252,7 @@ class RuleGoal:
         given = given if ground else values
         return self._dispatcher.call(goal, given, self._reported, each, term, (), start, end, after)
 
-    def noting_cause(
-        self, match: PartialMatch, solved: EventAction, after: Frame
-    ) -> Tuple[EventAction, Frame]:
+    def with_cause(self, match: PartialMatch, solved: EventAction, after: Frame) -> Tuple[EventAction, Frame]:
         """Record the match as the cause of the events that the goal makes, until it ends.
 
         Returns:
@@ -257,9 +260,9 @@ class RuleGoal:
         """
         return self._dispatcher.caused_by((self.rule, match), solved, after)
 
-    def _open(self, every: bool = False) -> CompiledGoal:
+    def _open_goal(self, every: bool = False) -> CompiledGoal:
         """Return the goal for values with variables; it returns all values, as its solution leaves them."""
-        return self._compile(self.known, self.result_vars, every)
+        return self._compile(self.given_vars, self.result_vars, every)
 
     def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> CompiledGoal:
         key = (tuple(inputs), tuple(outputs), every)
@@ -284,38 +287,38 @@ class RuleGoal:
         self.rule.network.goal_failed(self.rule, self.goal, error)
 
 
-def goal_test(call: RuleGoal, timed: bool, captured: Optional[Tuple[int, int]]) -> Test:
+def goal_test(call: RuleGoal, timed: bool, interval_positions: Optional[Tuple[int, int]]) -> Test:
     """Return the test of a condition.
 
     Args:
         call: the goal.
         timed: whether ``t1/1`` and ``t2/1`` are available in it.
-        captured: positions of the interval of the condition's pattern among the values, if it is tested further up;
-            a variable there means that the pattern is in a branch that was not taken.
+        interval_positions: positions of the interval of the condition's pattern among the values, if it is tested
+            further up; a variable there means that the pattern is in a branch that was not taken.
     """
     goal = call.test
-    under_way = call.rule.network.under_way
-    missing = [Var for _ in call.outputs]
+    condition_state = call.rule.network.condition_state
+    missing_vars = [Var for _ in call.outputs]
 
-    def plain(values: Values, start: int, end: int) -> Optional[Values]:
+    def without_interval(values: Values, start: int, end: int) -> Optional[Values]:
         return goal(values)
 
     def with_interval(values: Values, start: Any, end: Any) -> Optional[Values]:
-        if captured is not None:
-            start, end = values[captured[0]], values[captured[1]]
+        if interval_positions is not None:
+            start, end = values[interval_positions[0]], values[interval_positions[1]]
             if start.__class__ is Var:
-                return values + tuple([make() for make in missing])
+                return values + tuple([make() for make in missing_vars])
         if not timed:
             return goal(values)
         # Conditions nest: the event that a condition makes may cause another timed condition.
-        before = under_way.checked
-        under_way.checked = (start, end)
+        previous_interval = condition_state.interval
+        condition_state.interval = (start, end)
         try:
             return goal(values)
         finally:
-            under_way.checked = before
+            condition_state.interval = previous_interval
 
-    return with_interval if timed or captured is not None else plain
+    return with_interval if timed or interval_positions is not None else without_interval
 
 
 _IS = functor("is", 2)
@@ -356,15 +359,17 @@ class Evaluators:
         may_be_array = may_be_array and deref(measured).__class__ is Var
         number, expression = Var(), Var()
         goal: List[CompiledGoal] = []
-        places = positions(names)
-        inputs = [places[var] for var in variables(measured) if var in places]
-        fits = is_number_expression if AGGREGATES[aggregate].value_rule.accepts_expressions else is_number
+        position_of = positions(names)
+        inputs = [position_of[var] for var in variables(measured) if var in position_of]
+        is_suitable = (
+            is_number_expression if AGGREGATES[aggregate].value_rule.accepts_expressions else is_number
+        )
 
         def evaluate(term: Term, values: Values) -> Term:
             if may_be_array and array_length(term) is not None:
                 return term
             for position in inputs:
-                if not fits(values[position]):
+                if not is_suitable(values[position]):
                     raise unsuitable_value(aggregate, values[position])
             # Compiled at the first use: most expressions are variables whose values are numbers already.
             if not goal:
@@ -385,14 +390,14 @@ class Evaluators:
         """Return a function that calls a goal, given the values of some variables."""
         compiled = self._rule.network.logic.compile_goal(goal, list(names), [])
 
-        def holds(values: Values) -> bool:
+        def is_satisfied(values: Values) -> bool:
             try:
                 return compiled.test(values) is not None
             except PrologError as error:
                 keep_back(error)
                 raise RuleError(f"{called}: {error.message}") from error
 
-        return holds
+        return is_satisfied
 
     def compile_fold(self, names: Tuple[Atom, Atom, Atom]) -> FoldFunction:
         """Return a function that calls the predicates of a user-defined aggregate.

@@ -57,14 +57,14 @@ class JoinNode(NetworkNode):
         keep: variables that are used elsewhere in the rule.
         gap: variables that receive the gap between the operands, for a negation that is tested further up; or None.
         captured: pairs of variables that receive the interval of the result, for conditions tested further up.
-        double: whether one event may be in both operands.
+        shares_events: whether one event may be in both operands.
         names: functions that return the identity of the matches of the left and of the right operand.
 
     Attributes:
-        revived: whether a match of the left and of the right operand can be revived by a retraction.
+        can_be_revived: whether a match of the left and of the right operand can be revived by a retraction.
     """
 
-    revived = (False, False)
+    can_be_revived = (False, False)
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class JoinNode(NetworkNode):
         keep: AbstractSet[Var],
         gap: Optional[Tuple[Var, Var]],
         captured: Sequence[Tuple[Var, Var]],
-        double: bool,
+        shares_events: bool,
         names: Tuple[IdentityFunction, IdentityFunction],
     ):
         self.rule = rule
@@ -107,9 +107,9 @@ class JoinNode(NetworkNode):
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.tests: List[Test] = []
         self.completed: Dict[Hashable, None] = {}
-        self.double = double
+        self.shares_events = shares_events
         self.span: Optional[int] = None
-        self.kept_sides = RetainedMatches(self.right_buffer)
+        self.retained_matches = RetainedMatches(self.right_buffer)
 
     def test(self, test: Test, names: Sequence[Var]) -> None:
         """Add a condition; ``names`` are the variables after it."""
@@ -152,13 +152,13 @@ class JoinNode(NetworkNode):
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
-        return (list(self.completed), self.kept_sides.snapshot())
+        return (list(self.completed), self.retained_matches.snapshot())
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
         completed, sides = saved
         self.completed.update(dict.fromkeys(completed))
-        self.kept_sides.restore(sides)
+        self.retained_matches.restore(sides)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node, and the join nodes on its left; see `NetworkNode.bind`."""
@@ -203,23 +203,23 @@ class JoinNode(NetworkNode):
 
     def _keeps(self, mode: NetworkOptions) -> bool:
         """Return whether second operands are kept for a first one that a retraction may revive."""
-        return self._is_revised(mode) and self.revived[0]
+        return self._is_revised(mode) and self.can_be_revived[0]
 
     def _left_side(self) -> MatchSide:
         # A left operand is always stored, even after it has joined with a partner: later right operands may use it.
         return MatchSide(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
 
     def _right_side(self, mode: NetworkOptions) -> MatchSide:
-        both, late, keeps = self.operator.either, self._is_late(mode), self._keeps(mode)
+        both, late, retains_right = self.operator.either, self._is_late(mode), self._keeps(mode)
         flipped = tuple((right_position, left_position) for left_position, right_position in self.pairs)
         join = self._join(False)
-        if self._is_revised(mode) and self.revived[1]:
+        if self._is_revised(mode) and self.can_be_revived[1]:
             join = join_in_order(self.rule.network.tracker, join)
-        waits, stays = both or late or keeps, late or keeps
+        waits, stays = both or late or retains_right, late or retains_right
         right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
-        if keeps:
-            right = right._replace(store=self.kept_sides.add)
-        if self.double and mode.policy.replacing and (both or late):
+        if retains_right:
+            right = right._replace(store=self.retained_matches.add)
+        if self.shares_events and mode.policy.replacing and (both or late):
             right = right._replace(store=self._wait_later)
         return right
 
@@ -252,7 +252,7 @@ class JoinNode(NetworkNode):
                 else only_waits
             )
         # `and` with one event in both operands: each event may complete one pair only.
-        once = self.completed if self.double and both and operator.alone else None
+        once = self.completed if self.shares_events and both and operator.alone else None
         _bind(self.right, join_one_partner(right, policy.newest, True, out, once), mode, fuse)
         if not both and not late:
             return only_waits
@@ -275,9 +275,9 @@ class JoinNode(NetworkNode):
         if not self._may_fuse(mode):
             return None
         # At the root, the pair is not created as a match: its values go directly to the head.
-        whole = rule.completion if rule.root is self else None
+        completion = rule.completion if rule.root is self else None
         pair = FusedPair(
-            (self.left.whole, self.right.whole),
+            (self.left.values_are_arguments, self.right.values_are_arguments),
             self.operator,
             self.span,
             list(zip(self.vars, self.taken)),
@@ -285,7 +285,7 @@ class JoinNode(NetworkNode):
             self.tests,
             self.vars[len(self.taken) :],
             computed_values_getter(self.vars, len(self.taken), self.keep),
-            whole,
+            completion,
         )
         newest, uses = mode.policy.newest, mode.policy.consuming
         taking = PartnerChoice(newest, uses, join_one_of_others(side, newest, out)) if takes else None
@@ -294,7 +294,7 @@ class JoinNode(NetworkNode):
     def _may_fuse(self, mode: NetworkOptions) -> bool:
         """Return whether nothing inspects the events of the matches, so that no match object is needed."""
         rule = self.rule
-        looked_at = mode.tracked or mode.revised or rule.double or rule.skipping is not None
+        looked_at = mode.tracked or mode.revised or rule.shares_events or rule.skipping is not None
         return not looked_at and not rule.collects
 
     def _fuse_absence(
@@ -303,7 +303,7 @@ class JoinNode(NetworkNode):
         rule = self.rule
         if not self._may_fuse(mode):
             return None
-        return lambda plain: fused_absence(absence, rule, negated.whole, plain)
+        return lambda plain: fused_absence(absence, rule, negated.values_are_arguments, plain)
 
     def _wait_later(self, match: PartialMatch, key: Hashable) -> None:
         """Store a right operand when its event has been tried as a left operand too.
@@ -344,7 +344,7 @@ class JoinNode(NetworkNode):
             "        return None",
         ]
         # `and` of two different events: one event may not be both operands.
-        if operator.alone and self.double:
+        if operator.alone and self.shares_events:
             lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
         lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
         if self.span is not None:

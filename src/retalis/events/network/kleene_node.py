@@ -237,22 +237,22 @@ class KleeneNode(KleeneValues):
         rule: the rule that it belongs to.
         first: node of P.
         repeated: node of Q.
-        double: whether one event may be in both.
+        shares_events: whether one event may be in both.
         names: functions that return the identity of the matches of P and of Q.
         keep: variables that are used elsewhere in the rule.
 
     Attributes:
-        revived: whether a match of P and of Q can be revived by a retraction.
+        can_be_revived: whether a match of P and of Q can be revived by a retraction.
     """
 
-    revived = (False, False)
+    can_be_revived = (False, False)
 
     def __init__(
         self,
         rule: "EventRule",
         first: NetworkNode,
         repeated: NetworkNode,
-        double: bool,
+        shares_events: bool,
         names: Tuple[IdentityFunction, IdentityFunction],
         keep: AbstractSet[Var],
     ):
@@ -260,7 +260,7 @@ class KleeneNode(KleeneValues):
         self.rule = rule
         self._first_name, self._repeated_name = names
         self._keep = keep
-        self.double = double
+        self.shares_events = shares_events
         in_first, in_repeated = positions(first.vars), positions(repeated.vars)
         self.pairs = tuple(
             (position, in_repeated[var]) for var, position in in_first.items() if var in in_repeated
@@ -270,7 +270,7 @@ class KleeneNode(KleeneValues):
         self.step_tests: List[Test] = []
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self._step_at = [position for position, var in enumerate(repeated.vars) if var not in in_first]
-        self.kept_sides = RetainedMatches(self.incoming)
+        self.retained_matches = RetainedMatches(self.incoming)
 
     def buffers(self) -> Sequence[Buffer]:
         """Return the buffers of the node."""
@@ -285,11 +285,11 @@ class KleeneNode(KleeneValues):
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
-        return self.kept_sides.snapshot()
+        return self.retained_matches.snapshot()
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        self.kept_sides.restore(saved)
+        self.retained_matches.restore(saved)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
@@ -299,16 +299,19 @@ class KleeneNode(KleeneValues):
         self.extending = self._extend_and_record if mode.tracked and self.carried else self.extend
         self.consuming = policy.consuming
         self.late = mode.out_of_order
-        self.waits_later = self.late and self.double and policy.replacing
+        self.waits_later = self.late and self.shares_events and policy.replacing
         revised = mode.revised and not self.late
-        self.keeps, self.ordered = revised and self.revived[0], revised and self.revived[1]
+        self.retains_right, self.ordered = (
+            revised and self.can_be_revived[0],
+            revised and self.can_be_revived[1],
+        )
         self.buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
         self.incoming.partner_bounds = interval_bounds(SEQ, self.span, True)
         self.buffer.set_identity_function(
             (identity_by_start if policy.replacing else identity_by_start_interval)(self._first_name)
         )
         self.incoming.set_identity_function(
-            self._repeated_name if policy.replacing and not self.keeps else None
+            self._repeated_name if policy.replacing and not self.retains_right else None
         )
         self._found = computed_values_getter(self.vars, self._same_at, self._keep)
         self.out = out
@@ -337,7 +340,9 @@ class KleeneNode(KleeneValues):
                 return after
             buffer.add(run, key)
             result = self._result_without(run) if fires else None
-            if self.late or (self.keeps and is_revived(self.rule.network.tracker, arrival_number_of(run))):
+            if self.late or (
+                self.retains_right and is_revived(self.rule.network.tracker, arrival_number_of(run))
+            ):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
                 return emit_each(iter(results), out, after)
@@ -351,9 +356,9 @@ class KleeneNode(KleeneValues):
         A revived start takes the repetitions that arrived after it and are still available.
         """
         results = []
-        arrival_number = arrival_number_of(run) if self.keeps else 0
+        arrival_number = arrival_number_of(run) if self.retains_right else 0
         for match in metered(self.incoming.partner_list(key, run.start, run.end), self.rule.meter):
-            if self.keeps and (
+            if self.retains_right and (
                 arrival_number_of(match) <= arrival_number or (self.consuming and is_valid(match.consumed_by))
             ):
                 continue
@@ -374,11 +379,11 @@ class KleeneNode(KleeneValues):
             self.rule.defer_storage(self.incoming, match, key)
         elif self.late:
             self.incoming.add(match, key)
-        elif self.keeps:
-            self.kept_sides.add(match, key)
+        elif self.retains_right:
+            self.retained_matches.add(match, key)
 
     def _extend_one(self, out: Emit, newest: bool) -> Emit:
-        waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+        waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
         meter = self.rule.meter
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
@@ -399,7 +404,7 @@ class KleeneNode(KleeneValues):
         return arrive
 
     def _extend_all(self, out: Emit) -> Emit:
-        waits, ordered, extend = self.late or self.keeps, self.ordered, self.extending
+        waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
         meter = self.rule.meter
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
@@ -547,4 +552,4 @@ class KleeneNode(KleeneValues):
             return after
         # The result arrives after its events; a match that has fired meanwhile may have skipped it.
         skipping = None if self.is_negated else self.rule.skipping
-        return self.out(result, after) if skipping is None or skipping.takes(result.start) else after
+        return self.out(result, after) if skipping is None or skipping.accepts_start(result.start) else after

@@ -7,8 +7,8 @@ event are processed depth-first: a match reaches the root, and the rule fires, b
 The nodes are connected for given options by `NetworkNode.bind`, from the root down. Each ``bind`` compiles the
 options into a closure; if an option changes, the nodes are connected again and stored matches remain.
 
-A rule whose pattern is a single event with conditions and goals (`NetworkNode.alone`) needs no match objects. Its
-nodes are connected by `NetworkNode.bind_alone`, and pass values instead.
+A rule whose pattern is a single event with conditions and goals (`NetworkNode.is_single_event`) needs no match
+objects. Its nodes are connected by `NetworkNode.bind_values`, and pass values instead.
 
 `MatchKeys` determines the identity of the matches of a pattern. Usually it follows from their events. A value that a
 goal, a repetition or an aggregate has computed may still be unbound, and be bound by an event further up; such
@@ -34,7 +34,7 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions, term_key, variables
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
-from ..dispatch.discrimination_tree import takes_all
+from ..dispatch.discrimination_tree import matches_all_events
 from ..fused.fused_single_event import Continuation
 from ..language.pattern_tree import Aggregate, Either, Pattern, Star, Windowed, children, own_terms
 from ..matches.consumption_policy import Emit
@@ -67,29 +67,29 @@ class MatchKeys:
 
     def __init__(self, shared: AbstractSet[Var]):
         self.carried: Set[Var] = set(shared)
-        self._given: Dict[int, FrozenSet[Var]] = {}
+        self._event_bound_vars: Dict[int, FrozenSet[Var]] = {}
 
-    def name(self, names: Sequence[Var], pattern: Pattern) -> IdentityFunction:
+    def identity_function(self, names: Sequence[Var], pattern: Pattern) -> IdentityFunction:
         """Return the identity function of a pattern's matches, given the variables of their values."""
         carried = [(position, var) for position, var in enumerate(names) if var in self.carried]
         return identity_by_values(
-            [position for position, var in carried if var not in self._by_events(pattern)]
+            [position for position, var in carried if var not in self._vars_bound_by_events(pattern)]
         )
 
-    def _by_events(self, pattern: Pattern) -> FrozenSet[Var]:
+    def _vars_bound_by_events(self, pattern: Pattern) -> FrozenSet[Var]:
         """Return the variables that the events of a match always bind; cached for each part of the pattern."""
-        bound = self._given.get(id(pattern))
+        bound = self._event_bound_vars.get(id(pattern))
         if bound is None:
-            bound = self._given[id(pattern)] = self._given_by(pattern)
+            bound = self._event_bound_vars[id(pattern)] = self._find_vars_bound_by_events(pattern)
         return bound
 
-    def _given_by(self, pattern: Pattern) -> FrozenSet[Var]:
+    def _find_vars_bound_by_events(self, pattern: Pattern) -> FrozenSet[Var]:
         # There may be no repetition, so only the start is certain.
         if isinstance(pattern, (Star, Aggregate)):
-            return self._by_events(pattern.first)
+            return self._vars_bound_by_events(pattern.first)
         if isinstance(pattern, Windowed):
             return frozenset()
-        below = [self._by_events(child) for child in children(pattern, False)]
+        below = [self._vars_bound_by_events(child) for child in children(pattern, False)]
         if isinstance(pattern, Either):
             return frozenset.intersection(*below)
         if not below:
@@ -107,18 +107,20 @@ def identity_by_values(positions: List[int]) -> IdentityFunction:
 
 
 def computed_values_getter(
-    names: Sequence[Var], known: int, carried: AbstractSet[Var]
+    names: Sequence[Var], received_count: int, carried: AbstractSet[Var]
 ) -> Callable[[Values], Values]:
     """Return a function for the values that a node has computed itself and does not pass on; see `ComputedValues`.
 
     Args:
         names: variables of its values.
-        known: number of values that it received.
+        received_count: number of values that it received.
         carried: variables that are passed on, and belong to the identity of stored matches.
     """
-    hidden_positions = [position for position in range(known, len(names)) if names[position] not in carried]
-    if len(hidden_positions) == len(names) - known:
-        return itemgetter(slice(known, None))
+    hidden_positions = [
+        position for position in range(received_count, len(names)) if names[position] not in carried
+    ]
+    if len(hidden_positions) == len(names) - received_count:
+        return itemgetter(slice(received_count, None))
     return lambda values: tuple([values[position] for position in hidden_positions])
 
 
@@ -137,11 +139,11 @@ class NetworkNode:
 
     vars: List[Var]
     place = 0
-    windowed = True
+    tests_window = True
     """True if the window of a label is tested here."""
-    alone = False
+    is_single_event = False
     """True if the pattern is one event with conditions and goals, so that values are passed instead of matches."""
-    whole = False
+    values_are_arguments = False
     """True if the values of its matches are the arguments of an event."""
     is_negated = False
     """True if it belongs to a negated pattern; its matches are not skipped after a match."""
@@ -150,8 +152,10 @@ class NetworkNode:
         """Send matches to ``out`` from now on, according to ``mode``; stored matches remain."""
         raise NotImplementedError
 
-    def bind_alone(self, completion: Continuation) -> None:
-        """Send values to ``completion`` from now on, without creating matches; for nodes that are `alone`."""
+    def bind_values(self, completion: Continuation) -> None:
+        """Send values to ``completion`` from now on, without creating matches; for nodes that are
+        `is_single_event`.
+        """
         raise NotImplementedError
 
     def buffers(self) -> Sequence[Buffer]:
@@ -174,7 +178,7 @@ class NetworkNode:
     def repair(self) -> None:
         """Repair the state of the node itself after an interrupt."""
 
-    def held(self) -> int:
+    def stored_count(self) -> int:
         """Return the number of matches in the state of the node itself, besides those in buffers."""
         return 0
 
@@ -194,13 +198,13 @@ class NetworkNode:
 
 
 class EventNode(NetworkNode):
-    """Receives the events that unify with a term; it is `whole` if all events of its functor do."""
+    """Receives the events that unify with a term; it is `values_are_arguments` if all events of its functor do."""
 
     def __init__(self, rule: "EventRule", term: Term):
         self.rule = rule
         self.term = term
-        self.alone = True
-        self.whole = takes_all(term)
+        self.is_single_event = True
+        self.values_are_arguments = matches_all_events(term)
         self.rank = 0
         self.vars = variables(term)
 
@@ -224,7 +228,7 @@ class EventNode(NetworkNode):
             rule.tick(end)
             return out(PartialMatch(values, start, end, None, term, None), after)
 
-        def arrive_known(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def arrive_identified(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             event = token()
             # Matches of the previous event are stored before this event looks for partners.
             if rule.deferred_matches:
@@ -238,21 +242,25 @@ class EventNode(NetworkNode):
             rule.store_deferred_of_earlier_events(event)
             if rule.timed:
                 rule.tick(end)
-            return out(PartialMatch(values, start, end, event, term, None), after) if takes(start) else after
+            return (
+                out(PartialMatch(values, start, end, event, term, None), after)
+                if accepts_start(start)
+                else after
+            )
 
-        known = rule.double or mode.tracked
+        needs_identity = rule.shares_events or mode.tracked
         if rule.skipping is None:
-            plain = arrive_known if known else arrive_timed if rule.timed else arrive
+            arrival_action = arrive_identified if needs_identity else arrive_timed if rule.timed else arrive
             if fuse is None:
-                rule.listen(self, plain)
+                rule.listen(self, arrival_action)
             else:
-                rule.listen(self, fuse(plain), fused=True)
+                rule.listen(self, fuse(arrival_action), fused=True)
         else:
-            takes = (lambda start: True) if self.is_negated else rule.skipping.takes
+            accepts_start = (lambda start: True) if self.is_negated else rule.skipping.accepts_start
             rule.listen(self, arrive_unskipped)
 
-    def bind_alone(self, completion: Continuation) -> None:
-        """Listen to events for a rule whose pattern is a single event; see `NetworkNode.alone`."""
+    def bind_values(self, completion: Continuation) -> None:
+        """Listen to events for a rule whose pattern is a single event; see `NetworkNode.is_single_event`."""
         self.rule.listen(self, completion.action, completion.fused)
 
 
@@ -264,8 +272,8 @@ class FilterNode(NetworkNode):
     ):
         self.child = child
         self.keep = keep
-        self.alone = child.alone
-        self.windowed = False
+        self.is_single_event = child.is_single_event
+        self.tests_window = False
         self.vars = list(names)
         self.tests = list(tests)
         self.span: Optional[int] = None
@@ -278,7 +286,7 @@ class FilterNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         tests = self.tests
         span = self.span
-        own = computed_values_getter(self.vars, len(self.child.vars), self.keep)
+        computed_values = computed_values_getter(self.vars, len(self.child.vars), self.keep)
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             start = match.start
@@ -294,14 +302,14 @@ class FilterNode(NetworkNode):
             # identity.
             if values is not match.values:
                 match = PartialMatch(
-                    values, start, end, match.event, None, (match, ComputedValues(own(values)))
+                    values, start, end, match.event, None, (match, ComputedValues(computed_values(values)))
                 )
             return out(match, after)
 
         self.child.bind(arrive, mode)
 
-    def bind_alone(self, completion: Continuation) -> None:
-        """Connect the node; see `NetworkNode.bind_alone`."""
+    def bind_values(self, completion: Continuation) -> None:
+        """Connect the node; see `NetworkNode.bind_values`."""
         complete = completion.action
         tests = self.tests
         span = self.span
@@ -315,7 +323,7 @@ class FilterNode(NetworkNode):
                     return after
             return complete(term, values, start, end, after)
 
-        self.child.bind_alone(Continuation(arrive))
+        self.child.bind_values(Continuation(arrive))
 
 
 class BindNode(NetworkNode):
@@ -358,8 +366,10 @@ class OrNode(NetworkNode):
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             values = match.values
-            laid = tuple([Var() if position is None else values[position] for position in layout])
-            return out(PartialMatch(laid, match.start, match.end, match.event, None, (index, match)), after)
+            ordered_values = tuple([Var() if position is None else values[position] for position in layout])
+            return out(
+                PartialMatch(ordered_values, match.start, match.end, match.event, None, (index, match)), after
+            )
 
         return arrive
 
@@ -368,18 +378,18 @@ class ActionNode(NetworkNode):
     """Calls a goal for each match: once, or for all of its solutions.
 
     Attributes:
-        lets: tells for the start of a match whether it may fire; None except for the first goal after the whole
+        may_fire: tells for the start of a match whether it may fire; None except for the first goal after the whole
             pattern.
     """
 
     def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, keep: AbstractSet[Var]):
         self.child = child
         self.keep = keep
-        self.alone = child.alone
-        self.windowed = False
+        self.is_single_event = child.is_single_event
+        self.tests_window = False
         self.call = call
         self.every = every
-        self.lets: Optional[Callable[[int], bool]] = None
+        self.may_fire: Optional[Callable[[int], bool]] = None
         self.vars = list(call.result_vars)
         self.span: Optional[int] = None
 
@@ -393,7 +403,7 @@ class ActionNode(NetworkNode):
         act = call.act_on_all if self.every else call.act
         tracked = mode.tracked
         span = self.span
-        own = computed_values_getter(self.vars, len(self.child.vars), self.keep)
+        computed_values = computed_values_getter(self.vars, len(self.child.vars), self.keep)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
@@ -402,24 +412,31 @@ class ActionNode(NetworkNode):
 
             def solved(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
                 return out(
-                    PartialMatch(values, start, end, match.event, None, (match, ComputedValues(own(values)))),
+                    PartialMatch(
+                        values,
+                        start,
+                        end,
+                        match.event,
+                        None,
+                        (match, ComputedValues(computed_values(values))),
+                    ),
                     then,
                 )
 
             # Events that the goal makes are derived from this match, so that they are retracted together with it.
-            done = call.noting_cause(match, solved, after) if tracked else (solved, after)
-            return act(match.term, match.values, match.start, match.end, is_of_ground(match), *done)
+            continuation = call.with_cause(match, solved, after) if tracked else (solved, after)
+            return act(match.term, match.values, match.start, match.end, is_of_ground(match), *continuation)
 
-        lets = self.lets
+        may_fire = self.may_fire
         self.child.bind(
             arrive
-            if lets is None
-            else lambda match, after: arrive(match, after) if lets(match.start) else after,
+            if may_fire is None
+            else lambda match, after: arrive(match, after) if may_fire(match.start) else after,
             mode,
         )
 
-    def bind_alone(self, completion: Continuation) -> None:
-        """Connect the node; see `NetworkNode.bind_alone`."""
+    def bind_values(self, completion: Continuation) -> None:
+        """Connect the node; see `NetworkNode.bind_values`."""
         call = self.call
         act = call.act_on_all if self.every else call.act
         complete = completion.action
@@ -431,15 +448,19 @@ class ActionNode(NetworkNode):
         def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, after)
 
-        done = call.alone(completion) if only_of_event and not self.every else Continuation(arrive)
-        once = done.action
+        continuation = (
+            call.continuation_for_event(completion)
+            if only_of_event and not self.every
+            else Continuation(arrive)
+        )
+        act_once = continuation.action
 
         def arrive_in_span(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
             if span is not None and end - start > span:
                 return after
-            return once(term, values, start, end, after)
+            return act_once(term, values, start, end, after)
 
-        self.child.bind_alone(done if span is None else Continuation(arrive_in_span))
+        self.child.bind_values(continuation if span is None else Continuation(arrive_in_span))
 
 
 class NotNode(NetworkNode):
@@ -465,7 +486,7 @@ class NotNode(NetworkNode):
                 return after
             return out(match, after)
 
-        self.retry = _unskipped(self, arrive)
+        self.retry = _without_skipped(self, arrive)
         self.child.bind(arrive, mode)
         absence.bind(self.negated, mode)
 
@@ -507,7 +528,7 @@ class EarlyTestNode(NetworkNode):
                 tested = PartialMatch(values, match.start, match.end, match.event, None, (match,))
             return out(tested, after)
 
-        self.retry = _unskipped(self, arrive)
+        self.retry = _without_skipped(self, arrive)
         self.child.bind(arrive, mode)
         for absence, negated in self.carried:
             absence.bind(negated, mode)
@@ -517,9 +538,9 @@ class EarlyTestNode(NetworkNode):
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
 
-def _unskipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
+def _without_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
     """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile."""
     skipping = node.rule.skipping
     if skipping is None or node.is_negated:
         return emit
-    return lambda match, after: emit(match, after) if skipping.takes(match.start) else after
+    return lambda match, after: emit(match, after) if skipping.accepts_start(match.start) else after

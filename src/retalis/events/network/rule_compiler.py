@@ -98,9 +98,9 @@ class RuleCompiler(StreamCompiler):
 
     Attributes:
         nodes: all nodes, each with its own interval bound and the retention of its stored matches.
-        ringing: the operators on streams in the order in which the clock wakes them. As for events, the right
+        stream_nodes: the operators on streams in the order in which the clock wakes them. As for events, the right
             operand of a pair precedes the left one: a match is completed before it is replaced.
-        twins: further copies of negated patterns, each with the first one.
+        copies: further copies of negated patterns, each with the first one.
     """
 
     def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
@@ -110,8 +110,8 @@ class RuleCompiler(StreamCompiler):
         self._counts = occurrences(head, pattern)
         self._match_keys = MatchKeys(self.keep)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
-        self.ringing: List[StreamNode] = []
-        self.twins: List[Tuple[BuiltPattern, BuiltPattern]] = []
+        self.stream_nodes: List[StreamNode] = []
+        self.copies: List[Tuple[BuiltPattern, BuiltPattern]] = []
         self._bound_by: Dict[int, VarSet] = {}
 
     def build(self) -> NetworkNode:
@@ -121,15 +121,15 @@ class RuleCompiler(StreamCompiler):
             raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
         for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
-        for position, stream in enumerate(self.ringing):
+        for position, stream in enumerate(self.stream_nodes):
             stream.place = position
         # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
-        for built_again, first in self.twins:
+        for built_again, first in self.copies:
             for leaf, first_leaf in zip(built_again.leaves, first.leaves):
                 leaf.rank = first_leaf.rank
         node = root = built.node
         while isinstance(node, (ActionNode, FilterNode)):
-            node.windowed = True
+            node.tests_window = True
             node = node.child
         return root
 
@@ -142,7 +142,7 @@ class RuleCompiler(StreamCompiler):
             limit: smallest interval bounds above it; None for none.
         """
         pairs: List[Tuple[Pair, Wrapping, Retention]] = []
-        first_left_stream = len(self.ringing)
+        first_left_stream = len(self.stream_nodes)
         while True:
             wrapping = unwrap(pattern)
             span = wrapping.span
@@ -199,8 +199,8 @@ class RuleCompiler(StreamCompiler):
             before = len(self.nodes)
             built = self._build(core.pattern, context | self._bound(core.pattern), limit)
             if not built.deferred:
-                naming = partial(self._match_keys.name, pattern=core.pattern)
-                repeating = RepeatNode(self.rule, built.node, core.times, self.keep, naming)
+                identity_functions = partial(self._match_keys.identity_function, pattern=core.pattern)
+                repeating = RepeatNode(self.rule, built.node, core.times, self.keep, identity_functions)
                 node = self._add(repeating, None, limit)
                 return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[before:]
@@ -217,20 +217,20 @@ class RuleCompiler(StreamCompiler):
             self._bound_by[id(pattern)] = bound
         return bound
 
-    def _named(self, built: BuiltPattern, pattern: Pattern) -> IdentityFunction:
-        return self._match_keys.name(built.node.vars, pattern)
+    def _identity_function(self, built: BuiltPattern, pattern: Pattern) -> IdentityFunction:
+        return self._match_keys.identity_function(built.node.vars, pattern)
 
     def _add(self, node: N, span: Optional[int], limit: Retention) -> N:
         if isinstance(node, StreamNode):
-            self.ringing.append(node)
+            self.stream_nodes.append(node)
         self.nodes.append((node, span, limit))
         return node
 
     def _add_filter(self, built: BuiltPattern, wrapping: Wrapping, context: VarSet) -> BuiltPattern:
         """Add a node with the conditions of an event, ``or`` or action above its node."""
-        conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
+        conditions, newly_deferred = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
-        for deferred in put_off:
+        for deferred in newly_deferred:
             node = self._add_capture(node, deferred)
         names: List[Var] = node.vars
         tests: List[Test] = []
@@ -241,7 +241,7 @@ class RuleCompiler(StreamCompiler):
                 names = tested[1]
         if tests or wrapping.span is not None:
             node = self._add(FilterNode(node, names, tests, self.keep), wrapping.span, UNLIMITED)
-        return built._replace(node=node, deferred=[*built.deferred, *put_off])
+        return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
 
     def _split(
         self, conditions: List[Condition], core: Pattern, context: VarSet
@@ -253,7 +253,7 @@ class RuleCompiler(StreamCompiler):
         """
         if not conditions:
             return [], []
-        parted: List[TestedCondition] = []
+        assigned: List[TestedCondition] = []
         # A variable that only some branches bind counts as unbound: the condition must then wait for the left
         # operand.
         known = always_bound_by(core, False, True)
@@ -261,11 +261,11 @@ class RuleCompiler(StreamCompiler):
             mentioned = set(variables(condition.goal))
             needs = (mentioned & context) - known
             if needs:
-                parted.append(self._deferred(condition.goal, condition.timed, None, needs))
+                assigned.append(self._deferred(condition.goal, condition.timed, None, needs))
             else:
-                parted.append(condition)
+                assigned.append(condition)
                 known |= mentioned
-        return parted, [part for part in parted if isinstance(part, DeferredConditions)]
+        return assigned, [part for part in assigned if isinstance(part, DeferredConditions)]
 
     def _test(
         self, node: Any, condition: TestedCondition, names: List[Var]
@@ -303,11 +303,12 @@ class RuleCompiler(StreamCompiler):
         self, pattern: Pattern, context: VarSet, limit: Retention, first_left_stream: int
     ) -> BuiltPattern:
         """Build the right operand of a pair; the streams of the left one begin at ``first_left_stream``."""
-        # The clock wakes the operators of the right operand first, see `ringing`; the left ones were built before.
-        left_streams = self.ringing[first_left_stream:]
-        del self.ringing[first_left_stream:]
+        # The clock wakes the operators of the right operand first, see `stream_nodes`; the left ones were built
+        # before.
+        left_streams = self.stream_nodes[first_left_stream:]
+        del self.stream_nodes[first_left_stream:]
         built = self._build(pattern, context, limit)
-        self.ringing += left_streams
+        self.stream_nodes += left_streams
         return built
 
     def _build_join(
@@ -322,19 +323,19 @@ class RuleCompiler(StreamCompiler):
         inner_context = context | self._bound(core.left)
         right = self._build_right(core.right, inner_context, limit, first_left_stream)
         below = [*left.deferred, *right.deferred]
-        sure: Set[Var] = set()
+        always_bound: Set[Var] = set()
         # Only then: the analysis visits the whole left operand.
         if below or wrapping.absent is not None:
-            sure = always_bound_by(core, False, True)
-        ready, deferred = split_ready(below, sure, context) if below else ([], [])
-        conditions, put_off = self._split(wrapping.conditions, core, context)
+            always_bound = always_bound_by(core, False, True)
+        ready, deferred = split_ready(below, always_bound, context) if below else ([], [])
+        conditions, newly_deferred = self._split(wrapping.conditions, core, context)
         negated: Optional[NegatedPattern] = None
         needs: Set[Var] = set()
         if wrapping.absent is not None:
             inner = inner_context | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
             negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
             known = set(left.node.vars) | set(right.node.vars)
-            needs = negated.needs(inner, known) | negated.needs(context, sure)
+            needs = negated.needs(inner, known) | negated.needs(context, always_bound)
         gap = (Var(), Var()) if needs else None
         self.keep |= set(gap or ())
         node = JoinNode(
@@ -344,17 +345,17 @@ class RuleCompiler(StreamCompiler):
             right.node,
             self.keep,
             gap,
-            [(condition.start, condition.end) for condition in put_off],
+            [(condition.start, condition.end) for condition in newly_deferred],
             may_share_event(left, right),
-            (self._named(left, core.left), self._named(right, core.right)),
+            (self._identity_function(left, core.left), self._identity_function(right, core.right)),
         )
-        node.revived = (may_be_revived(core.left), may_be_revived(core.right))
+        node.can_be_revived = (may_be_revived(core.left), may_be_revived(core.right))
         self._add(node, wrapping.span, limit)
         if negated is not None and gap is None:
             built = negated.make()
             node.absent(negation_buffer_for(self.rule, built, node.vars, False), built.node)
         self._test_joined(node, below, ready, conditions)
-        deferred += put_off
+        deferred += newly_deferred
         if negated is not None and gap is not None:
             deferred += self._test_gap(
                 node, DeferredConditions(needs, None, False, (negated, False), *gap), conditions
@@ -365,7 +366,7 @@ class RuleCompiler(StreamCompiler):
         return BuiltPattern(node, deferred, joined, [])
 
     def _negated(self, absent: Union[Absent, Awaited], context: VarSet, limit: Retention) -> NegatedPattern:
-        return NegatedPattern(lambda: self._build(absent.negated, context, limit), self.twins, self.nodes)
+        return NegatedPattern(lambda: self._build(absent.negated, context, limit), self.copies, self.nodes)
 
     def _test_joined(
         self,
@@ -403,8 +404,8 @@ class RuleCompiler(StreamCompiler):
         below = self._build(core.pattern, context, limit)
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
-        sure = always_bound_by(core.pattern, False, True)
-        needs = negated.needs(inner_context, set(below.node.vars)) | negated.needs(context, sure)
+        always_bound = always_bound_by(core.pattern, False, True)
+        needs = negated.needs(inner_context, set(below.node.vars)) | negated.needs(context, always_bound)
         # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
         if not needs:
             built = negated.make()
@@ -425,24 +426,32 @@ class RuleCompiler(StreamCompiler):
     ) -> BuiltPattern:
         inner_context = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, Star) else core.collected
-        first_left_stream = len(self.ringing)
+        first_left_stream = len(self.stream_nodes)
         first = self._build(core.first, context, limit)
         repeated = self._build_right(pattern, inner_context, limit, first_left_stream)
-        naming = self._named(first, core.first), self._named(repeated, pattern)
-        node = KleeneNode(
-            self.rule, first.node, repeated.node, may_share_event(first, repeated), naming, self.keep
+        identity_functions = (
+            self._identity_function(first, core.first),
+            self._identity_function(repeated, pattern),
         )
-        node.revived = (may_be_revived(core.first), may_be_revived(pattern))
+        node = KleeneNode(
+            self.rule,
+            first.node,
+            repeated.node,
+            may_share_event(first, repeated),
+            identity_functions,
+            self.keep,
+        )
+        node.can_be_revived = (may_be_revived(core.first), may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
         measured = [core.value] if isinstance(core, Aggregate) and core.value is not None else []
         outside = self._outside(pattern, measured)
         for value in measured:
             node.open([var for var in variables(value) if var in outside])
         items = RepetitionItems(outside)
-        sure = always_bound_by(core.first, False, True) | always_bound_by(pattern, False, True)
+        always_bound = always_bound_by(core.first, False, True) | always_bound_by(pattern, False, True)
         # Conditions on a repetition that use variables of the context are tested above, on the list of all
         # repetitions.
-        ready, further = split_ready(repeated.deferred, sure, context)
+        ready, further = split_ready(repeated.deferred, always_bound, context)
         for pending in ready:
             test, node.step_vars = deferred_test(self.rule, node, pending, node.step_vars)
             node.step_tests.append(test)
@@ -453,8 +462,8 @@ class RuleCompiler(StreamCompiler):
             node.finish(outside, self._sequence_aggregate(core, node.step_vars), core.result, carried)
         else:
             node.finish(outside, None, None, carried)
-        conditions, put_off = self._split(wrapping.conditions, wrapping.core, context)
-        for pending in put_off:
+        conditions, newly_deferred = self._split(wrapping.conditions, wrapping.core, context)
+        for pending in newly_deferred:
             node.capture(pending.start, pending.end)
         for pending in first.deferred:
             if pending.may_be_tried(node.vars):
@@ -463,7 +472,9 @@ class RuleCompiler(StreamCompiler):
             tested = self._test(node, condition, node.vars)
             if tested is not None:
                 node.test(*tested, late)
-        return BuiltPattern(node, [*deferred, *put_off], [*repeated.leaves, *first.joined], first.single)
+        return BuiltPattern(
+            node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined], first.single
+        )
 
     def _outside(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
         """Return the variables that are used in the rule outside of a pattern and of the given terms."""

@@ -50,71 +50,73 @@ class AfterMatchSkip:
 
     Args:
         rule: the rule.
-        kind: the strategy.
+        strategy: the strategy.
 
     Attributes:
-        past: largest end of the matches that have fired.
-        swept: value of ``past`` when the current event was first served; events that start at or before it cannot be
-            part of a match any more.
+        last_match_end: largest end of the matches that have fired.
+        skipped_until: value of ``last_match_end`` when the current event was first served; events that start at or
+            before it cannot be part of a match any more.
     """
 
     def __init__(self, rule: "EventRule", strategy: AfterMatchSkipStrategy):
         self._rule = rule
-        self.kind = strategy
-        self.past = self.swept = _BEFORE_ALL_INSTANTS
-        self._due: Set[int] = set()
+        self.strategy = strategy
+        self.last_match_end = self.skipped_until = _BEFORE_ALL_INSTANTS
+        self._skipped_starts: Set[int] = set()
         self._served: List[ServedEvent] = []
         self._action: Optional[ActionNode] = None
-        self.forget()
+        self.clear_entries()
 
-    def forget(self) -> None:
+    def clear_entries(self) -> None:
         """Remove all entries of stored matches."""
-        self._early = ExpirationQueue()
+        self._by_start_queue = ExpirationQueue()
         self._by_start: Dict[int, List[PartialMatch]] = {}
-        self._filed = 0
+        self._start_entry_count = 0
 
     def clear(self) -> None:
         """Reset the state, because the clock went back."""
-        self.past = self.swept = _BEFORE_ALL_INSTANTS
-        self._due.clear()
-        self.forget()
+        self.last_match_end = self.skipped_until = _BEFORE_ALL_INSTANTS
+        self._skipped_starts.clear()
+        self.clear_entries()
 
     def snapshot(self) -> Tuple[Any, ...]:
         """Return the state besides the stored matches; see `restore`."""
-        return self.past, tuple(sorted(self._due))
+        return self.last_match_end, tuple(sorted(self._skipped_starts))
 
     def restore(self, saved: Tuple[Any, ...]) -> None:
         """Set the state; skipped matches are discarded when the next event is served."""
-        self.past, due = saved
-        self._due = set(due)
+        self.last_match_end, due = saved
+        self._skipped_starts = set(due)
 
     @property
-    def filed(self) -> int:
+    def entry_count(self) -> int:
         """Number of entries for matches and events, including stale ones."""
-        return len(self._early) + self._filed + len(self._served)
+        return len(self._by_start_queue) + self._start_entry_count + len(self._served)
 
-    def refile(self, waiting: Iterable[PartialMatch]) -> None:
+    def rebuild_entries(self, stored_matches: Iterable[PartialMatch]) -> None:
         """Replace all entries by those of the given matches."""
-        self.forget()
-        for match in waiting:
-            self.note(match)
+        self.clear_entries()
+        for match in stored_matches:
+            self.add_entry(match)
 
-    def note(self, match: PartialMatch) -> None:
+    def add_entry(self, match: PartialMatch) -> None:
         """Add an entry for a match that has been stored."""
         buffer = match.buffer
         # A negated match is not skipped: it must prevent later matches, too.
         if buffer is None or buffer.is_negated:
             return
-        waiting = self._rule.waiting
-        if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
-            self._early.add(match.start, match, waiting)
+        stored_count = self._rule.waiting
+        if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
+            self._by_start_queue.add(match.start, match, stored_count)
             return
         self._by_start.setdefault(match.start, []).append(match)
-        self._filed += 1
-        if self._filed > 2 * waiting + _STALE_TOLERANCE:
-            self.refile([stored_match for matches in self._by_start.values() for stored_match in matches])
+        self._start_entry_count += 1
+        if self._start_entry_count > 2 * stored_count + _STALE_TOLERANCE:
+            self.rebuild_entries(
+                [stored_match for matches in self._by_start.values() for stored_match in matches]
+            )
 
-    def begin(self, event: Hashable) -> None:
+    def begin_event(self, event: Hashable) -> None:
         """Discard the skipped matches if a new event is being served."""
         served = self._served
         if served and served[-1].token == event:
@@ -125,47 +127,47 @@ class AfterMatchSkip:
             served.pop()
         if not served or served[-1].token != event:
             served.append(ServedEvent(depth, event, set()))
-        self._sweep()
+        self._discard_skipped()
 
-    def _sweep(self) -> None:
-        if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
-            self.swept = self.past
-            self._early.expire(self.past + 1)
-        for start in self._due:
+    def _discard_skipped(self) -> None:
+        if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
+            self.skipped_until = self.last_match_end
+            self._by_start_queue.expire(self.last_match_end + 1)
+        for start in self._skipped_starts:
             for match in self._by_start.pop(start, ()):
-                self._filed -= 1
+                self._start_entry_count -= 1
                 match.leave()
-        self._due.clear()
+        self._skipped_starts.clear()
 
-    def takes(self, start: int) -> bool:
+    def accepts_start(self, start: int) -> bool:
         """Return whether an event that starts then may be part of a match."""
-        return start > self.swept
+        return start > self.skipped_until
 
-    def lets(self, start: int) -> bool:
+    def may_fire(self, start: int) -> bool:
         """Return whether a match that starts then may fire."""
-        if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
-            return start > self.past
-        return start not in self._now().starts
+        if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
+            return start > self.last_match_end
+        return start not in self._current_event().starts
 
-    def fired(self, start: int, end: int) -> None:
+    def record_match(self, start: int, end: int) -> None:
         """Record a match that fires."""
-        if self.kind is AfterMatchSkipStrategy.SKIP_PAST_LAST:
+        if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
             # A match may end in the far future because of a wrong time stamp; it must not skip all matches until
             # then.
-            self.past = max(self.past, min(end, self._rule.network.newest_allowed()))
+            self.last_match_end = max(self.last_match_end, min(end, self._rule.network.newest_allowed()))
         else:
-            self._now().starts.add(start)
-            self._due.add(start)
+            self._current_event().starts.add(start)
+            self._skipped_starts.add(start)
 
-    def wakes(self) -> None:
+    def begin_alarm(self) -> None:
         """Discard the skipped matches when the clock wakes a node; all of its results count as one step."""
         self._served = [ServedEvent(0, self, set())]
-        self._sweep()
+        self._discard_skipped()
 
-    def _now(self) -> ServedEvent:
+    def _current_event(self) -> ServedEvent:
         dispatcher = self._rule.network.dispatcher
         if dispatcher.current is not None:
-            self.begin(dispatcher.token())
+            self.begin_event(dispatcher.token())
         else:
             del self._served[1:]
         return self._served[-1]
@@ -176,18 +178,18 @@ class AfterMatchSkip:
         A goal that is called for the whole match is called only for those matches. All results that
         ``event_multiply`` makes of a match count as one match.
         """
-        self._action = action = first_action(root)
-        lets = self.lets
+        self._action = action = first_action_node(root)
+        may_fire = self.may_fire
         if action is not None:
-            action.lets = lets
+            action.may_fire = may_fire
         rule = self._rule
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             if rule.window is not None and match.end - match.start > rule.window:
                 return after
-            if action is None and not lets(match.start):
+            if action is None and not may_fire(match.start):
                 return after
-            self.fired(match.start, match.end)
+            self.record_match(match.start, match.end)
             return complete(match, after)
 
         root.bind(arrive, mode)
@@ -195,10 +197,10 @@ class AfterMatchSkip:
     def disconnect(self) -> None:
         """Let the goal of the whole match be called for all matches again."""
         if self._action is not None:
-            self._action.lets = None
+            self._action.may_fire = None
 
 
-def first_action(root: NetworkNode) -> Optional[ActionNode]:
+def first_action_node(root: NetworkNode) -> Optional[ActionNode]:
     """Return the node of the goal that is called first when the whole pattern has matched; None if there is none."""
     action, node = None, root
     while isinstance(node, (ActionNode, FilterNode)):
@@ -212,9 +214,9 @@ def skip_state_for(rule: "EventRule", mode: NetworkOptions) -> Optional[AfterMat
 
     The previous state is kept if the strategy does not change.
     """
-    before: Optional[AfterMatchSkip] = rule.skipping
-    if before is not None:
-        if before.kind is mode.after_match:
-            return before
-        before.disconnect()
+    previous: Optional[AfterMatchSkip] = rule.skipping
+    if previous is not None:
+        if previous.strategy is mode.after_match:
+            return previous
+        previous.disconnect()
     return None if mode.after_match is AfterMatchSkipStrategy.KEEP else AfterMatchSkip(rule, mode.after_match)

@@ -467,7 +467,7 @@ class StreamCompiler:
             raise RuleError(message, self.rule.place)
         built = negated.make()
         absence = negation_buffer_for(self.rule, built, names, False)
-        name = self._match_keys.name(names, core.pattern)
+        name = self._match_keys.identity_function(names, core.pattern)
         spec = absence_node_spec(core.span, names, built.node.vars, absence.condition, name)
         node = StreamNode(self.rule, [below.node, built.node], names, spec, core)
         node.carried = absence.carried

@@ -152,9 +152,9 @@ class Replay:
         """Record an element."""
         self._elements.append((channel, _fresh_element(item), now))
 
-    def record_output(self, output: StreamOutput, held: TrackedMatch) -> None:
+    def record_output(self, output: StreamOutput, tracked_match: TrackedMatch) -> None:
         """Record an output, and the object that represents it in the lineage."""
-        self._outputs.append((output, held))
+        self._outputs.append((output, tracked_match))
 
     def forget(self, match: PartialMatch) -> bool:
         """Exclude a match when the operator is run again; return True, because that may change its outputs."""
@@ -195,15 +195,15 @@ class Replay:
         counts = Counter(_key(output) for output in outputs)
         remaining: List[Tuple[StreamOutput, TrackedMatch]] = []
         missing: List[TrackedMatch] = []
-        for output, held in self._outputs:
-            if held.retracted:
+        for output, tracked_match in self._outputs:
+            if tracked_match.retracted:
                 continue
             key = _key(output)
             if counts[key]:
                 counts[key] -= 1
-                remaining.append((output, held))
+                remaining.append((output, tracked_match))
             else:
-                missing.append(held)
+                missing.append(tracked_match)
         self._outputs = remaining
         self._new = []
         # Of equal outputs, the last ones are new.
@@ -221,14 +221,17 @@ class Replay:
 
     def snapshot(self) -> Tuple[Any, ...]:
         """Return the log; see `restore`."""
-        outputs_and_matches = [((list(output.items), *output[1:]), held) for output, held in self._outputs]
+        outputs_and_matches = [
+            ((list(output.items), *output[1:]), tracked_match) for output, tracked_match in self._outputs
+        ]
         return (self._base, self._elements, outputs_and_matches)
 
     def restore(self, saved: Tuple[Any, ...]) -> None:
         """Set the log that another one returned."""
         self._base, self._elements, outputs_and_matches = saved
         self._outputs = [
-            (StreamOutput(tuple(items), *rest), held) for (items, *rest), held in outputs_and_matches
+            (StreamOutput(tuple(items), *rest), tracked_match)
+            for (items, *rest), tracked_match in outputs_and_matches
         ]
         # A state that cannot be restored must fail now, not at a retraction.
         if self._base:
@@ -337,7 +340,9 @@ class StreamNode(NetworkNode):
         self.vars = list(names)
         self.spec = spec
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
-        self.alone = len(self.children) == 1 and self.children[0].alone and not spec.calls_goals
+        self.is_single_event = (
+            len(self.children) == 1 and self.children[0].is_single_event and not spec.calls_goals
+        )
         self._reentrancy = ReentrancyQueue(rule.network.dispatcher) if spec.calls_goals else None
         self._arrivals: Dict[int, Emit] = {}
         self.place = 0
@@ -373,8 +378,8 @@ class StreamNode(NetworkNode):
         for absence, node in self.carried:
             absence.bind(node, mode)
 
-    def bind_alone(self, completion: Continuation) -> None:
-        """Connect the node; see `NetworkNode.bind_alone`."""
+    def bind_values(self, completion: Continuation) -> None:
+        """Connect the node; see `NetworkNode.bind_values`."""
         complete = completion.action
         self._connect(
             lambda match, after: complete(match.term, match.values, match.start, match.end, after),
@@ -403,9 +408,9 @@ class StreamNode(NetworkNode):
         action: EventAction = arrive
         # Without fusion an event takes twice the time.
         if fused is not None and not self.rule.mode.revised:
-            whole = self.children[0].whole
-            action = fused_window(fused, self.span, self, arrive, complete, too_large, whole)
-        self.children[0].bind_alone(Continuation(action, fused=action is not arrive))
+            values_are_arguments = self.children[0].values_are_arguments
+            action = fused_window(fused, self.span, self, arrive, complete, too_large, values_are_arguments)
+        self.children[0].bind_values(Continuation(action, fused=action is not arrive))
 
     def _connect(self, out: Emit, mode: NetworkOptions) -> None:
         """Set the action for results, and the options; the operator's state remains."""
@@ -558,7 +563,7 @@ class StreamNode(NetworkNode):
         self.wakeup_time = None
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
         if self.rule.skipping is not None:
-            self.rule.skipping.wakes()
+            self.rule.skipping.begin_alarm()
         if self.replay is not None:
             self.replay.begin_step(self.stream)
         reentrancy = self._reentrancy
@@ -602,30 +607,36 @@ class StreamNode(NetworkNode):
             return None
         # Each output has its own lineage object, so it can be retracted without the others that contain the same
         # matches.
-        held = self._held(output, arrival_number) if self.stream.tracked else ()
+        tracked_match = self._create_tracked_match(output, arrival_number) if self.stream.tracked else ()
         if result is not None:
             start, end = output.start, output.end
             # Instants that the operator has computed have integer seconds.
             if end is not last.end or end.__class__ is FloatSeconds:
                 start, end = int(start), int(end)
-            return PartialMatch(values, start, end, None, None, (ComputedValues(values), *held))
+            return PartialMatch(values, start, end, None, None, (ComputedValues(values), *tracked_match))
         match: PartialMatch = last.match
         if output.end != match.end:
-            return PartialMatch(match.values, match.start, int(output.end), None, None, (match, *held))
-        if not held:
+            return PartialMatch(
+                match.values, match.start, int(output.end), None, None, (match, *tracked_match)
+            )
+        if not tracked_match:
             return match
-        return PartialMatch(match.values, match.start, match.end, match.event, match.term, (match, *held))
+        return PartialMatch(
+            match.values, match.start, match.end, match.event, match.term, (match, *tracked_match)
+        )
 
-    def _held(self, output: StreamOutput, arrival_number: int) -> Tuple[TrackedMatch, ...]:
+    def _create_tracked_match(self, output: StreamOutput, arrival_number: int) -> Tuple[TrackedMatch, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
             [item.match for item in output.items if item.match is not None]
         )  # untracked elements have no match
-        held = TrackedMatch(PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS)
-        held.number = max(held.number, arrival_number)
+        tracked_match = TrackedMatch(
+            PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS
+        )
+        tracked_match.number = max(tracked_match.number, arrival_number)
         if self.replay is not None:
-            self.replay.record_output(output, held)
-        return (held,)
+            self.replay.record_output(output, tracked_match)
+        return (tracked_match,)
 
     # ---- retracted events ----------------------------------------------------------------------------
 
@@ -678,7 +689,7 @@ class StreamNode(NetworkNode):
         self.wakeup_time = None
         self.late = self.evicted_count = 0
 
-    def held(self) -> int:
+    def tracked_match(self) -> int:
         """Return the number of matches, or keys, in the operator's state."""
         return len(self.stream)
 

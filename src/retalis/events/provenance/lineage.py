@@ -77,7 +77,7 @@ class LineageTracker:
         self._recent: Deque[Occurrence] = deque()
         self._by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
-        self._untracked_mark = rules.dispatcher.mark
+        self._untracked_create_token = rules.dispatcher.create_token
         self.blocker: Optional[PartialMatch] = None
         self._numbers = count()
         self._arrivals = count(1)
@@ -91,10 +91,10 @@ class LineageTracker:
         self.listeners = []
         dispatcher.tracked = self._rules.mode.tracked
         if not self._rules.mode.tracked:
-            dispatcher.mark = self._untracked_mark
+            dispatcher.create_token = self._untracked_create_token
             self.clear()
             return
-        dispatcher.mark = self._mark
+        dispatcher.create_token = self._mark
         self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._remember))
         if self._rules.flags.is_on("revision_flag"):
             self.listeners.append(

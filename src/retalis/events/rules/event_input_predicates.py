@@ -244,9 +244,9 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
         return general(machine, arguments, after)
 
     def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
-        # `own=False`: the event is dispatched as if it came from outside, not as derived from the current event.
+        # `is_owned=False`: the event is dispatched as if it came from outside, not as derived from the current event.
         event = READERS[functor("new_event", len(arguments))](arguments)
-        return dispatch(event.term, event.start, event.end, after, own=False)
+        return dispatch(event.term, event.start, event.end, after, is_owned=False)
 
     logic.define_control("new_event", 2, general, at_once=True)
     logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.event_filter)
@@ -287,7 +287,7 @@ class _FiringGoals:
             start = end = self.rules.clock.stamp()
         else:
             start, end = interval_of(interval)
-        next_frame: Frame = self.rules.dispatcher.dispatch(term, start, end, after, own=False)
+        next_frame: Frame = self.rules.dispatcher.dispatch(term, start, end, after, is_owned=False)
         return next_frame
 
     def fire_list(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:

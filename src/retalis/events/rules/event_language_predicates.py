@@ -283,7 +283,7 @@ class _ListingGoals:
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
     def checked(self, machine: Machine, instant: Term, position: int) -> bool:
-        interval = self.rules.under_way.checked
+        interval = self.rules.condition_state.interval
         return interval is not None and bool(machine.unify(instant, shown(interval[position])))
 
     def fired(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
@@ -304,5 +304,5 @@ class _ListingGoals:
     def see(self, machine: Machine) -> bool:
         logic = self.rules.logic
         for rule in self.rules.rules:
-            logic.output(f"{rule.name}: {rule.held} partial matches\n")
+            logic.output(f"{rule.name}: {rule.match_count} partial matches\n")
         return True

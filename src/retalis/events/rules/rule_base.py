@@ -156,7 +156,7 @@ class RuleBase:
         self.fired_before = 0
         self.on_reset = on_reset
         self.on_warning = on_warning
-        self.under_way = ConditionState()
+        self.condition_state = ConditionState()
         self._table = RuleIndex()
         self.flags = Flags(self._apply_flag)
         self.declared = EventTypes(self, is_external_event)
@@ -320,7 +320,7 @@ class RuleBase:
             if not rule.is_connected:
                 self._configure(rule)
             owned_listeners.update(rule.listeners)
-        self.dispatcher.keep_only(ListenerPhase.RULES, owned_listeners)
+        self.dispatcher.remove_all_except(ListenerPhase.RULES, owned_listeners)
         self.tracker.repair()
         self.timers.repair()
 
@@ -448,7 +448,7 @@ class RuleBase:
     @property
     def waiting(self) -> int:
         """Number of partial matches."""
-        return sum(rule.held for rule in self.rules)
+        return sum(rule.match_count for rule in self.rules)
 
     # ---- alarms and reports --------------------------------------------------------------------------
 

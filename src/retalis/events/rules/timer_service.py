@@ -134,7 +134,7 @@ class NodeTimers:
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
-                    self._rules.dispatcher.apart(
+                    self._rules.dispatcher.run_without_context(
                         lambda: machine.run(node.on_alarm(due_instant, machine.done))
                     )
         # Also after an error or interrupt, otherwise no later node would be wakeup_time.
@@ -185,7 +185,7 @@ class RuleAlarm:
             token.term, token.start, token.end = self.term, self.start, self.instant
         machine = self.rules.logic.machine
         fire = self.rule.fire
-        self.rules.dispatcher.apart(
+        self.rules.dispatcher.run_without_context(
             lambda: machine.run(fire(self.term, self.start, self.instant, machine.done, token))
         )
 
@@ -438,8 +438,8 @@ class Timers:
 
     def _dispatch(self, event: Term, instant: int) -> None:
         dispatcher, machine = self._program.dispatcher, self._program.logic.machine
-        dispatcher.apart(
-            lambda: machine.run(dispatcher.dispatch(event, instant, instant, machine.done, own=False))
+        dispatcher.run_without_context(
+            lambda: machine.run(dispatcher.dispatch(event, instant, instant, machine.done, is_owned=False))
         )
 
     def _warn_past(self, timer: ProgramTimer) -> None:
