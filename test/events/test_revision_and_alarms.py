@@ -301,4 +301,4 @@ def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
     kept = program.engine.rules.tracker.all()
     links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, TrackedMatch))]
     assert len(kept) > 600
-    assert sum(len(one.derived) + len(one.held) for one in links) < 4000
+    assert sum(len(one.derived) + len(one.dependents) for one in links) < 4000

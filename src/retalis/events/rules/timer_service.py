@@ -105,7 +105,7 @@ class NodeTimers:
 
     def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
-        # An entry is stale if its node has asked for another instant since, or has been wakeup_time.
+        # An entry is stale if its node has asked for another instant since, or has been woken.
         heap = self._heap
         while heap and not _is_current(heap[0]):
             heapq.heappop(heap)
@@ -137,7 +137,7 @@ class NodeTimers:
                     self._rules.dispatcher.run_without_context(
                         lambda: machine.run(node.on_alarm(due_instant, machine.done))
                     )
-        # Also after an error or interrupt, otherwise no later node would be wakeup_time.
+        # Also after an error or interrupt, otherwise no later node would be woken.
         finally:
             self._arm()
 
