@@ -53,7 +53,7 @@ FIXED = {
     "integers": f"{arithmetic.MAX_INTEGER_BITS:,} bits ({int(arithmetic.MAX_INTEGER_BITS * log10(2)) + 1:,} digits)",
     "texts that goals make": f"{millions(text_arguments.MAX_TEXT_CHARACTERS)} characters",
     "terms that goals traverse": f"{millions(term_traversal.MAX_STEPS)} parts",
-    "timers": f"{timer_service.MAX_TIMERS:,}, each at most once a millisecond; {timer_service.MAX_RINGS_PER_JUMP:,} firings at once",
+    "timers": f"{timer_service.MAX_TIMERS:,}, each at most once a millisecond; {timer_service.MAX_FIRINGS_PER_JUMP:,} firings at once",
     "states": STATES,
 }
 

@@ -283,7 +283,7 @@ def test_alarm_in_no_time_is_reported():
 
 
 def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(monkeypatch):
-    monkeypatch.setattr(lineage, "KEPT", 20)
+    monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = Program("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
     (oldest,) = program.engine.rules.tracker.all()

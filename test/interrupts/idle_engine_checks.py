@@ -84,7 +84,9 @@ def _of_states(knowledge):
 
 def _of_timers(timers, clock):
     alarms = [
-        alarm for _, _, alarm in clock.alarms if isinstance(alarm, TimerAlarm) and timers.is_sound(alarm)
+        alarm
+        for _, _, alarm in clock.alarms
+        if isinstance(alarm, TimerAlarm) and timers.is_valid_alarm(alarm)
     ]
     if [alarm.timer for alarm in alarms] != list(dict.fromkeys(alarm.timer for alarm in alarms)):
         yield "a timer has two alarms"

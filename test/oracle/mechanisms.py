@@ -273,7 +273,7 @@ def younger_first(deadlines: NodeTimers, node: Any, instant: int) -> None:
     """Have nodes of younger rules, and those further right or above, ring first."""
     entry = (instant, -node.rule.serial, -node.place, next(deadlines._numbers), node)
     heapq.heappush(deadlines._heap, entry)
-    deadlines._arm()
+    deadlines._set_alarm()
 
 
 takers = RowPatternWindow._accepting_steps
@@ -342,7 +342,7 @@ MECHANISMS: Dict[str, Mechanism] = {
     "debounce starts anew": Mechanism(shape("debounce", Unsettled), shapes("debounce")),
     "change remembers": Mechanism(shape("change", lambda span: Unchanged()), shapes("change")),
     "operators run again without what is taken back": Mechanism(
-        method(StreamNode, "unmade", lambda node: []), replays
+        method(StreamNode, "invalid_results", lambda node: []), replays
     ),
     "an event ends a state": Mechanism(method(DeclaredState, "_end_state", nothing), states(None)),
     "time ends a state": Mechanism(method(DeclaredState, "_end_by_timeout", nothing), states(3)),
@@ -355,7 +355,8 @@ MECHANISMS: Dict[str, Mechanism] = {
     "reluctant steps take few": Mechanism(method(RowPatternNFA, "_transitions", never_reluctant), steps),
     "steps end": Mechanism(lambda: patch.object(row_pattern, "ends", lambda *_: False), steps),
     "conditions of steps look back": Mechanism(
-        method(RowPatternNFA, "marked", lambda plan, marks, at, item: (item,) * len(marks)), steps
+        method(RowPatternNFA, "advance_navigations", lambda plan, marks, at, item: (item,) * len(marks)),
+        steps,
     ),
 }
 

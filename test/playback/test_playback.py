@@ -319,7 +319,7 @@ def test_timers_ring_as_they_do_for_a_stream_of_the_same_events(program, bag):
 
 
 def test_in_a_bag_with_a_gap_a_timer_rings_no_more_often_than_where_time_jumps(program, bag, monkeypatch):
-    monkeypatch.setattr(timer_service, "MAX_RINGS_PER_JUMP", 100)
+    monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     path = bag(
         *((at * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)") for at in (10, 20, 5000, 5003))
     )

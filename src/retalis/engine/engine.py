@@ -185,10 +185,10 @@ class Engine:
             reports.warning,
             self.rules,
             on_pattern=declared.require,
-            on_conditions=self.rules.note_conditions,
+            on_conditions=self.rules.warn_unknown_calls,
             buffer=settings.transform_buffer(settings.tf_cache),
         )
-        self.rules.flags.follow("max_gap", self.knowledge.gaps.set_limit)
+        self.rules.flags.on_numeric_change("max_gap", self.knowledge.gaps.set_limit)
         if settings.max_gap is not None:
             self.rules.flags.set_default("max_gap", settings.max_gap)
         recovery = EngineRecovery(self.logic, self.dispatcher, self.rules, self.knowledge)

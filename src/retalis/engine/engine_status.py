@@ -13,7 +13,7 @@ from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.knowledge.pending_queries import AwaitedSource
 from ..events.knowledge.transforms import AwaitedTransform, Transforms
 from ..events.rules.rule_base import RuleBase
-from ..events.rules.timer_service import BEGIN
+from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.errors import beginning
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term, Var, deref
@@ -411,7 +411,7 @@ class StatusReader:
 def _find_next_alarm(clock: Clock) -> Optional[int]:
     """Return the time of the next alarm; None if there is none, or only alarms for the start of the clock."""
     instant = clock.next_alarm()
-    return None if instant is None or instant <= BEGIN else instant
+    return None if instant is None or instant <= FIRST_INSTANT else instant
 
 
 def _name_variables(term: Term) -> Dict[Var, str]:

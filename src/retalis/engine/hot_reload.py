@@ -491,7 +491,7 @@ class ReloadTransaction:
         new_rules = set(self.deployment.rules)
         other_rules = [rule for rule in rules.rules if rule not in new_rules]
         unchanged_rules = set(own_rules)
-        rules.arrange(
+        rules.activate_exactly(
             [*own_rules, *other_rules],
             [rule for rule in self._old_deployment.rules if rule not in unchanged_rules],
         )
@@ -562,7 +562,7 @@ class ReloadTransaction:
             if value is not None:
                 rules.flags.set(name, value)
         rules.restore_properties(before.properties)
-        rules.arrange(before.rules)
+        rules.activate_exactly(before.rules)
         rules.files.loaded = before.files
         knowledge.memories.restore_all(list(before.memories.values()))
         knowledge.subscriptions.restore_all(list(before.subscriptions.items()))

@@ -314,10 +314,10 @@ class _Explainer:
     def _explain_occurrence(self, occurrence: Occurrence, depth: int) -> ExplanationLine:
         """Return the explanation of an occurrence; a subtree that was shown before is referred to."""
         text = self._format_event(occurrence)
-        if occurrence.takes_back is not None:
+        if occurrence.retracts is not None:
             return ExplanationLine(
                 f"{text} retracts",
-                [ExplanationLine(self._format_event(retracted), []) for retracted in occurrence.takes_back],
+                [ExplanationLine(self._format_event(retracted), []) for retracted in occurrence.retracts],
             )
         causes = self._causes.get(id(occurrence), [])
         if occurrence.match is None and not causes:
@@ -392,7 +392,7 @@ class _Explainer:
         retracted = [
             occurrence
             for revision in self._occurrences
-            for occurrence in revision.takes_back or ()
+            for occurrence in revision.retracts or ()
             if _is_instance(occurrence.term, term)
         ]
         return [

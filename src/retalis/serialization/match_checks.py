@@ -214,7 +214,7 @@ def check_lineage(graph: GraphReader) -> None:
         UsageError: if one does not.
     """
     for suppressed in graph.objects(Suppressed):
-        if not _can_retry(suppressed.node, suppressed.what):
+        if not _can_retry(suppressed.node, suppressed.match_or_pair):
             raise UsageError("a suppressed match does not fit its node")
     checked: Set[Tuple[int, int]] = set()
     for tracked in graph.objects(Occurrence, TrackedMatch):

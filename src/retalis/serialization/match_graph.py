@@ -151,7 +151,7 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
             "rule": _OBJECT,
             "match": _OBJECT,
             "forgotten": _DATA,
-            "takes_back": _MIXED,
+            "retracts": _MIXED,
             **_TRACKED,
         },
     ),
@@ -159,7 +159,10 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
         StreamElement,
         {"match": _MIXED, **_INTERVAL, "by": _DATA, "values": _DATA, "order": _DATA},
     ),
-    "suppressed": (Suppressed, {"node": _OBJECT, "what": _MIXED, "number": _DATA, "freed": _DATA}),
+    "suppressed": (
+        Suppressed,
+        {"node": _OBJECT, "match_or_pair": _MIXED, "number": _DATA, "is_released": _DATA},
+    ),
 }
 """Kinds of objects: their class, and the attributes that are stored. Other attributes are derived when read."""
 

@@ -361,7 +361,7 @@ def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, A
         "properties": [
             label_property for properties in rules.all_properties().values() for label_property in properties
         ],
-        "flags": rules.flags.changed(),
+        "flags": rules.flags.changed_flags(),
         "loaded": sorted(str(path) for path in rules.files.loaded),
         "own": list(rules.files.sandbox.own),
     }
@@ -412,9 +412,9 @@ def keep_matches(
         "held": [graph.write(entry) for entry in knowledge.states.snapshot()],
         "rates": [graph.write(entry) for entry in knowledge.subscriptions.snapshot()],
         "timeouts": queries.timeouts.snapshot(),
-        "timers": (rules.timers.snapshot(), rules.timers.left_out),
+        "timers": (rules.timers.snapshot(), rules.timers.omitted_count),
         "stored": rules.store.stored(),
-        "counts": (rules.serial, rules.fired_before, rules.revs_of_nothing),
+        "counts": (rules.serial, rules.fired_before, rules.failed_retraction_count),
     }
     data["objects"] = graph.encode()
     return data, graph.rules
@@ -467,7 +467,7 @@ def restore_matches(
     knowledge.states.restore(checked.held)
     knowledge.subscriptions.restore_rates(checked.rates)
     rules.store.restore(checked.stored)
-    rules.serial, rules.fired_before, rules.revs_of_nothing = checked.counts
+    rules.serial, rules.fired_before, rules.failed_retraction_count = checked.counts
 
 
 class _CheckedState:

@@ -8,8 +8,8 @@ from source import NODES
 OWNERS = {
     "current": ("events/dispatch/", "events/fused/"),
     "cause": "events/dispatch/",
-    "nested": "events/network/goal_evaluation.py",
-    "checked": "events/network/goal_evaluation.py",
+    "condition_depth": "events/network/goal_evaluation.py",
+    "condition_interval": "events/network/goal_evaluation.py",
 }
 
 

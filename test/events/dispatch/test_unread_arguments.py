@@ -123,7 +123,7 @@ def test_a_rule_that_takes_messages_whole_by_a_fused_action_does_not_take_those_
 
 
 def test_what_is_told_is_bounded(monkeypatch):
-    monkeypatch.setattr(room, "MAX_FUNCTORS", 5)
+    monkeypatch.setattr(room, "MAX_PROJECTED_FUNCTORS", 5)
     engine = made(goals="".join(f"subscribe(kind{at}(_), [], seen, t, {at})\n" for at in range(10)))
     assert len(engine.dispatcher.projection.announce()) == 5
 

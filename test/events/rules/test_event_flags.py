@@ -33,7 +33,7 @@ def test_every_flag_has_its_default_and_comes_back_to_it(name):
     engine = Engine()
     default = value(engine, name)
     flag = FLAGS[name]
-    for one in flag.values or (("5", "7") if flag.whole else ("5", "2.5")):
+    for one in flag.values or (("5", "7") if flag.is_integer else ("5", "2.5")):
         assert engine.call(f"set_etalis_flag({name}, {one})")
         assert value(engine, name) == one
     assert engine.call("reset_etalis")

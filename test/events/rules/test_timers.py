@@ -165,7 +165,7 @@ def test_what_the_clock_rings_counts_from_that_instant_however_far_time_jumps(ri
 
 
 def test_one_that_sets_itself_again_makes_up_for_a_jump_up_to_a_bound(monkeypatch):
-    monkeypatch.setattr(timer_service, "MAX_RINGS_PER_JUMP", 100)
+    monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     engine = run(rules=":- timer(t, after(1)).\nnull do timer(t, after(1)) <- t.")
     engine.at(0.5)
     assert [at for term, at in engine.at(50) if term == "t"] == [number + 0.5 for number in range(1, 50)]
@@ -184,7 +184,7 @@ def test_an_instant_that_is_over_is_said_and_rings_never(caplog):
 
 
 def test_a_jump_of_time_is_made_up_for_up_to_a_bound(caplog, monkeypatch):
-    monkeypatch.setattr(timer_service, "MAX_RINGS_PER_JUMP", 100)
+    monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
     engine = run("timer(t, every(1))")
     engine.at(0.5)
     assert len(engine.at(100.5)) == 101 and not caplog.records

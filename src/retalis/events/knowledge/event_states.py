@@ -265,7 +265,7 @@ class DeclaredState:
         occurrence = None
         if self._dispatcher.tracked:
             occurrence = Occurrence(state.term, begin, end, None, None)
-            occurrence.follows([source for source in (state.openings[0][1], token) if source is not None])
+            occurrence.derive_from([source for source in (state.openings[0][1], token) if source is not None])
         past_state = PastState(state.key, state.term, begin, end, occurrence)
         self.past.append(past_state)
         return past_state

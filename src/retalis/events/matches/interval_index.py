@@ -144,13 +144,12 @@ class IntervalIndex:
 
     def _build(self, entries: List[_IndexEntry]) -> None:
         self.size = len(entries)
-        right_half = MAX_NODE_KEYS // 2
+        half = MAX_NODE_KEYS // 2
         nodes = [
-            _TreeNode(entries[position : position + right_half], None)
-            for position in range(0, len(entries), right_half)
+            _TreeNode(entries[position : position + half], None) for position in range(0, len(entries), half)
         ]
         while len(nodes) > 1:
-            parts = [nodes[position : position + right_half] for position in range(0, len(nodes), right_half)]
+            parts = [nodes[position : position + half] for position in range(0, len(nodes), half)]
             nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
         self._root = nodes[0]
 

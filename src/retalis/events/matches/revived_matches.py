@@ -62,7 +62,7 @@ def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:
 
     It lacks the event that is being served.
     """
-    return arrival_number < tracker.present()
+    return arrival_number < tracker.current_number()
 
 
 def join_revived_first(

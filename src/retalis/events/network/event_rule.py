@@ -556,7 +556,7 @@ class EventRule:
             return
         network = self.network
         if network.mode.tracked:
-            network.tracker.hold(match)
+            network.tracker.register_match(match)
         if self.timed and match.buffer is not None:
             self._enqueue_expiration(match, span)
         if self.skipping is not None:
@@ -580,7 +580,7 @@ class EventRule:
             if oldest.buffer is not None:
                 oldest.leave()
                 self.dropped += 1
-                self.network.dropped(self)
+                self.network.report_dropped(self)
                 if self.waiting <= cap:
                     return
 
@@ -652,7 +652,7 @@ class EventRule:
         try:
             if head.__class__ is tuple and head[0].name in _ALARM_FUNCTORS:
                 alarm = resolve_alarm(head, start, end)
-                network.look_at_alarm(self, head, alarm)
+                network.report_past_alarm(self, head, alarm)
                 if alarm is not None:
                     network.set_alarm(self, *alarm, token)
                     return after

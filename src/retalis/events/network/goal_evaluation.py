@@ -89,12 +89,12 @@ class ConditionState:
     """State of condition tests, shared by all rules.
 
     Attributes:
-        depth: number of conditions being tested, one within the other.
-        interval: interval that ``t1/1`` and ``t2/1`` return: that of the innermost condition that has one.
+        condition_depth: number of conditions being tested, one within the other.
+        condition_interval: interval that ``t1/1`` and ``t2/1`` return: that of the innermost condition that has one.
     """
 
-    depth: int = 0
-    interval: Optional[Tuple[int, int]] = None
+    condition_depth: int = 0
+    condition_interval: Optional[Tuple[int, int]] = None
 
 
 Test = Callable[[Values, int, int], Optional[Values]]
@@ -145,9 +145,9 @@ class RuleGoal:
         """
         current = self._dispatcher.current
         condition_state = self._condition_state
-        condition_state.depth += 1
+        condition_state.condition_depth += 1
         try:
-            if condition_state.depth > _MAX_CONDITION_DEPTH:
+            if condition_state.condition_depth > _MAX_CONDITION_DEPTH:
                 raise resource_error("conditions_that_make_events")
             given = tuple([values[position] for position in self.positions])
             if are_ground(given):
@@ -163,7 +163,7 @@ class RuleGoal:
             self.failed(error)
             return None
         finally:
-            condition_state.depth -= 1
+            condition_state.condition_depth -= 1
 
     def act(
         self,
@@ -311,12 +311,12 @@ def goal_test(call: RuleGoal, timed: bool, interval_positions: Optional[Tuple[in
         if not timed:
             return goal(values)
         # Conditions nest: the event that a condition makes may cause another timed condition.
-        previous_interval = condition_state.interval
-        condition_state.interval = (start, end)
+        previous_interval = condition_state.condition_interval
+        condition_state.condition_interval = (start, end)
         try:
             return goal(values)
         finally:
-            condition_state.interval = previous_interval
+            condition_state.condition_interval = previous_interval
 
     return with_interval if timed or interval_positions is not None else without_interval
 

@@ -384,7 +384,7 @@ class JoinNode(NetworkNode):
             tracker.blocker = None
             result = join(match, partner)
             if result is None and tracker.blocker is not None:
-                tracker.suppressed(self, (match, partner) if left_arrives else (partner, match))
+                tracker.record_suppressed(self, (match, partner) if left_arrives else (partner, match))
             return result
 
         return noting

@@ -15,7 +15,7 @@ Conditions are divided by the data that they need:
   each repetition (see `Items`).
 
 If an event is retracted, the repetitions that contain it are removed and the run is computed again
-(`KleeneNode.results_again`).
+(`KleeneNode.recompute_results`).
 """
 
 from typing import (
@@ -459,7 +459,7 @@ class KleeneNode(KleeneValues):
             values = step[: len(values)]
         extended, result = self._take(run, match, values, step, last)
         if extended and self.tracked:
-            self.rule.network.tracker.hold_repetition(run, match, self)
+            self.rule.network.tracker.register_repetition(run, match, self)
         return extended, result
 
     def _extend_and_record(
@@ -473,7 +473,7 @@ class KleeneNode(KleeneValues):
         tracker.blocker = None
         extended, result = self.extend(run, match, keyed)
         if not extended and tracker.blocker is not None:
-            tracker.suppressed(self, (run, match))
+            tracker.record_suppressed(self, (run, match))
         return extended, result
 
     def _take(
@@ -507,11 +507,11 @@ class KleeneNode(KleeneValues):
             run.valid_count += 1
         return True, self.result_of(run, fitted)
 
-    def forget(self, run: Run, match: PartialMatch) -> bool:
-        """Return True: `results_again` removes repetitions whose events were retracted."""
+    def remove_retracted(self, run: Run, match: PartialMatch) -> bool:
+        """Return True: `recompute_results` removes repetitions whose events were retracted."""
         return True
 
-    def results_again(self, run: Run) -> List[PartialMatch]:
+    def recompute_results(self, run: Run) -> List[PartialMatch]:
         """Return the results, computed again, that contained repetitions whose events were retracted.
 
         If pattern work reaches its limit, the run has the repetitions so far.
@@ -532,7 +532,7 @@ class KleeneNode(KleeneValues):
                 results.append(result)
         return results if self.rule.active else []
 
-    def unmade(self) -> List[TrackedMatch]:
+    def invalid_results(self) -> List[TrackedMatch]:
         """Return the results that become invalid without containing the forgotten matches: none."""
         return []
 

@@ -482,7 +482,7 @@ class NotNode(NetworkNode):
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             if absence.forbids_pair(match.values, match.start, match.start):
                 if tracked:
-                    tracker.suppressed(self, match)
+                    tracker.record_suppressed(self, match)
                 return after
             return out(match, after)
 
@@ -521,7 +521,7 @@ class EarlyTestNode(NetworkNode):
             values = test(match.values, match.start, match.end)
             if values is None:
                 if tracked:
-                    tracker.suppressed(self, match)
+                    tracker.record_suppressed(self, match)
                 return after
             tested = match
             if values is not match.values:

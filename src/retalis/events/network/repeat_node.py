@@ -46,7 +46,7 @@ from ..matches.shared_run_buffer import (
     set_slice_parts,
     slices_of,
 )
-from ..provenance.event_log import known_in
+from ..provenance.event_log import lineage_nodes_of
 from .goal_evaluation import Buffer
 from .join_node import JoinNode
 from .pattern_nodes import IdentityFunction, NetworkNode
@@ -367,13 +367,13 @@ class RepeatNode(NetworkNode):
     def _register_dependency(self, group: RunGroup, match: PartialMatch) -> None:
         """Register the group with the events of a repetition."""
         number = group.repetition_count - 1
-        for occurrence in known_in(match):
+        for occurrence in lineage_nodes_of(match):
             if occurrence.retracted:
-                self.forget(group, number)
+                self.remove_retracted(group, number)
                 return
             occurrence.dependents.append((self, group, number))
 
-    def forget(self, group: RunGroup, number: int) -> bool:
+    def remove_retracted(self, group: RunGroup, number: int) -> bool:
         """Remove all sequences that contain a repetition whose event was retracted; nothing follows from that."""
         for _, cursor in list(group.numbered_cursors()):
             if cursor.first_number <= number:

@@ -51,7 +51,7 @@ from ..matches.partial_matches import (
     arrival_number_of,
     is_retracted,
 )
-from ..provenance.event_log import known_in
+from ..provenance.event_log import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operator import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
@@ -156,7 +156,7 @@ class Replay:
         """Record an output, and the object that represents it in the lineage."""
         self._outputs.append((output, tracked_match))
 
-    def forget(self, match: PartialMatch) -> bool:
+    def remove_retracted(self, match: PartialMatch) -> bool:
         """Exclude a match when the operator is run again; return True, because that may change its outputs."""
         self._forgotten[id(match)] = match
         return True
@@ -520,7 +520,7 @@ class StreamNode(NetworkNode):
                 self._record_element(channel, item, now)
             if stream.late_count != self.late:
                 self.late = stream.late_count
-                network.came_late(self.rule, self.spec.late_report)
+                network.report_late(self.rule, self.spec.late_report)
             if stream.pruned_count != pruned_count or stream.evicted_count != self.evicted_count:
                 self._report_dropped(stream.pruned_count - pruned_count)
             # One element can add several partial matches to a row pattern.
@@ -535,7 +535,7 @@ class StreamNode(NetworkNode):
     def _drop(self) -> List[StreamOutput]:
         """Drop the oldest element with its partial matches; return the outputs that follow from that."""
         self.rule.dropped += 1
-        self.rule.network.dropped(self.rule)
+        self.rule.network.report_dropped(self.rule)
         return self.stream.drop_oldest()
 
     def _report_dropped(self, pruned_count: int = 0) -> None:
@@ -545,10 +545,10 @@ class StreamNode(NetworkNode):
         """
         for _ in range(pruned_count):
             self.rule.dropped += 1
-            self.rule.network.dropped(self.rule, MAX_STATES_PER_START)
+            self.rule.network.report_dropped(self.rule, MAX_STATES_PER_START)
         for _ in range(self.stream.evicted_count - self.evicted_count):
             self.rule.dropped += 1
-            self.rule.network.dropped_key(self.rule)
+            self.rule.network.report_dropped_keys(self.rule)
         self.evicted_count = self.stream.evicted_count
 
     def _wake(self) -> None:
@@ -575,7 +575,7 @@ class StreamNode(NetworkNode):
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._wake()
-        arrival_number = self.rule.network.tracker.wakes() if self.stream.tracked else 0
+        arrival_number = self.rule.network.tracker.next_deadline_number() if self.stream.tracked else 0
         return self._emit_outputs(outputs, after, arrival_number)
 
     def _emit_outputs(self, outputs: List[StreamOutput], after: Frame, arrival_number: int = 0) -> Frame:
@@ -644,14 +644,14 @@ class StreamNode(NetworkNode):
         """Record an element, and register it with the events that it contains."""
         assert self.replay is not None
         self.replay.record_element(channel, item, now)
-        for occurrence in known_in(item.match):
+        for occurrence in lineage_nodes_of(item.match):
             occurrence.dependents.append((self, self, item.match))
 
-    def forget(self, node: "StreamNode", match: PartialMatch) -> bool:
+    def remove_retracted(self, node: "StreamNode", match: PartialMatch) -> bool:
         """Exclude a match whose events were retracted; return whether the outputs may change."""
-        return self.replay is not None and self.replay.forget(match)
+        return self.replay is not None and self.replay.remove_retracted(match)
 
-    def unmade(self) -> List[TrackedMatch]:
+    def invalid_results(self) -> List[TrackedMatch]:
         """Return the lineage objects of outputs that are invalid without the excluded matches."""
         if self.replay is None:
             return []
@@ -665,7 +665,7 @@ class StreamNode(NetworkNode):
         self._wake()
         return missing
 
-    def results_again(self, node: "StreamNode") -> List[PartialMatch]:
+    def recompute_results(self, node: "StreamNode") -> List[PartialMatch]:
         """Return the matches that are valid without the excluded matches and were not before."""
         if self.replay is None or not self.rule.active:
             return []
@@ -689,7 +689,7 @@ class StreamNode(NetworkNode):
         self.wakeup_time = None
         self.late = self.evicted_count = 0
 
-    def tracked_match(self) -> int:
+    def stored_count(self) -> int:
         """Return the number of matches, or keys, in the operator's state."""
         return len(self.stream)
 

@@ -62,7 +62,7 @@ class Occurrence:
         dependents: partial matches that use it.
         retracted: whether it was retracted.
         reported: whether the retraction was reported, by the ``rev`` event that named it or by a derived one.
-        takes_back: for a derived event ``rev(E)``, the occurrences that it retracts.
+        retracts: for a derived event ``rev(E)``, the occurrences that it retracts.
         suppressed: matches that it has prevented, with the nodes that try them again.
         number: order of dispatch; 0 if it has not occurred: a pending alarm, or a rejected event.
     """
@@ -79,7 +79,7 @@ class Occurrence:
         "dependents",
         "retracted",
         "reported",
-        "takes_back",
+        "retracts",
         "suppressed",
     )
 
@@ -91,16 +91,16 @@ class Occurrence:
         self.end = end
         self.rule = rule
         self.match = match
-        self.derived: List[Tracked] = []
+        self.derived: List[LineageNode] = []
         self.forgotten = False
         self.dependents: List[Dependent] = []
         self.retracted = False
         self.reported = False
-        self.takes_back: Optional[List[Occurrence]] = None
+        self.retracts: Optional[List[Occurrence]] = None
         self.suppressed: List[Suppressed] = []
         self.number = 0
 
-    def follows(self, sources: "Sequence[Tracked]") -> None:
+    def derive_from(self, sources: "Sequence[LineageNode]") -> None:
         """Register the occurrence with those that it is derived from."""
         for source in sources:
             if not source.forgotten:
@@ -111,12 +111,12 @@ class Occurrence:
         return [] if self.match is None else occurrences_in(self.match)
 
 
-Tracked = Union[Occurrence, TrackedMatch]
+LineageNode = Union[Occurrence, TrackedMatch]
 MatchOrPair = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
 """Match, or two matches that are to be joined."""
 
 
-def following(source: Tracked) -> Iterator[Occurrence]:
+def unreported_derived(source: LineageNode) -> Iterator[Occurrence]:
     """Yield the occurrences derived from a source whose retraction was not reported yet.
 
     Reported ones are not descended into. Occurrences that have not happened are skipped: no rule has seen them.
@@ -140,7 +140,7 @@ class RetryNode(Protocol):
     def rule(self) -> "EventRule":
         """The rule of the node."""
 
-    def retry(self, what: Any, after: Frame, /) -> Frame:
+    def retry(self, match_or_pair: Any, after: Frame, /) -> Frame:
         """Return the frame that fires the match if it still holds, and goes on with ``after``."""
 
 
@@ -151,20 +151,22 @@ class Suppressed:
     match.
     """
 
-    __slots__ = ("node", "what", "number", "freed")
+    __slots__ = ("node", "match_or_pair", "number", "is_released")
 
-    def __init__(self, node: RetryNode, what: MatchOrPair, number: int):
+    def __init__(self, node: RetryNode, match_or_pair: MatchOrPair, number: int):
         self.node = node
-        self.what = what
+        self.match_or_pair = match_or_pair
         self.number = number
-        self.freed = False
+        self.is_released = False
 
-    def free(self) -> bool:
+    def release(self) -> bool:
         """Return whether it can be tried now: it was not released before, and its own events are not retracted."""
-        if self.freed:
+        if self.is_released:
             return False
-        self.freed = True
-        matches = (self.what,) if isinstance(self.what, PartialMatch) else self.what
+        self.is_released = True
+        matches = (
+            (self.match_or_pair,) if isinstance(self.match_or_pair, PartialMatch) else self.match_or_pair
+        )
         return not any(is_retracted(match) for match in matches)
 
 
@@ -173,9 +175,9 @@ def occurrences_in(match: PartialMatch) -> List[Occurrence]:
     return [token for token in event_tokens(match) if isinstance(token, Occurrence)]
 
 
-def known_in(match: PartialMatch) -> List[Tracked]:
+def lineage_nodes_of(match: PartialMatch) -> List[LineageNode]:
     """Return the tracked events of a match, with the last `TrackedMatch` for repetitions, after linking it."""
-    tracked: List[Tracked] = []
+    tracked: List[LineageNode] = []
     for source in lineage_tokens(match):
         if isinstance(source, TrackedMatch):
             _link(source)
@@ -196,7 +198,7 @@ def _link(last: TrackedMatch) -> None:
         new.append(repetition)
         repetition = repetition.earlier
     for repetition in reversed(new):
-        origins = known_in(repetition.match)
+        origins = lineage_nodes_of(repetition.match)
         if repetition.earlier.match is not None:
             origins.append(repetition.earlier)
         for source in origins:
@@ -212,10 +214,10 @@ _EVENT2 = functor("event", 2)
 _MAX_STORED_EVENTS = 100_000
 _PERSISTENT_FILE = "persistent.txt"
 _PERSISTENT = functor("persistent_event", 1)
-_SHOWN = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
+_LOGGED = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
 
 
-class EventList(Predicate):
+class EventSelection(Predicate):
     """Predicate whose facts select events; its first fact makes the log observe all events."""
 
     def __init__(self, rules: "RuleBase", store: "EventLog", key: Functor):
@@ -226,7 +228,7 @@ class EventList(Predicate):
     def changed(self) -> None:
         """Start observation when a clause is added or removed."""
         super().changed()
-        self._log.watch()
+        self._log.start_recording()
 
 
 class EventLog:
@@ -236,10 +238,10 @@ class EventLog:
         self._rules = rules
         self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_MAX_STORED_EVENTS)
         self._store_listener: Optional[Listener] = None
-        self._watch_listener: Optional[Listener] = None
+        self._record_listener: Optional[Listener] = None
         self._failed_writes = 0
 
-    def keep_all(self, on: bool) -> None:
+    def store_all(self, on: bool) -> None:
         """Start or stop storing events."""
         dispatcher = self._rules.dispatcher
         if on and self._store_listener is None:
@@ -266,18 +268,18 @@ class EventLog:
 
     def define(self) -> None:
         """Define the predicates whose facts select events."""
-        for key in (_PERSISTENT, *_SHOWN):
-            self._rules.logic.database.predicates[key] = EventList(self._rules, self, key)
+        for key in (_PERSISTENT, *_LOGGED):
+            self._rules.logic.database.predicates[key] = EventSelection(self._rules, self, key)
 
-    def watch(self) -> None:
+    def start_recording(self) -> None:
         """Start to write and log the events that facts of the program select."""
-        if self._watch_listener is None:
-            self._watch_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
+        if self._record_listener is None:
+            self._record_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
 
     def _record(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         if self._is_selected(_PERSISTENT, term):
             self._write((_EVENT2, term, interval_term(start, end)))
-        if any(self._is_selected(key, term) for key in _SHOWN):
+        if any(self._is_selected(key, term) for key in _LOGGED):
             shown = (_EVENT2, term, interval_term(start, end))
             log.info("%s", self._rules.logic.show(shown))
         return after
@@ -323,7 +325,7 @@ def _selects(pattern: Term, event: Term) -> bool:
     return result
 
 
-def solutions(
+def stored_event_solutions(
     stored: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
 ) -> Iterator[bool]:
     """Unify an event and its interval with each stored event."""

@@ -4,9 +4,9 @@
 occurrences is remembered; older ones are unlinked.
 
 Retraction (``rev(E)``) works in two phases. First, the occurrences of E and everything derived from them are marked
-as gone and removed from all buffers, before any consequence is computed: a rule that ran in between could still use a
-retracted event. Then a ``rev`` event is dispatched for each derived occurrence, and matches that become valid are
-tried again: those that a retracted event had suppressed, and later results of runs from which a repetition was
+as retracted and removed from all buffers, before any consequence is computed: a rule that ran in between could still
+use a retracted event. Then a ``rev`` event is dispatched for each derived occurrence, and matches that become valid
+are tried again: those that a retracted event had suppressed, and later results of runs from which a repetition was
 removed.
 """
 
@@ -35,14 +35,22 @@ from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context
 from ..matches.consumption_policy import metered
 from ..matches.partial_matches import PartialMatch, TrackedMatch, lineage_tokens
 from ..matches.shared_run_buffer import Run
-from .event_log import MatchOrPair, Occurrence, RetryNode, Suppressed, Tracked, following, known_in
+from .event_log import (
+    LineageNode,
+    MatchOrPair,
+    Occurrence,
+    RetryNode,
+    Suppressed,
+    lineage_nodes_of,
+    unreported_derived,
+)
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
     from ..rules.rule_base import RuleBase
 
 
-KEPT = 100_000
+MAX_REMEMBERED_EVENTS = 100_000
 """Maximum number of remembered events."""
 
 REV = functor("rev", 1)
@@ -54,14 +62,14 @@ _SYNCHRONIZED = frozenset(
 class _RunNode(RetryNode, Protocol):
     """Node whose runs are extended by repetitions."""
 
-    def results_again(self, run: Run) -> List[PartialMatch]:
+    def recompute_results(self, run: Run) -> List[PartialMatch]:
         """Return the later results of a run from which a repetition was removed."""
 
-    def unmade(self) -> List[TrackedMatch]:
+    def invalid_results(self) -> List[TrackedMatch]:
         """Return results that do not hold any more although no retracted event is part of them."""
 
 
-Again = Callable[[Frame], Frame]
+RetractionStep = Callable[[Frame], Frame]
 """Function that dispatches or retries something; it takes and returns the next frame."""
 
 
@@ -94,12 +102,10 @@ class LineageTracker:
             dispatcher.create_token = self._untracked_create_token
             self.clear()
             return
-        dispatcher.create_token = self._mark
+        dispatcher.create_token = self._create_token
         self.listeners.append(dispatcher.listen(ListenerPhase.TRACE, Var(), self._remember))
         if self._rules.flags.is_on("revision_flag"):
-            self.listeners.append(
-                dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._take_back, (-1,))
-            )
+            self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
 
     def repair(self) -> None:
         """Repair the state after an interrupt."""
@@ -131,28 +137,28 @@ class LineageTracker:
         self._recent.clear()
         self._by_term.clear()
 
-    def present(self) -> int:
+    def current_number(self) -> int:
         """Return the number of the current event, or of the current deadline if the clock has activated a node."""
         dispatcher = self._rules.dispatcher
         number: int = self._deadline_number if dispatcher.current is None else dispatcher.token().number
         return number
 
-    def wakes(self) -> int:
+    def next_deadline_number(self) -> int:
         """Return a number for a deadline of the clock: after all events so far, before those that follow."""
         self._deadline_number = next(self._arrivals)
         return self._deadline_number
 
-    def _mark(self, context: Context) -> Occurrence:
+    def _create_token(self, context: Context) -> Occurrence:
         """Return the token of an event without one: an input event, or one that a goal created."""
         term, start, end, cause = context[TERM], context[START], context[END], context[CAUSE]
         # The event of a synchronized query that was answered later.
         if cause.__class__ is Occurrence:
-            released = Occurrence(term, start, end, None, None)
-            released.follows([cause])
-            return released
+            released_event = Occurrence(term, start, end, None, None)
+            released_event.derive_from([cause])
+            return released_event
         rule, match = cause or (None, None)
         occurrence = Occurrence(term, start, end, rule, match)
-        origins = [] if match is None else known_in(match)
+        origins = [] if match is None else lineage_nodes_of(match)
         parent = context[PARENT]
         # The events that a query raises follow from the event ``synchronized(...)`` that holds the query.
         if (
@@ -162,7 +168,7 @@ class LineageTracker:
             and parent[TOKEN] is not None
         ):
             origins = [parent[TOKEN]]
-        occurrence.follows(origins)
+        occurrence.derive_from(origins)
         return occurrence
 
     def _remember(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
@@ -170,7 +176,7 @@ class LineageTracker:
         occurrence.number = next(self._arrivals)
         self._recent.append(occurrence)
         self._by_term.setdefault(term_key(term), []).append(occurrence)
-        if len(self._recent) > KEPT:
+        if len(self._recent) > MAX_REMEMBERED_EVENTS:
             oldest = self._recent.popleft()
             # The links are cut in both directions; otherwise old occurrences would be kept alive by newer ones.
             oldest.derived = []
@@ -186,12 +192,12 @@ class LineageTracker:
     def fire(self, rule: "EventRule", match: PartialMatch, head: Term, after: Frame) -> Frame:
         """Fire a rule, and record the lineage of its event."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
-        occurrence.follows(known_in(match))
+        occurrence.derive_from(lineage_nodes_of(match))
         return rule.fire(head, match.start, match.end, after, occurrence)
 
-    def hold(self, match: PartialMatch) -> None:
+    def register_match(self, match: PartialMatch) -> None:
         """Record that a partial match uses its events."""
-        for occurrence in known_in(match):
+        for occurrence in lineage_nodes_of(match):
             if occurrence.retracted:
                 match.leave()
                 return
@@ -205,24 +211,24 @@ class LineageTracker:
                     if not isinstance(match_or_run, PartialMatch) or match_or_run.buffer is not None
                 ]
 
-    def hold_repetition(self, run: Run, match: PartialMatch, node: RetryNode) -> None:
+    def register_repetition(self, run: Run, match: PartialMatch, node: RetryNode) -> None:
         """Record that a run was extended by a match."""
-        for occurrence in known_in(match):
+        for occurrence in lineage_nodes_of(match):
             occurrence.dependents.append((node, run, match))
 
-    def suppressed(self, node: RetryNode, what: MatchOrPair) -> None:
+    def record_suppressed(self, node: RetryNode, match_or_pair: MatchOrPair) -> None:
         """Record a match that the last negated match has suppressed."""
         if self.blocker is not None:
-            entry = Suppressed(node, what, next(self._numbers))
-            for occurrence in known_in(self.blocker):
+            entry = Suppressed(node, match_or_pair, next(self._numbers))
+            for occurrence in lineage_nodes_of(self.blocker):
                 occurrence.suppressed.append(entry)
 
-    def _take_back(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _retract(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
         """Retract the events of ``rev(E)``: all occurrences of E, or those that a derived ``rev`` is for."""
         token = self._rules.dispatcher.token()
-        retracted = token.takes_back
-        again: List[Tuple[RetryNode, MatchOrPair]] = []
-        unmade: List[Tracked] = []
+        retracted = token.retracts
+        retries: List[Tuple[RetryNode, MatchOrPair]] = []
+        invalidated: List[LineageNode] = []
         if retracted is None:
             retracted = [
                 occurrence
@@ -230,16 +236,16 @@ class LineageTracker:
                 if not occurrence.retracted
             ]
             if not retracted:
-                self._rules.took_nothing_back(values[0], token.rule)
+                self._rules.report_nothing_retracted(values[0], token.rule)
                 return after
             meter = self._meter(token.rule or _deriving_rule(retracted))
             removed = self._remove_derived(retracted, meter)
             if removed is None:
                 return after
-            unmade, again = removed
+            invalidated, retries = removed
         else:
             meter = self._meter(token.rule)
-        work = _RetractionSteps(metered(self._steps([*retracted, *unmade], again, start, end), meter))
+        work = _RetractionSteps(metered(self._steps([*retracted, *invalidated], retries, start, end), meter))
         return work.run((work, after))
 
     def _meter(self, rule: object) -> Optional[Meter]:
@@ -247,7 +253,7 @@ class LineageTracker:
 
     def _remove_derived(
         self, retracted: List[Occurrence], meter: Optional[Meter]
-    ) -> Optional[Tuple[List[Tracked], List[Tuple[RetryNode, MatchOrPair]]]]:
+    ) -> Optional[Tuple[List[LineageNode], List[Tuple[RetryNode, MatchOrPair]]]]:
         """Remove events and everything derived from them from all buffers, before consequences are computed.
 
         Returns:
@@ -255,78 +261,84 @@ class LineageTracker:
             again, each with its node: suppressed matches, and later results of runs that lost a repetition. None if
             the work limit is exceeded; nothing is removed then.
         """
-        gone = _mark_gone(retracted, meter)
-        if gone is None:
+        marked = _mark_retracted(retracted, meter)
+        if marked is None:
             return None
         self._rules.dispatcher.retractions += 1
         # The sender of ``rev`` knows about these: no ``rev`` event is dispatched for them.
         for occurrence in retracted:
             occurrence.reported = True
         runs: Dict[Any, _RunNode] = {}
-        released: List[Suppressed] = []
-        unmade: List[Tracked] = []
+        released_matches: List[Suppressed] = []
+        invalidated: List[LineageNode] = []
         # Removing events can invalidate results of stream operators that do not contain them, and these can have
         # derived events of their own: repeat until nothing is added.
-        while gone:
-            touched = self._detach(gone, released)
-            runs.update(touched)
+        while marked:
+            affected = self._detach(marked, released_matches)
+            runs.update(affected)
             invalid = [
                 lost_result
-                for node in dict.fromkeys(touched.values())
-                for lost_result in node.unmade()
+                for node in dict.fromkeys(affected.values())
+                for lost_result in node.invalid_results()
                 if not lost_result.retracted
             ]
             # If the limit is exceeded here, the invalid outputs remain.
-            gone = _mark_gone(invalid, meter)
-            unmade += invalid if gone else ()
+            marked = _mark_retracted(invalid, meter)
+            invalidated += invalid if marked else ()
         # The consumption policy requires the order in which they were tried first.
-        released.sort(key=_number)
-        again: List[Tuple[RetryNode, MatchOrPair]] = [
-            (node, result) for run, node in runs.items() for result in node.results_again(run)
+        released_matches.sort(key=_number)
+        retries: List[Tuple[RetryNode, MatchOrPair]] = [
+            (node, result) for run, node in runs.items() for result in node.recompute_results(run)
         ]
-        return unmade, again + [
-            (suppressed.node, suppressed.what) for suppressed in released if suppressed.free()
+        return invalidated, retries + [
+            (suppressed.node, suppressed.match_or_pair)
+            for suppressed in released_matches
+            if suppressed.release()
         ]
 
     @staticmethod
-    def _detach(gone: Sequence[Tracked], released: List[Suppressed]) -> Dict[Any, _RunNode]:
-        """Remove events that are marked as gone from the matches and runs that use them.
+    def _detach(marked: Sequence[LineageNode], released_matches: List[Suppressed]) -> Dict[Any, _RunNode]:
+        """Remove events that are marked as retracted from the matches and runs that use them.
 
         Returns:
-            The affected runs with their nodes. Suppressed matches are appended to ``kept``.
+            The affected runs with their nodes. Suppressed matches are appended to ``released_matches``.
         """
         runs: Dict[Any, _RunNode] = {}
-        for node in gone:
+        for node in marked:
             dependents, node.dependents = node.dependents, []
             for match in dependents:
                 if isinstance(match, PartialMatch):
                     match.leave()
-                elif match[0].forget(*match[1:]):
+                elif match[0].remove_retracted(*match[1:]):
                     # A run may have lost several repetitions; its results are computed once, after all are removed.
                     runs[match[1]] = match[0]
-            released += node.suppressed
+            released_matches += node.suppressed
             node.suppressed = []
         return runs
 
     def _steps(
-        self, retracted: Sequence[Tracked], again: List[Tuple[RetryNode, MatchOrPair]], start: int, end: int
-    ) -> Iterator[Again]:
+        self,
+        retracted: Sequence[LineageNode],
+        retries: List[Tuple[RetryNode, MatchOrPair]],
+        start: int,
+        end: int,
+    ) -> Iterator[RetractionStep]:
         """Yield the steps of a retraction: functions from a frame to a frame."""
         for occurrence in retracted:
-            for derived in following(occurrence):
+            for derived in unreported_derived(occurrence):
                 yield self._dispatch_rev(derived, start, end)
-        for node, what in again:
-            yield partial(self._retry, node, what)
+        for node, match_or_pair in retries:
+            yield partial(self._retry, node, match_or_pair)
 
-    def _retry(self, node: RetryNode, what: MatchOrPair, after: Frame) -> Frame:
+    def _retry(self, node: RetryNode, match_or_pair: MatchOrPair, after: Frame) -> Frame:
         # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
         node.rule.store_deferred_of_earlier_events(self._rules.dispatcher.token())
-        return node.retry(what, after)
+        return node.retry(match_or_pair, after)
 
-    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> Again:
+    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> RetractionStep:
         term = (REV, occurrence.term)
         token = Occurrence(term, start, end, None, None)
-        token.takes_back = [occurrence]
+        token.retracts = [occurrence]
         return lambda after: self._rules.dispatcher.dispatch(term, start, end, after, token)
 
     def all(self) -> List[Occurrence]:
@@ -338,8 +350,8 @@ def _number(suppressed: Suppressed) -> int:
     return suppressed.number
 
 
-def _mark_gone(retracted: Sequence[Tracked], meter: Optional[Meter]) -> Optional[List[Tracked]]:
-    """Mark events and everything derived from them as gone.
+def _mark_retracted(retracted: Sequence[LineageNode], meter: Optional[Meter]) -> Optional[List[LineageNode]]:
+    """Mark events and everything derived from them as retracted.
 
     Removing them from the buffers must not be interrupted, because a rule would go on with retracted events. The work
     is therefore counted here, in advance.
@@ -347,25 +359,25 @@ def _mark_gone(retracted: Sequence[Tracked], meter: Optional[Meter]) -> Optional
     Returns:
         All marked nodes, or None if the work limit is exceeded; no node is marked then.
     """
-    stack: List[Tracked] = [*reversed(retracted)]
-    gone: List[Tracked] = []
+    stack: List[LineageNode] = [*reversed(retracted)]
+    marked: List[LineageNode] = []
     while stack:
         node = stack.pop()
         if node.retracted:
             continue
         if meter is not None and meter(1 + len(node.dependents) + len(node.suppressed)):
-            for marked in gone:
-                marked.retracted = False
+            for node in marked:
+                node.retracted = False
             return None
         node.retracted = True
-        gone.append(node)
+        marked.append(node)
         stack += reversed(node.derived)
-    return gone
+    return marked
 
 
 def _deriving_rule(retracted: Sequence[Occurrence]) -> Optional["EventRule"]:
     """Return a rule that derived an event from one of some events, or None."""
-    stack: List[Tracked] = [*retracted]
+    stack: List[LineageNode] = [*retracted]
     while stack:
         for derived in stack.pop().derived:
             if isinstance(derived, Occurrence):
@@ -392,7 +404,7 @@ class _RetractionSteps:
 
     __slots__ = ("steps",)
 
-    def __init__(self, steps: Iterator[Again]):
+    def __init__(self, steps: Iterator[RetractionStep]):
         self.steps = steps
 
     def run(self, frame: Frame) -> Frame:

@@ -20,16 +20,16 @@ class Flag(NamedTuple):
     Attributes:
         default: default value.
         values: permitted names.
-        takes: description of the permitted numbers for error messages.
-        least: minimum of the numbers; the default may be less.
-        whole: whether numbers must be integers.
+        description: description of the permitted numbers for error messages.
+        minimum: minimum of the numbers; the default may be less.
+        is_integer: whether numbers must be integers.
     """
 
     default: Term
     values: Tuple[str, ...]
-    takes: str = ""
-    least: float = 0
-    whole: bool = False
+    description: str = ""
+    minimum: float = 0
+    is_integer: bool = False
 
 
 def _switch_flag(default: str = "off") -> Flag:
@@ -76,7 +76,7 @@ class Flags:
         self._on_change = on_change
         self._defaults: Dict[str, Term] = {name: flag.default for name, flag in FLAGS.items()}
         self._values = dict(self._defaults)
-        self._followers: Dict[str, Callable[[float], None]] = {}
+        self._callbacks: Dict[str, Callable[[float], None]] = {}
         self._changing: Optional[str] = None
 
     def get(self, name: str) -> Optional[Term]:
@@ -103,10 +103,10 @@ class Flags:
         elif (
             not isinstance(value, (int, float))
             # NaN is neither in the range nor equal to the default.
-            or not (flag.least <= value < inf or value == flag.default)
-            or (flag.whole and value % 1)
+            or not (flag.minimum <= value < inf or value == flag.default)
+            or (flag.is_integer and value % 1)
         ):
-            raise UsageError(f"{name} takes {flag.takes}")
+            raise UsageError(f"{name} takes {flag.description}")
         if value != self._values[name]:
             # An interrupt may come before the listeners have been called; `repair` calls them then.
             self._changing = name
@@ -119,18 +119,18 @@ class Flags:
         self.set(name, value)
         self._defaults[name] = value
 
-    def follow(self, name: str, callback: Callable[[float], None]) -> None:
+    def on_numeric_change(self, name: str, callback: Callable[[float], None]) -> None:
         """Call a function with the value of a numeric flag at each change."""
-        self._followers[name] = callback
+        self._callbacks[name] = callback
 
-    def changed(self) -> Dict[str, Term]:
+    def changed_flags(self) -> Dict[str, Term]:
         """Return the flags whose values differ from their defaults."""
         return {name: value for name, value in self._values.items() if value != self._defaults[name]}
 
     def _notify(self, name: str) -> None:
         self._on_change(name)
-        if name in self._followers:
-            self._followers[name](self.number(name))
+        if name in self._callbacks:
+            self._callbacks[name](self.number(name))
 
     def repair(self) -> None:
         """Call the listeners of a flag that was being changed when an interrupt came."""
@@ -153,7 +153,7 @@ class Flags:
         assert isinstance(value, (int, float))
         return value
 
-    def _word(self, name: str) -> str:
+    def _atom_name(self, name: str) -> str:
         value = self._values[name]
         assert isinstance(value, Atom)
         return value.name
@@ -161,7 +161,7 @@ class Flags:
     def mode(self) -> NetworkOptions:
         """Return the network options that the flags determine."""
         return NetworkOptions(
-            ConsumptionPolicy(self._word("event_consumption_policy")),
+            ConsumptionPolicy(self._atom_name("event_consumption_policy")),
             self.is_on("out_of_order"),
             self.is_on("revision_flag") or self.is_on("etalis_justification"),
             self.is_on("revision_flag"),

@@ -2,7 +2,7 @@
 
 `InputReader` parses the same goals from text, as other nodes send them. Most texts are ``event(E,[T,T])`` with two
 equal timestamps; they are read by a shorter way that caches the seconds and parses only the event as a term.
-`define_new_event` defines the goals that emit events with given timestamps, `define_firing` those of the event
+`define_new_event` defines the goals that emit events with given timestamps, `define_event_goals` those of the event
 language.
 """
 
@@ -139,8 +139,8 @@ class InputReader:
         """
         position = text.rfind(",[datime(")
         stamps = text[position + 2 :]
-        middle = (len(stamps) - 3) // 2
-        stamp = stamps[:middle]
+        stamp_length = (len(stamps) - 3) // 2
+        stamp = stamps[:stamp_length]
         # Two equal timestamps, compared as text.
         if position < 0 or stamps != f"{stamp},{stamp}])":
             return None
@@ -233,14 +233,16 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
     """Define ``new_event/2,3,5``: with an interval, with seconds and nanoseconds, and with those of start and end."""
     dispatch = dispatcher.dispatch
 
-    def at_instant(machine: Machine, arguments: Sequence[Term], after: Frame, plain: bool = False) -> Frame:
+    def at_instant(
+        machine: Machine, arguments: Sequence[Term], after: Frame, is_ground: bool = False
+    ) -> Frame:
         event, seconds, nanoseconds = arguments
         # The common case of two integers in range avoids the general conversion.
         if seconds.__class__ is int and nanoseconds.__class__ is int:
             instant = seconds * SECOND + nanoseconds
             if FIRST <= instant < LAST:
                 instant = FloatSeconds(instant)
-                return dispatch(event, instant, instant, after, None, plain or None, plain)
+                return dispatch(event, instant, instant, after, None, is_ground or None, is_ground)
         return general(machine, arguments, after)
 
     def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
@@ -256,7 +258,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
 _EVENT1 = functor("event", 1)
 
 
-def define_firing(rules: "RuleBase") -> None:
+def define_event_goals(rules: "RuleBase") -> None:
     """Define the goals that fire events."""
     _FiringGoals(rules).define(rules.logic)
 
@@ -327,11 +329,11 @@ class _FiringGoals:
 
     def _run_goals(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
         """Return a frame that calls the goals in order; goals that fail or raise are reported and skipped."""
-        stream = _Stream(self.rules, goals)
+        stream = _GoalStream(self.rules, goals)
         return stream.run((stream, after))
 
 
-class _Stream:
+class _GoalStream:
     """Code of a frame that calls the remaining goals of a stream, one for each activation of the frame."""
 
     def __init__(self, rules: "RuleBase", goals: Sequence[Term]):

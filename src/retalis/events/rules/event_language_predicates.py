@@ -17,9 +17,9 @@ from ...prolog.terms.term_traversal import copy, freeze, resolve
 from ...prolog.terms.timestamps import interval_term, shown
 from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, functor
 from ...prolog.terms.unification import undo
-from ..provenance.event_log import solutions
+from ..provenance.event_log import stored_event_solutions
 from .event_flags import FLAGS
-from .event_input_predicates import EVENT2, define_firing, items_of, path_of
+from .event_input_predicates import EVENT2, define_event_goals, items_of, path_of
 from .timer_service import define_timers
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def define_predicates(rules: "RuleBase") -> None:
     logic = rules.logic
     _RuleGoals(rules).define(logic)
     _FlagGoals(rules).define(logic)
-    define_firing(rules)
+    define_event_goals(rules)
     define_load_goals(rules)
     define_timers(logic, rules.timers, rules.declared.require)
     _ListingGoals(rules).define(logic)
@@ -176,7 +176,7 @@ class _RuleGoals:
 
     def reset(self, machine: Machine) -> bool:
         # A service must not be able to change flags by resetting all of them; see `PrologSystem.require_flags`.
-        for name in self.rules.flags.changed():
+        for name in self.rules.flags.changed_flags():
             self.rules.logic.require_flags(atom(name))
         self.rules.reset()
         return True
@@ -283,11 +283,11 @@ class _ListingGoals:
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
     def checked(self, machine: Machine, instant: Term, position: int) -> bool:
-        interval = self.rules.condition_state.interval
+        interval = self.rules.condition_state.condition_interval
         return interval is not None and bool(machine.unify(instant, shown(interval[position])))
 
     def fired(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
-        return solutions(self.rules.store.stored(), machine, event, interval)
+        return stored_event_solutions(self.rules.store.stored(), machine, event, interval)
 
     def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
         events = self.rules.store.stored()

@@ -74,7 +74,7 @@ class RuleIndex:
         """Return the rules with a label."""
         return list(self._by_label.get(term_key(label), ()))
 
-    def alike(self, key: Hashable) -> List[EventRule]:
+    def equal_to(self, key: Hashable) -> List[EventRule]:
         """Return the rules with an equal definition; see `RuleDefinition.key`."""
         return list(self._by_key.get(key, ()))
 
@@ -152,7 +152,7 @@ class RuleBase:
         self.future = future
         self.on_error = on_error
         self.warn_singletons = False
-        self.revs_of_nothing = 0
+        self.failed_retraction_count = 0
         self.fired_before = 0
         self.on_reset = on_reset
         self.on_warning = on_warning
@@ -282,7 +282,7 @@ class RuleBase:
         self._table.discard(rule)
         rule.unlisten()
 
-    def arrange(self, rules: Sequence[EventRule], deleted: Sequence[EventRule] = ()) -> None:
+    def activate_exactly(self, rules: Sequence[EventRule], deleted: Sequence[EventRule] = ()) -> None:
         """Activate exactly these rules, in this order; they keep their partial matches.
 
         Args:
@@ -331,10 +331,10 @@ class RuleBase:
             return []
         # The label is part of the identity only if the given term has one.
         definition = checker.rules[0]
-        candidates = self._table.alike(definition.key)
+        candidates = self._table.equal_to(definition.key)
         return [rule for rule in candidates if definition.label is None or label_of(rule) is definition.label]
 
-    def note_conditions(self, conditions: Term, caller: str) -> None:
+    def warn_unknown_calls(self, conditions: Term, caller: str) -> None:
         """Warn of unknown predicates in the conditions of a memory or subscription."""
         self.loader.note_calls(calls_in_goals(conditions, caller))
 
@@ -407,7 +407,7 @@ class RuleBase:
             for rule in self.rules:
                 self._configure(rule)
         elif name == "store_fired_events":
-            self.store.keep_all(self.flags.is_on(name))
+            self.store.store_all(self.flags.is_on(name))
         elif name == UNDECLARED.name:
             # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
             self.declared.in_use = True
@@ -472,12 +472,12 @@ class RuleBase:
         """Wake a node when the clock reaches an instant."""
         self.deadlines.add(node, instant)
 
-    def came_late(self, rule: EventRule, what: str) -> None:
+    def report_late(self, rule: EventRule, what: str) -> None:
         """Report that a match was too late to be used."""
         rule.late += 1
         self._warn_rarely(rule, rule.late, f": {what}; {rule.late} so far")
 
-    def look_at_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
+    def report_past_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
@@ -486,10 +486,10 @@ class RuleBase:
         text = f": the instant of its alarm is in the past, so {consequence}; {rule.alarms_past} so far"
         self._warn_rarely(rule, rule.alarms_past, text)
 
-    def took_nothing_back(self, term: Term, rule: Optional[EventRule]) -> None:
+    def report_nothing_retracted(self, term: Term, rule: Optional[EventRule]) -> None:
         """Report an event ``rev(E)`` without an event E to retract, at the occurrences 1, 2, 4, 8 and so on."""
-        self.revs_of_nothing += 1
-        occurrence_count = self.revs_of_nothing
+        self.failed_retraction_count += 1
+        occurrence_count = self.failed_retraction_count
         if occurrence_count & (occurrence_count - 1) == 0:
             prefix = "" if rule is None else f"{rule.name}: "
             text = (
@@ -512,17 +512,17 @@ class RuleBase:
             goal_text = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {goal_text}: {error.message}"))
 
-    def dropped(self, rule: EventRule, ways: int = 0) -> None:
-        """Report that partial matches of a rule were dropped, or more than ``ways`` runs from one start."""
+    def report_dropped(self, rule: EventRule, max_runs: int = 0) -> None:
+        """Report that partial matches of a rule were dropped, or more than ``max_runs`` runs from one start."""
         text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
-        if ways:
+        if max_runs:
             text = (
-                f" has more than {ways} ways to take its steps from one start; "
+                f" has more than {max_runs} ways to take its steps from one start; "
                 f"{rule.dropped} have been dropped so far"
             )
         self._warn_rarely(rule, rule.dropped, text)
 
-    def dropped_key(self, rule: EventRule) -> None:
+    def report_dropped_keys(self, rule: EventRule) -> None:
         """Report that keys of a rule were dropped."""
         text = (
             f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "

@@ -8,7 +8,7 @@ Flink's timer service are entries of one queue.
   rebuilt when more than half of it is stale.
 * `RuleAlarm` emits an event of a rule at a future instant (``exceptionAlarm``).
 * `Timers` holds the timers of the program, once or periodic. A jump of time, as at the start of a bag, would fire a
-  periodic timer millions of times; beyond `MAX_RINGS_PER_JUMP` only the last instant fires, with a warning.
+  periodic timer millions of times; beyond `MAX_FIRINGS_PER_JUMP` only the last instant fires, with a warning.
 """
 
 import heapq
@@ -71,12 +71,12 @@ class NodeTimers:
         self._heap: List[_Deadline] = []
         self._numbers = count()
         self._rebuild_size = _SMALL_QUEUE
-        self._armed: List[int] = []
+        self._alarm_instants: List[int] = []
 
     def clear(self) -> None:
         """Remove all timeouts; the clock has been reset and has dropped the alarm."""
         self._heap = []
-        self._armed = []
+        self._alarm_instants = []
 
     def __len__(self) -> int:
         """Return the number of entries, including stale ones.
@@ -90,17 +90,17 @@ class NodeTimers:
         heapq.heappush(self._heap, (instant, node.rule.serial, node.place, next(self._numbers), node))
         if len(self._heap) > self._rebuild_size:
             self._drop_all_stale()
-        self._arm()
+        self._set_alarm()
 
-    def _arm(self) -> None:
+    def _set_alarm(self) -> None:
         """Set the clock's alarm for the earliest timeout.
 
         An alarm for a later instant stays in the clock.
         """
         self._drop_stale_top()
-        heap, armed = self._heap, self._armed
-        if heap and (not armed or heap[0][0] < armed[0]):
-            heapq.heappush(armed, heap[0][0])
+        heap, alarm_instants = self._heap, self._alarm_instants
+        if heap and (not alarm_instants or heap[0][0] < alarm_instants[0]):
+            heapq.heappush(alarm_instants, heap[0][0])
             self._rules.clock.put_back(heap[0][0], _FIRST_ORDER, self._on_alarm)
 
     def _drop_stale_top(self) -> None:
@@ -123,8 +123,8 @@ class NodeTimers:
         Only one node per call: events at the same instant may have to come between two nodes.
         """
         # Alarms up to this instant have been called, so they are not in the clock any more.
-        while self._armed and self._armed[0] <= instant:
-            heapq.heappop(self._armed)
+        while self._alarm_instants and self._alarm_instants[0] <= instant:
+            heapq.heappop(self._alarm_instants)
         self._drop_stale_top()
         heap = self._heap
         try:
@@ -139,7 +139,7 @@ class NodeTimers:
                     )
         # Also after an error or interrupt, otherwise no later node would be woken.
         finally:
-            self._arm()
+            self._set_alarm()
 
 
 def _is_current(entry: _Deadline) -> bool:
@@ -193,10 +193,10 @@ class RuleAlarm:
 MAX_TIMERS = 10_000
 """Maximum number of timers."""
 
-MAX_RINGS_PER_JUMP = 10_000
+MAX_FIRINGS_PER_JUMP = 10_000
 """Maximum number of events of one timer for one jump of time; beyond that only the last one is emitted."""
 
-BEGIN = 1
+FIRST_INSTANT = 1
 """Instant of an alarm that waits for the clock's first time."""
 
 # Stale alarms are removed from the clock if they outnumber the others by this.
@@ -213,10 +213,10 @@ class ProgramTimer:
         key: identity of the timer: its event and schedule.
         name: key of the event; None for an event with variables.
         instant: the next instant; None before the clock has a time.
-        set_for: instant of the alarm in the clock, at most `instant`; None if there is no alarm.
+        alarm_instant: instant of the alarm in the clock, at most `instant`; None if there is no alarm.
     """
 
-    __slots__ = ("key", "name", "event", "schedule", "instant", "set_for")
+    __slots__ = ("key", "name", "event", "schedule", "instant", "alarm_instant")
 
     def __init__(self, event: Term, schedule: Schedule):
         self.key: Hashable = term_key((TIMER, event, schedule.term))
@@ -224,7 +224,7 @@ class ProgramTimer:
         self.event = event
         self.schedule = schedule
         self.instant: Optional[int] = None
-        self.set_for: Optional[int] = None
+        self.alarm_instant: Optional[int] = None
 
 
 def _event_key(event: Term) -> Hashable:
@@ -279,7 +279,7 @@ class Timers:
     majority.
 
     Attributes:
-        left_out: number of events omitted because of jumps of time.
+        omitted_count: number of events omitted because of jumps of time.
     """
 
     def __init__(self, program: "RuleBase"):
@@ -288,8 +288,8 @@ class Timers:
         self._inactive: Dict[Hashable, ProgramTimer] = {}
         self._jumps = 0
         self._stale = 0
-        self._late_goals = 0
-        self.left_out = 0
+        self._delayed_goal_count = 0
+        self.omitted_count = 0
 
     def __len__(self) -> int:
         return len(self._all.by_key)
@@ -308,21 +308,21 @@ class Timers:
             PrologError: if there are too many timers.
         """
         timer = ProgramTimer(copy(event), parse_schedule(copy(when)))
-        existing = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
+        timer_to_set = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
         now = self._goal_time()
-        if existing is None:
+        if timer_to_set is None:
             if len(self) >= MAX_TIMERS:
                 raise resource_error("timers", reason=f"more than {MAX_TIMERS} timers are set")
             if now > 0 and timer.schedule.next(now) is None:
                 self._warn_past(timer)
                 return
-            existing = timer
+            timer_to_set = timer
         # During a reload an unchanged timer is reactivated with its alarm, so its period does not start again.
-        elif existing.key not in self._all.by_key and existing.set_for is not None:
-            self._all.add(existing)
+        elif timer_to_set.key not in self._all.by_key and timer_to_set.alarm_instant is not None:
+            self._all.add(timer_to_set)
             return
-        self._all.add(existing)
-        self._schedule_next(existing, now)
+        self._all.add(timer_to_set)
+        self._schedule_next(timer_to_set, now)
 
     def cancel(self, event: Term) -> int:
         """Remove the timers whose events unify with a term; return their number."""
@@ -342,16 +342,16 @@ class Timers:
         """Return the present time for a goal that sets a timer.
 
         In a goal of an alarm this is the alarm's instant, even if the clock has jumped further, so that a chain of
-        timers runs through all instants of the jump. After `MAX_RINGS_PER_JUMP` goals it is the clock's time: a timer
-        that sets itself again would otherwise run through the whole jump, step by step.
+        timers runs through all instants of the jump. After `MAX_FIRINGS_PER_JUMP` goals it is the clock's time: a
+        timer that sets itself again would otherwise run through the whole jump, step by step.
         """
         clock = self._program.clock
         reached, ringing = clock.reached(), clock.ringing
         if ringing is None or reached - ringing <= SECOND:
-            self._late_goals = 0
+            self._delayed_goal_count = 0
         else:
-            self._late_goals += 1
-        return reached if ringing is None or self._late_goals > MAX_RINGS_PER_JUMP else ringing
+            self._delayed_goal_count += 1
+        return reached if ringing is None or self._delayed_goal_count > MAX_FIRINGS_PER_JUMP else ringing
 
     def _schedule_next(self, timer: ProgramTimer, now: int) -> None:
         """Compute the next instant of a timer, from the given time or from the clock's first time."""
@@ -364,45 +364,45 @@ class Timers:
         self._set_alarm(timer)
 
     def _set_alarm(self, timer: ProgramTimer) -> None:
-        instant = BEGIN if timer.instant is None else timer.instant
-        if timer.set_for is not None:
+        instant = FIRST_INSTANT if timer.instant is None else timer.instant
+        if timer.alarm_instant is not None:
             # An earlier alarm is kept; `on_alarm` sets the alarm for the later instant.
-            if timer.set_for <= instant:
+            if timer.alarm_instant <= instant:
                 return
             self._stale += 1
-        timer.set_for = instant
+        timer.alarm_instant = instant
         self._program.clock.call_at(instant, TimerAlarm(self, timer, instant))
 
     def _invalidate_alarm(self, timer: ProgramTimer) -> None:
         """Invalidate the alarm of a removed timer."""
-        if timer.set_for is None:
+        if timer.alarm_instant is None:
             return
-        timer.set_for = None
+        timer.alarm_instant = None
         self._stale += 1
         # Lazy deletion as in `NodeTimers`: amortized constant cost per removal.
         clock = self._program.clock
         if 2 * self._stale > len(clock.alarms) + _STALE_MARGIN:
-            clock.drop(lambda alarm: isinstance(alarm, TimerAlarm) and not self.is_sound(alarm))
+            clock.drop(lambda alarm: isinstance(alarm, TimerAlarm) and not self.is_valid_alarm(alarm))
             self._stale = 0
 
-    def is_sound(self, alarm: "TimerAlarm") -> bool:
+    def is_valid_alarm(self, alarm: "TimerAlarm") -> bool:
         """Return whether an alarm is the valid one of an existing timer."""
         timer = alarm.timer
         exists = self._all.by_key.get(timer.key) is timer or self._inactive.get(timer.key) is timer
-        return exists and timer.set_for == alarm.set_for
+        return exists and timer.alarm_instant == alarm.alarm_instant
 
     def on_alarm(self, alarm: "TimerAlarm") -> None:
         """Process an alarm of a timer."""
-        if not self.is_sound(alarm):
+        if not self.is_valid_alarm(alarm):
             self._stale -= 1
             return
         timer = alarm.timer
-        timer.set_for = None
+        timer.alarm_instant = None
         instant = timer.instant
         if instant is None:
             # The clock has got its first time: now the schedule can be computed.
             self._schedule_next(timer, self._program.clock.reached())
-        elif instant > alarm.set_for or self._skip_missed(timer, instant):
+        elif instant > alarm.alarm_instant or self._skip_missed(timer, instant):
             self._set_alarm(timer)
         else:
             # The next alarm is set before the event is dispatched, so that its goals can cancel or replace the timer.
@@ -419,11 +419,11 @@ class Timers:
         if not schedule.repeats:
             return False
         missed_count = (self._program.clock.coming() - instant) // schedule.period
-        if missed_count < MAX_RINGS_PER_JUMP:
+        if missed_count < MAX_FIRINGS_PER_JUMP:
             return False
         timer.instant = instant + missed_count * schedule.period
         self._jumps += 1
-        self.left_out += missed_count
+        self.omitted_count += missed_count
         # Warned at jump 1, 2, 4, 8 and so on.
         if self._jumps & (self._jumps - 1) == 0:
             show = self._program.logic.brief
@@ -431,7 +431,7 @@ class Timers:
             self._program.on_warning(
                 UsageError(
                     f"time has jumped by {seconds} s: {counted(missed_count, 'event')} of timer "
-                    f"{show(timer.event)}, {show(schedule.term)} left out; {self.left_out} of all timers so far"
+                    f"{show(timer.event)}, {show(schedule.term)} left out; {self.omitted_count} of all timers so far"
                 )
             )
         return True
@@ -463,7 +463,7 @@ class Timers:
         """
         self._stale = 0
         for timer in self:
-            timer.set_for = None
+            timer.alarm_instant = None
             if timer.schedule.is_relative:
                 self._all.remove(timer.key)
             else:
@@ -477,11 +477,11 @@ class Timers:
         alarms = {
             alarm.timer: alarm
             for _, _, alarm in self._program.clock.alarms
-            if isinstance(alarm, TimerAlarm) and self.is_sound(alarm)
+            if isinstance(alarm, TimerAlarm) and self.is_valid_alarm(alarm)
         }
         for timer in self:
             if timer not in alarms:
-                timer.set_for = None
+                timer.alarm_instant = None
                 self._set_alarm(timer)
 
     def all_by_key(self) -> Dict[Hashable, ProgramTimer]:
@@ -510,19 +510,19 @@ class Timers:
     def snapshot(self) -> List[TimerRow]:
         """Return all timers as data; see `restore`."""
         return [
-            (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.set_for, order)
+            (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.alarm_instant, order)
             for _, order, alarm in sorted(self._program.clock.alarms, key=lambda entry: entry[:2])
-            if isinstance(alarm, TimerAlarm) and self.is_sound(alarm)
+            if isinstance(alarm, TimerAlarm) and self.is_valid_alarm(alarm)
         ]
 
-    def restore(self, saved: Sequence[TimerRow], left_out: int) -> None:
+    def restore(self, saved: Sequence[TimerRow], omitted_count: int) -> None:
         """Restore timers and their alarms from data."""
-        self.left_out = left_out
-        for event, schedule_term, instant, set_for, order in saved:
+        self.omitted_count = omitted_count
+        for event, schedule_term, instant, alarm_instant, order in saved:
             timer = ProgramTimer(event, parse_schedule(schedule_term))
-            timer.instant, timer.set_for = instant, set_for
+            timer.instant, timer.alarm_instant = instant, alarm_instant
             self._all.add(timer)
-            self._program.clock.put_back(set_for, order, TimerAlarm(self, timer, set_for))
+            self._program.clock.put_back(alarm_instant, order, TimerAlarm(self, timer, alarm_instant))
 
 
 class TimerAlarm:
@@ -531,15 +531,15 @@ class TimerAlarm:
     Args:
         timers: the timers of the program.
         timer: the timer.
-        set_for: instant of the alarm.
+        alarm_instant: instant of the alarm.
     """
 
-    __slots__ = ("timers", "timer", "set_for")
+    __slots__ = ("timers", "timer", "alarm_instant")
 
-    def __init__(self, timers: Timers, timer: ProgramTimer, set_for: int):
+    def __init__(self, timers: Timers, timer: ProgramTimer, alarm_instant: int):
         self.timers = timers
         self.timer = timer
-        self.set_for = set_for
+        self.alarm_instant = alarm_instant
 
     def __call__(self, now: int) -> None:
         """Process the alarm."""
