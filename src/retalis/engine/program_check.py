@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
 from ..events.checks.check_registry import ERROR, WARNING, Finding, Suppressions, load_code, run_checks
-from ..events.checks.event_flow_checks import without_maker
+from ..events.checks.event_flow_checks import missing_producer_text
 from ..events.checks.message_checks import output_fault
 from ..events.checks.program_model import ProgramModel
 from ..events.program.topic_configuration import (
@@ -93,7 +93,7 @@ def check_program(
         collector.add_errors(error)
     topics = engine.input_topics.joined(topics)
     program = ProgramModel(
-        engine.rules, engine.knowledge, definitions, topics, direct_types, folder, observed=is_single_file
+        engine.rules, engine.knowledge, definitions, topics, direct_types, folder, has_observer=is_single_file
     )
     # After an error a part of the program is missing, and checks of the whole program would report its absence.
     is_loaded = not any(finding.severity == ERROR for finding in collector.findings)
@@ -114,7 +114,7 @@ def explain_missing_source(
     """
     topics = engine.input_topics.joined(topics)
     program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, tuple(direct))
-    return without_maker(program, pattern)
+    return missing_producer_text(program, pattern)
 
 
 def explain_unsendable(

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Definitions, Engine, TopicType
-from retalis.events.checks.event_flow_checks import never_made, never_taken
+from retalis.events.checks.event_flow_checks import find_unconsumed_events, find_unproduced_events
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.knowledge.knowledge_base import OWN_EVENTS
 from retalis.events.program.topic_configuration import Topics
@@ -21,8 +21,8 @@ def said_of(check, rules):
 def test_events_of_the_package_itself_are_made_by_it():
     patterns = [f"{key.name}({', '.join('_' * key.arity)})" for key in OWN_EVENTS]
     assert len(patterns) == 4
-    assert said_of(never_made, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
-    (said,) = said_of(never_made, "seen <- query_given_up(_, _).")
+    assert said_of(find_unproduced_events, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
+    (said,) = said_of(find_unproduced_events, "seen <- query_given_up(_, _).")
     assert said == "nothing makes query_given_up/2: no topic, rule or goal; did you mean query_given_up/3?"
 
 
@@ -36,32 +36,34 @@ def test_events_of_the_package_itself_are_made_by_it():
     ],
 )
 def test_a_rule_that_is_there_for_what_it_does_needs_nobody_to_take_its_event(rule):
-    assert said_of(never_taken, rule.format("std_msgs__0__String(_)")) == []
+    assert said_of(find_unconsumed_events, rule.format("std_msgs__0__String(_)")) == []
 
 
 def test_an_event_that_nobody_takes_is_said():
-    (said,) = said_of(never_taken, "noted <- std_msgs__0__String(_).")
+    (said,) = said_of(find_unconsumed_events, "noted <- std_msgs__0__String(_).")
     assert said == "nothing takes noted/0: no rule, memory or subscription"
 
 
 def test_timers_make_events():
     rules = ":- timer(tick, every(5)).\nnull do timer(later(X), after(X)) <- std_msgs__0__String(X).\n"
-    assert said_of(never_made, rules + "null <- tick.\nnull <- later(X).") == []
-    assert said_of(never_taken, rules + "null <- tick.") == [
+    assert said_of(find_unproduced_events, rules + "null <- tick.\nnull <- later(X).") == []
+    assert said_of(find_unconsumed_events, rules + "null <- tick.") == [
         "nothing takes later/1: no rule, memory or subscription"
     ]
 
 
 def test_states_take_events_and_make_one():
     rules = ":- state(docked(R), from(dock(R)), until(undock(R))).\ndock(X) <- std_msgs__0__String(X).\n"
-    assert said_of(never_made, rules + "null <- docked(_).") == [
+    assert said_of(find_unproduced_events, rules + "null <- docked(_).") == [
         "state docked(_): nothing makes undock/1: no topic, rule or goal; did you mean dock/1?"
     ]
-    assert said_of(never_taken, rules) == []
+    assert said_of(find_unconsumed_events, rules) == []
 
 
 def test_a_subscription_with_a_shape_takes_the_events_below_it():
     goal = "subscribe({} with throttle(2), [], _, t, 1)"
-    assert said_of(never_taken, f":- {goal.format('noted')}.\nnoted <- std_msgs__0__String(_).") == []
-    (said,) = said_of(never_made, f":- {goal.format('notde')}.\nnoted <- std_msgs__0__String(_).")
+    assert (
+        said_of(find_unconsumed_events, f":- {goal.format('noted')}.\nnoted <- std_msgs__0__String(_).") == []
+    )
+    (said,) = said_of(find_unproduced_events, f":- {goal.format('notde')}.\nnoted <- std_msgs__0__String(_).")
     assert said.endswith("nothing makes notde/0: no topic, rule or goal; did you mean noted/0?")

@@ -4,7 +4,7 @@ import pytest
 
 from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
-from retalis.events.checks.message_checks import wrong_messages
+from retalis.events.checks.message_checks import find_message_mismatches
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
 
@@ -103,7 +103,7 @@ def said_of_fans(rules, goals=""):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), FAN)
-    return [(error.message, error.place and error.place.column) for error in wrong_messages(program)]
+    return [(error.message, error.place and error.place.column) for error in find_message_mismatches(program)]
 
 
 def test_a_name_of_a_topics_events_that_is_no_event_is_left_alone():

@@ -4,7 +4,12 @@ import pytest
 
 from retalis import Definitions, Engine, TopicType
 from retalis.events.checks.program_model import ProgramModel
-from retalis.events.checks.time_checks import cycles, missed_pairs, never_meet, unbounded_keys
+from retalis.events.checks.time_checks import (
+    find_cycles,
+    find_impossible_pairs,
+    find_missed_pairs,
+    find_unbounded_keys,
+)
 from retalis.events.program.topic_configuration import Topics
 
 TOPICS = Topics((TopicType("said", "std_msgs/String"),))
@@ -20,7 +25,7 @@ def said_of(*rules):
     engine = Engine()
     engine.load(rules="\n".join(rules))
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
-    return [error.message for error in (*never_meet(program), *cycles(program))]
+    return [error.message for error in (*find_impossible_pairs(program), *find_cycles(program))]
 
 
 @pytest.mark.slow
@@ -57,7 +62,7 @@ def missed(rules, topics=TWO_TOPICS):
     engine.load(rules=rules)
     return [
         error.message
-        for error in missed_pairs(ProgramModel(engine.rules, engine.knowledge, Definitions(), topics))
+        for error in find_missed_pairs(ProgramModel(engine.rules, engine.knowledge, Definitions(), topics))
     ]
 
 
@@ -87,7 +92,7 @@ def unbounded(rules, flags=()):
         assert engine.call(f"set_etalis_flag({flag}, {value})")
     engine.load(rules=rules)
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
-    return [error.message for error in unbounded_keys(program)]
+    return [error.message for error in find_unbounded_keys(program)]
 
 
 KEYED = [

@@ -4,7 +4,11 @@ import pytest
 
 from retalis import Engine
 from retalis.events.checks.program_model import ProgramModel
-from retalis.events.checks.value_type_checks import _ARRAY_PREDICATES, kinds, numerals
+from retalis.events.checks.value_type_checks import (
+    _ARRAY_PREDICATES,
+    find_number_type_mismatches,
+    find_type_conflicts,
+)
 from retalis.events.program.topic_configuration import Topics, topic_type
 from retalis.messages.named_slots import SENSOR_PREDICATES
 from retalis.prolog.builtins.builtin_registry import ENTRIES
@@ -12,7 +16,7 @@ from retalis.prolog.builtins.builtin_registry import ENTRIES
 TOPICS = Topics((topic_type("at", "geometry_msgs/Point"), topic_type("n", "std_msgs/Int32")))
 
 
-def said(definitions, rules="", goals="", check=numerals):
+def said(definitions, rules="", goals="", check=find_number_type_mismatches):
     engine = Engine()
     engine.load(rules=rules, goals=goals)
     return [one.message for one in check(ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS))]
@@ -88,11 +92,13 @@ def test_what_may_be_is_left_alone(definitions, rules):
 )
 def test_predicates_on_arrays_and_messages(definitions, goal, told):
     rules = f"a <- sensor_msgs__0__Image{{data: D, width: W}} where {goal}."
-    assert said(definitions, rules, check=kinds) == ([told] if told else [])
+    assert said(definitions, rules, check=find_type_conflicts) == ([told] if told else [])
 
 
 def test_an_array_is_no_number(definitions):
-    (told,) = said(definitions, "a <- sensor_msgs__0__LaserScan{ranges: R} where R < 1.", check=kinds)
+    (told,) = said(
+        definitions, "a <- sensor_msgs__0__LaserScan{ranges: R} where R < 1.", check=find_type_conflicts
+    )
     assert told.startswith("R is a list (ranges of sensor_msgs/LaserScan), not a number: take a number of it")
 
 

@@ -19,22 +19,36 @@ from ...foundation.errors import (
     UsageError,
 )
 from ..program.topic_configuration import read_text
-from .event_flow_checks import never_made, never_taken, unfitting
-from .memory_checks import stale_tables, unknown_memories, wrong_records
-from .message_checks import outputs, topics, unpublished, values, wrong_messages
+from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
+from .memory_checks import find_record_mismatches, find_stale_tables, find_unknown_memories
+from .message_checks import (
+    find_impossible_values,
+    find_message_mismatches,
+    find_output_mismatches,
+    find_topic_mistakes,
+    find_untyped_topics,
+)
 from .predicate_checks import (
-    labels,
-    redefined,
-    retracted,
-    singletons,
-    slipped_arrows,
-    undefined,
-    unknown_states,
-    unread_rules,
+    find_duplicate_labels,
+    find_never_asserted,
+    find_operators_in_clauses,
+    find_redefined_builtins,
+    find_singletons,
+    find_undeclared_states,
+    find_undefined_predicates,
+    find_unloaded_rule_file,
 )
 from .program_model import MAX_SOURCE_CHARACTERS, ProgramModel
-from .time_checks import cycles, missed_pairs, never_meet, timers, unbounded_keys, waits_for_ever, windows
-from .value_type_checks import kinds, numerals
+from .time_checks import (
+    find_cycles,
+    find_impossible_pairs,
+    find_invalid_timers,
+    find_missed_pairs,
+    find_unbounded_keys,
+    find_unbounded_waits,
+    find_unlikely_spans,
+)
+from .value_type_checks import find_number_type_mismatches, find_type_conflicts
 
 ERROR, WARNING, INFO = "error", "warning", "info"
 
@@ -46,46 +60,46 @@ class Check(NamedTuple):
         name: identifier in the output of the command, for programs.
         code: stable code of its findings, shown with each of them.
         find: yields the problems.
-        whole: whether the check is valid only for a program that was loaded without errors.
+        requires_valid_program: whether the check is valid only for a program that was loaded without errors.
         severity: `WARNING`, or `INFO` for constructs that are often intended; nodes log only warnings.
     """
 
     name: str
     code: str
     find: Callable[[ProgramModel], Iterator[RuleError]]
-    whole: bool = False
+    requires_valid_program: bool = False
     severity: str = WARNING
 
 
 CHECKS: Tuple[Check, ...] = (
-    Check("topics", "RT1101", topics),
-    Check("unread-rules", "RT1401", unread_rules, whole=True),
-    Check("messages", "RT1104", wrong_messages),
-    Check("declared", "RT1108", unfitting, whole=True),
-    Check("values", "RT1105", values),
-    Check("kinds", "RT1106", kinds),
-    Check("numerals", "RT1107", numerals),
-    Check("outputs", "RT1103", outputs),
-    Check("unpublished", "RT1102", unpublished, whole=True),
-    Check("never-made", "RT1201", never_made, whole=True),
-    Check("never-taken", "RT1202", never_taken, whole=True),
-    Check("memories", "RT1301", unknown_memories, whole=True),
-    Check("records", "RT1302", wrong_records, whole=True),
-    Check("slipped-arrow", "RT1405", slipped_arrows),
-    Check("undefined", "RT1402", undefined, whole=True),
-    Check("redefined", "RT1403", redefined, whole=True),
-    Check("retracted", "RT1404", retracted, whole=True),
-    Check("stale-tables", "RT1304", stale_tables, whole=True),
-    Check("cycle", "RT1203", cycles),
-    Check("never-meets", "RT1204", never_meet, whole=True),
-    Check("window", "RT1205", windows),
-    Check("waits-for-ever", "RT1206", waits_for_ever),
-    Check("unbounded-keys", "RT1207", unbounded_keys, severity=INFO),
-    Check("missed-pairs", "RT1208", missed_pairs, whole=True, severity=INFO),
-    Check("timers", "RT1209", timers, whole=True),
-    Check("states", "RT1303", unknown_states, whole=True),
-    Check("label", "RT1210", labels),
-    Check("singleton", "RT1406", singletons),
+    Check("topics", "RT1101", find_topic_mistakes),
+    Check("unread-rules", "RT1401", find_unloaded_rule_file, requires_valid_program=True),
+    Check("messages", "RT1104", find_message_mismatches),
+    Check("declared", "RT1108", find_declaration_violations, requires_valid_program=True),
+    Check("values", "RT1105", find_impossible_values),
+    Check("kinds", "RT1106", find_type_conflicts),
+    Check("numerals", "RT1107", find_number_type_mismatches),
+    Check("outputs", "RT1103", find_output_mismatches),
+    Check("unpublished", "RT1102", find_untyped_topics, requires_valid_program=True),
+    Check("never-made", "RT1201", find_unproduced_events, requires_valid_program=True),
+    Check("never-taken", "RT1202", find_unconsumed_events, requires_valid_program=True),
+    Check("memories", "RT1301", find_unknown_memories, requires_valid_program=True),
+    Check("records", "RT1302", find_record_mismatches, requires_valid_program=True),
+    Check("slipped-arrow", "RT1405", find_operators_in_clauses),
+    Check("undefined", "RT1402", find_undefined_predicates, requires_valid_program=True),
+    Check("redefined", "RT1403", find_redefined_builtins, requires_valid_program=True),
+    Check("retracted", "RT1404", find_never_asserted, requires_valid_program=True),
+    Check("stale-tables", "RT1304", find_stale_tables, requires_valid_program=True),
+    Check("cycle", "RT1203", find_cycles),
+    Check("never-meets", "RT1204", find_impossible_pairs, requires_valid_program=True),
+    Check("window", "RT1205", find_unlikely_spans),
+    Check("waits-for-ever", "RT1206", find_unbounded_waits),
+    Check("unbounded-keys", "RT1207", find_unbounded_keys, severity=INFO),
+    Check("missed-pairs", "RT1208", find_missed_pairs, requires_valid_program=True, severity=INFO),
+    Check("timers", "RT1209", find_invalid_timers, requires_valid_program=True),
+    Check("states", "RT1303", find_undeclared_states, requires_valid_program=True),
+    Check("label", "RT1210", find_duplicate_labels),
+    Check("singleton", "RT1406", find_singletons),
 )
 
 
@@ -157,19 +171,19 @@ class Finding(NamedTuple):
     problem: RetalisError
 
 
-def run_checks(program: ProgramModel, sound: bool = True) -> Iterator[Finding]:
+def run_checks(program: ProgramModel, is_valid: bool = True) -> Iterator[Finding]:
     """Yield the findings of all checks, without duplicates.
 
     Args:
         program: the program.
-        sound: whether it was loaded without errors.
+        is_valid: whether it was loaded without errors.
     """
     reported: Set[Tuple[str, Optional[Place]]] = set()
     suppressions = Suppressions()
     for check in CHECKS:
         # In a program with errors, definitions may be missing because they could not be loaded: reporting their uses
         # as well would hide the cause.
-        if check.whole and not sound:
+        if check.requires_valid_program and not is_valid:
             continue
         for problem in check.find(program):
             key = (problem.message, problem.place)

@@ -28,13 +28,13 @@ from ..language.state_parser import StateForm
 from ..program.topic_configuration import TOPICS
 from .program_model import (
     EventConsumer,
-    NearFunctors,
+    FunctorSuggestions,
     ProgramModel,
-    WrittenRule,
-    WrittenTerm,
-    is_open,
+    SourceRule,
+    SourceTerm,
+    is_variable,
     key_of,
-    wrapped,
+    wrap_term,
 )
 
 _INPUT_EVENT = functor("input_event", 1)
@@ -54,20 +54,20 @@ class EventProducers:
     Attributes:
         keys: their functors, each with the place of a producer (None for topics).
         names: event names of message types whose number of slots is unknown.
-        anything: whether some events cannot be determined statically.
+        accepts_any_event: whether some events cannot be determined statically.
     """
 
     def __init__(self, program: ProgramModel):
         self.keys: Dict[Functor, Optional[Place]] = dict.fromkeys(OWN_EVENTS)
         self.names: Set[str] = set()
-        self.anything = False
+        self.accepts_any_event = False
         self._add_topics(program)
         for rule in program.rules:
             head = event_raised_by(rule.definition.head)
             if head is not None:
                 self._add_event(head, rule.definition.place)
         self._add_goal_events(program)
-        for timer in program.loaded.timers:
+        for timer in program.rule_base.timers:
             self._add_event(timer.event, None)
         for state in program.states:
             self._add_event(state.form.state, None)
@@ -76,10 +76,10 @@ class EventProducers:
                 self.keys.update(dict.fromkeys(_functors_in_fact(clause.head)))
 
     def __contains__(self, key: object) -> bool:
-        return self.anything or key in self.keys or getattr(key, "name", "") in self.names
+        return self.accepts_any_event or key in self.keys or getattr(key, "name", "") in self.names
 
     def _add_topics(self, program: ProgramModel) -> None:
-        for topic, type_name in (*program.topics.subscribed, *program.direct):
+        for topic, type_name in (*program.topics.subscribed, *program.directly_subscribed):
             name = program.event_of(topic) or functor_name(type_name)
             definition = program.definition(type_name)
             # The number of slots is unknown, so every arity of the name is accepted.
@@ -97,7 +97,7 @@ class EventProducers:
                 named_keys.add(subterm.key)
             if makes_event(term):
                 event: Any = deref(term[1])
-                hidden = hidden or is_open(event)
+                hidden = hidden or is_variable(event)
                 self._add_event(event, subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
                 self._add_topic(program, [deref(argument) for argument in term[1:]])
@@ -111,7 +111,7 @@ class EventProducers:
         name = event if len(arguments) == 3 else type_name and functor_name(type_name)
         definition = program.definition(type_name)
         if name is None:
-            self.anything = True
+            self.accepts_any_event = True
         elif definition is None:
             self.names.add(name)
         else:
@@ -120,7 +120,7 @@ class EventProducers:
     def _add_event(self, term: Term, place: Optional[Place]) -> None:
         key = key_of(term)
         if key is None:
-            self.anything = self.anything or is_open(term)
+            self.accepts_any_event = self.accepts_any_event or is_variable(term)
         elif key is not _NO_EVENT:
             self.keys.setdefault(key, place)
 
@@ -138,10 +138,10 @@ def _functors_in_fact(head: Any) -> Iterator[Functor]:
         yield key
 
 
-def never_made(program: ProgramModel) -> Iterator[RuleError]:
+def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
     """Yield awaited events without a producer."""
     producers = EventProducers(program)
-    nearby = NearFunctors()
+    nearby = FunctorSuggestions()
     # Without topics, the program is probably fed by another one, through texts or the Python API: then only misspelt
     # names are reported.
     from_outside = not (program.topics.subscribed or program.topics.published)
@@ -157,10 +157,10 @@ def never_made(program: ProgramModel) -> Iterator[RuleError]:
         if type_name is not None and (
             program.definition(type_name) is None or _has_wrong_arity(program, type_name, key)
         ):
-            # Errors in messages are reported by `wrong_messages`.
+            # Errors in messages are reported by `find_message_mismatches`.
             continue
         reported.add(key)
-        nearest = nearby.of(key, producers.keys)
+        nearest = nearby.suggest(key, producers.keys)
         if type_name is not None:
             yield RuleError(f"{prefix}{_no_topic_text(program, key, type_name)}", subterm.place)
         elif nearest or not from_outside:
@@ -190,22 +190,24 @@ def _no_producer_text(key: Functor, nearest: str) -> str:
     )
 
 
-def without_maker(program: ProgramModel, pattern: Term) -> str:
+def missing_producer_text(program: ProgramModel, pattern: Term) -> str:
     """Return a message if an event pattern has no producer, otherwise ""; messages are ignored."""
     key = key_of(pattern)
     if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
         return ""
     producers = EventProducers(program)
-    return "" if key in producers else _no_producer_text(key, NearFunctors().of(key, producers.keys))
+    return (
+        "" if key in producers else _no_producer_text(key, FunctorSuggestions().suggest(key, producers.keys))
+    )
 
 
-def never_taken(program: ProgramModel) -> Iterator[RuleError]:
+def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
     """Yield produced events without a consumer."""
     # An observer, such as a recording or a callback for all events, consumes everything.
-    consumed = None if program.observed else _consumed_functors(program)
+    consumed = None if program.has_observer else _consumed_functors(program)
     if consumed is None:
         return
-    nearby = NearFunctors()
+    nearby = FunctorSuggestions()
     reported: Set[Functor] = set()
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
@@ -234,8 +236,8 @@ def never_taken(program: ProgramModel) -> Iterator[RuleError]:
                 yield RuleError(_no_consumer_text(key, consumed, nearby), subterm.place)
 
 
-def _no_consumer_text(key: Functor, consumed: FrozenSet[Functor], nearby: NearFunctors) -> str:
-    nearest = nearby.of(key, consumed)
+def _no_consumer_text(key: Functor, consumed: FrozenSet[Functor], nearby: FunctorSuggestions) -> str:
+    nearest = nearby.suggest(key, consumed)
     hint = f"; did you mean {nearest}?" if nearest else ": no rule, memory or subscription"
     return f"nothing takes {key}{hint}"
 
@@ -255,14 +257,14 @@ def _consumed_functors(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
             if not functors:
                 return None
             consumed.update(functors)
-    flags = program.loaded.flags
+    flags = program.rule_base.flags
     # These flags log or store all events.
     if any(flags.is_on(name) for name in ("store_fired_events", "logging")):
         return None
     return frozenset(consumed)
 
 
-def unfitting(program: ProgramModel) -> Iterator[RuleError]:
+def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that do not fit the declarations of events."""
     declarations = program.declared
     for rule in program.rules if declarations else ():
@@ -282,7 +284,7 @@ def unfitting(program: ProgramModel) -> Iterator[RuleError]:
             yield RuleError(f"{prefix}{error.message}", error.place)
     for consumer in (*program.memories, *program.subscriptions) if declarations else ():
         for error in declarations.declaration_errors(
-            [event_of_kept(consumer)], consumer.place_of, VariableTypes({})
+            [event_of_consumer(consumer)], consumer.place_of, VariableTypes({})
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
     yield from _find_unfitting_topics(program)
@@ -312,14 +314,14 @@ def _events_of_state(form: StateForm) -> List[EventTerm]:
     return [EventTerm(deref(side[1]), side, 1) for side in sides if isinstance(side, tuple)]
 
 
-def events_of_rule(rule: WrittenRule) -> List[EventTerm]:
+def events_of_rule(rule: SourceRule) -> List[EventTerm]:
     """Return the events that a rule raises, awaits and creates by goals."""
     term = rule.definition.term
     assert term.__class__ is tuple
     # Parsed again with a reader that keeps places; its warnings were reported on loading.
     reader = PatternReader(rule.place_of, lambda warning: None)
     if term[0] not in ARROWS:  # P do G
-        reader.read(wrapped(term), 1)
+        reader.read(wrap_term(term), 1)
         return [*reader.events, *events_raised_by_goals(reader.goals)]
     head = deref(term[1])
     if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
@@ -329,12 +331,12 @@ def events_of_rule(rule: WrittenRule) -> List[EventTerm]:
     return [head_event(term, 1), *reader.events, *events_raised_by_goals(goals)]
 
 
-def events_of_goals(goal: WrittenTerm) -> List[EventTerm]:
+def events_of_goals(goal: SourceTerm) -> List[EventTerm]:
     """Return the events that a goal or the body of a clause creates."""
     return list(events_raised_by_goals(calls(goal.parent, goal.number)))
 
 
-def event_of_kept(consumer: EventConsumer) -> EventTerm:
+def event_of_consumer(consumer: EventConsumer) -> EventTerm:
     """Return the events that a memory or subscription consumes."""
     event = consumer.event
     return EventTerm(event.term, event.parent, event.number)

@@ -1,10 +1,10 @@
 """Checks of memories: unknown names, wrong records, and tables that become stale.
 
 A table stores answers. If it reads memories, states or dynamic predicates, its answers become stale when these
-change. `stale_tables` propagates reads along the call graph, from the predicates that read to their callers: once for
-tables that are not incremental, and once for incremental ones, which are not notified of changes in a dynamic
-predicate without the property ``incremental``. Each edge is followed once, so the time is linear in the size of the
-program.
+change. `find_stale_tables` propagates reads along the call graph, from the predicates that read to their callers:
+once for tables that are not incremental, and once for incremental ones, which are not notified of changes in a
+dynamic predicate without the property ``incremental``. Each edge is followed once, so the time is linear in the size
+of the program.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state
 from .predicate_checks import ADDS, RETRACTS, key_of_clause
-from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrapped
+from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrap_term
 
 MEMORY_READS = frozenset(
     functor(name, arity)
@@ -43,7 +43,7 @@ _RECORD_READS = frozenset(key for key in MEMORY_READS if not key.name.startswith
 POSE_CHAIN = functor("pose_chain", 3)
 
 
-def unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
+def find_unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
     """Yield memories that are read but not created by any goal."""
     names = [deref(memory.term[4]) for memory in program.memories]
     known_names: Set[str] = {name.name for name in names if isinstance(name, Atom)}
@@ -61,7 +61,7 @@ def unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
                 )
 
 
-def wrong_records(program: ProgramModel) -> Iterator[RuleError]:
+def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield queries for records that a memory does not have, and memory names in a wrong position."""
     records = _records_by_memory(program)
     # A memory whose name is known at run time only may have any records.
@@ -96,7 +96,7 @@ def _records_by_memory(program: ProgramModel) -> Dict[Optional[str], List[Term]]
     records: Dict[Optional[str], List[Term]] = {}
     for memory in program.memories:
         name = deref(memory.term[4])
-        records.setdefault(name.name if isinstance(name, Atom) else None, []).append(memory.made)
+        records.setdefault(name.name if isinstance(name, Atom) else None, []).append(memory.output_term)
     return records
 
 
@@ -132,7 +132,7 @@ _ABOLISH = functor("abolish_all_tables", 0)
 class _Dependency(NamedTuple):
     """Data that a predicate reads: its name in a warning, and its functor for a dynamic predicate."""
 
-    shown: str
+    text: str
     dynamic: Optional[Functor] = None
 
 
@@ -143,22 +143,22 @@ class _TableDeclaration(NamedTuple):
     options: Set[str]
 
 
-def stale_tables(program: ProgramModel) -> Iterator[RuleError]:
+def find_stale_tables(program: ProgramModel) -> Iterator[RuleError]:
     """Yield tables that read changing data and are never evaluated again."""
     tables = _declarations_of(program, _TABLE)
     if not tables:
         return
-    running = list(_run_time_subterms(program))
-    if any(subterm.key is _ABOLISH for subterm in running):
+    run_time_subterms = list(_run_time_subterms(program))
+    if any(subterm.key is _ABOLISH for subterm in run_time_subterms):
         # The program controls the evaluation of its tables itself.
         return
-    changed = {key for subterm in running for key in _predicates_changed_by(subterm)}
-    reads = _direct_reads(program, changed)
+    changed_predicates = {key for subterm in run_time_subterms for key in _predicates_changed_by(subterm)}
+    reads = _direct_reads(program, changed_predicates)
     callers = _callers_by_predicate(program)
     incremental = {key for key in tables if _is_incremental(program, key)}
 
     # A dynamic table is stale if its own clauses change.
-    for key in changed.intersection(tables):
+    for key in changed_predicates.intersection(tables):
         reads.setdefault(key, _Dependency("clauses of its own"))
     readers = _propagate_reads(reads, callers, ())
     for key, declaration in tables.items():
@@ -171,7 +171,7 @@ def stale_tables(program: ProgramModel) -> Iterator[RuleError]:
     for key in incremental:
         if key in readers:
             yield RuleError(
-                f"incremental table {key} reads {readers[key].shown}, and does not notice changes: "
+                f"incremental table {key} reads {readers[key].text}, and does not notice changes: "
                 f"write :- dynamic {readers[key].dynamic} as incremental",
                 tables[key].place,
             )
@@ -182,7 +182,7 @@ def _not_incremental_text(program: ProgramModel, key: Functor, dependency: _Depe
     if dependency.dynamic is not None and not _is_incremental(program, dependency.dynamic):
         dynamic_advice = f" and :- dynamic {dependency.dynamic} as incremental"
     return (
-        f"table {key} reads {dependency.shown}, and keeps its answers when that changes: write :- table {key} as "
+        f"table {key} reads {dependency.text}, and keeps its answers when that changes: write :- table {key} as "
         f"incremental{dynamic_advice}; where it is meant so, :- table {key} as opaque"
     )
 
@@ -245,12 +245,12 @@ def _declared_items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
 
 def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
     """Yield the subterms of goals that may be called after the program has been loaded."""
-    running = _run_time_predicates(program)
+    run_time_subterms = _run_time_predicates(program)
     for clause in program.clauses:
-        if key_of(clause.head) in running:
+        if key_of(clause.head) in run_time_subterms:
             yield from subterms(clause.parent, clause.number, clause.place_of)
     for rule in program.rules:
-        yield from subterms(wrapped(rule.definition.term), 1, rule.place_of)
+        yield from subterms(wrap_term(rule.definition.term), 1, rule.place_of)
 
 
 def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
@@ -275,7 +275,7 @@ def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
     # A predicate without a caller in the program exists for queries from outside.
     pending = [key for key in callees if key not in called_keys]
     for rule in program.rules:
-        pending += _functors_of(subterms(wrapped(rule.definition.term), 1, rule.place_of))
+        pending += _functors_of(subterms(wrap_term(rule.definition.term), 1, rule.place_of))
     reached: Set[Functor] = set()
     while pending:
         key = pending.pop()
@@ -298,7 +298,7 @@ def _predicates_changed_by(subterm: Subterm) -> Iterator[Functor]:
             yield key
 
 
-def _direct_reads(program: ProgramModel, changed: Set[Functor]) -> Dict[Functor, _Dependency]:
+def _direct_reads(program: ProgramModel, changed_predicates: Set[Functor]) -> Dict[Functor, _Dependency]:
     """Return for each predicate whose clauses read changing data directly one example of that data."""
     reads: Dict[Functor, _Dependency] = {}
     for clause in program.clauses:
@@ -306,14 +306,16 @@ def _direct_reads(program: ProgramModel, changed: Set[Functor]) -> Dict[Functor,
         if head_key is None or head_key in reads:
             continue
         for call in calls(clause.parent, clause.number):
-            dependency = _dependency_of_goal(program, call.term, changed)
+            dependency = _dependency_of_goal(program, call.term, changed_predicates)
             if dependency is not None:
                 reads[head_key] = dependency
                 break
     return reads
 
 
-def _dependency_of_goal(program: ProgramModel, term: Any, changed: Set[Functor]) -> Optional[_Dependency]:
+def _dependency_of_goal(
+    program: ProgramModel, term: Any, changed_predicates: Set[Functor]
+) -> Optional[_Dependency]:
     """Return the changing data that a goal reads, or None."""
     goal: Any = deref(term)
     key = key_of(goal)
@@ -322,7 +324,7 @@ def _dependency_of_goal(program: ProgramModel, term: Any, changed: Set[Functor])
         key = key_of(goal[1])
     if key is None:
         return None
-    if key in changed:
+    if key in changed_predicates:
         return _Dependency(f"{key}, which the program changes", key)
     if goal.__class__ is not tuple or not program.logic.is_of_system(key):
         return None
@@ -357,12 +359,12 @@ def _propagate_reads(
 ) -> Dict[Functor, _Dependency]:
     """Return the data that each predicate reads directly or by its calls; propagation stops at ``ends``."""
     readers = dict(reads)
-    closed = set(ends)
+    boundary = set(ends)
     pending = deque(readers)
     while pending:
         key = pending.popleft()
         # Breadth first, so that the warning names the data with the shortest chain of calls.
-        if key in closed:
+        if key in boundary:
             continue
         for caller in callers.get(key, ()):
             if caller not in readers:

@@ -34,11 +34,11 @@ from .program_model import (
     ProgramModel,
     Subterm,
     closest_name,
+    constant_place,
     did_you_mean,
-    everywhere,
-    is_open,
+    is_variable,
     subterms,
-    wrapped,
+    wrap_term,
 )
 
 _SPECIAL_NUMBERS = frozenset(("nan", "inf", "infinite"))
@@ -46,7 +46,7 @@ _TIMES = frozenset(("time", "duration"))
 _COLON_PAIR = functor(":", 2)
 
 
-def wrong_messages(program: ProgramModel) -> Iterator[RuleError]:
+def find_message_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that have the name of a message type but do not fit it."""
     definitions = [program.definition(type_name) for type_name in _topic_types(program)]
     names = sorted(
@@ -77,7 +77,9 @@ def wrong_messages(program: ProgramModel) -> Iterator[RuleError]:
 
 def _topic_types(program: ProgramModel) -> List[str]:
     topics = program.topics
-    return [type_name for _, type_name in (*topics.subscribed, *topics.published, *program.direct)]
+    return [
+        type_name for _, type_name in (*topics.subscribed, *topics.published, *program.directly_subscribed)
+    ]
 
 
 def _is_defined_later(program: ProgramModel, type_name: str) -> bool:
@@ -106,7 +108,7 @@ def _event_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
         head = event_raised_by(rule.definition.head)
         if head is not None:
             place = rule.definition.place if head.__class__ is Atom else rule.place_of(head)
-            yield Subterm(head, wrapped(head), 1, everywhere(place)), ""
+            yield Subterm(head, wrap_term(head), 1, constant_place(place)), ""
     for subterm in program.all_subterms():
         if subterm.term.__class__ is tuple and subterm.term[0] in NEW_EVENT:
             yield Subterm(deref(subterm.term[1]), subterm.term, 1, subterm.place_of), ""
@@ -114,7 +116,7 @@ def _event_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
 
 def _all_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     for rule in program.rules:
-        for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
+        for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             yield subterm, ""
     for consumer in (*program.memories, *program.subscriptions):
         for number in (1, 3):
@@ -145,7 +147,7 @@ def _type_fault(
     return f"{fault}: {', '.join(slots)}; {advice} {key.name}{{{slots[0]}: ...}}"
 
 
-def values(program: ProgramModel) -> Iterator[RuleError]:
+def find_impossible_values(program: ProgramModel) -> Iterator[RuleError]:
     """Yield values in patterns that no message has in that slot."""
     for event, prefix in program.patterns():
         for subterm in subterms(event.parent, event.number, event.place_of):
@@ -233,7 +235,7 @@ def _is_open_list(value: Term) -> bool:
     return value.__class__ is tuple and value[0].name in ("[|]", ".")
 
 
-def outputs(program: ProgramModel) -> Iterator[RuleError]:
+def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield outputs of subscriptions that do not fit the message types of their topics."""
     published = {plain(topic): type_name for topic, type_name in program.topics.published}
     for subscription, topic in _subscriptions_with_topic(program):
@@ -243,11 +245,11 @@ def outputs(program: ProgramModel) -> Iterator[RuleError]:
         if fault is not None:
             yield RuleError(
                 f"{subscription.prefix}{fault}",
-                subscription.place_of(subscription.term, 1 if subscription.stands_for_event else 3),
+                subscription.place_of(subscription.term, 1 if subscription.stores_whole_event else 3),
             )
 
 
-def unpublished(program: ProgramModel) -> Iterator[RuleError]:
+def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
     published = [plain(topic) for topic, _ in program.topics.published]
     reported: Set[str] = set()
@@ -269,7 +271,7 @@ def unpublished(program: ProgramModel) -> Iterator[RuleError]:
 def _subscriptions_with_topic(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
     """Yield the subscriptions with a known topic, each with the topic."""
     for subscription in program.subscriptions:
-        if not is_open(subscription.term[4]):
+        if not is_variable(subscription.term[4]):
             yield subscription, program.topic(subscription.term[4])
 
 
@@ -293,9 +295,9 @@ def output_fault(definition: Definition, subscription: CompoundTerm, topic: str)
         subscription: the goal ``subscribe/5``.
         topic: the topic, for the message.
     """
-    output = deref(EventConsumer(subscription, "", nowhere).made)
+    output = deref(EventConsumer(subscription, "", nowhere).output_term)
     # The event itself is sent if the form is a variable, and events may be anything.
-    return None if is_open(output) else fault_of(definition, output, topic)
+    return None if is_variable(output) else fault_of(definition, output, topic)
 
 
 _ROOT_ELEMENT = "publish_subscribe"
@@ -336,7 +338,7 @@ def elements(path: Path) -> List[Element]:
     return result
 
 
-def topics(program: ProgramModel) -> Iterator[RuleError]:
+def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
     """Yield likely mistakes in the file, and misspelt types in goals."""
     yield from _subscribe_goal_errors(program)
     if program.folder is None:

@@ -17,14 +17,14 @@ from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES, read_text
 from .program_model import (
     NECK,
-    NearFunctors,
+    FunctorSuggestions,
     ProgramModel,
+    SourceRule,
+    SourceTerm,
     Subterm,
-    WrittenRule,
-    WrittenTerm,
     key_of,
     subterms,
-    wrapped,
+    wrap_term,
 )
 
 ADDS = frozenset(
@@ -57,18 +57,18 @@ class _DefinablePredicates:
     def __init__(self, program: ProgramModel):
         self._logic = program.logic
         self.keys: Set[Functor] = {key for key in (key_of(clause.head) for clause in program.clauses) if key}
-        self.anything = False
+        self.accepts_any_event = False
         for subterm in program.all_subterms():
             term = subterm.term
             if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
                 # Foreign libraries define predicates that are not listed in the program.
-                self.anything = self.anything or term[0] in _DEFINES_UNKNOWN
+                self.accepts_any_event = self.accepts_any_event or term[0] in _DEFINES_UNKNOWN
                 self._add_predicates(term[1])
             elif term.__class__ is tuple and term[0] is _SWI_IMPORT:
                 self._add_predicates(term[2], renames=True)
 
     def __contains__(self, key: Functor) -> bool:
-        return self.anything or key in self.keys or self._logic.defines(key)
+        return self.accepts_any_event or key in self.keys or self._logic.defines(key)
 
     def _add_predicates(self, term: Term, renames: bool = False) -> None:
         """Add the predicates that a term names; ``as`` precedes a new name if ``renames``, otherwise options."""
@@ -77,13 +77,13 @@ class _DefinablePredicates:
             item = stack.pop()
             key = key_of(item)
             if key is None:
-                self.anything = self.anything or item.__class__ is Var
+                self.accepts_any_event = self.accepts_any_event or item.__class__ is Var
             elif key is COMMA or key is CONS:
                 stack += [deref(item[1]), deref(item[2])]
             elif key is NECK:
                 stack.append(deref(item[1]))
             elif key is _AS_OPTION and renames:
-                self.anything = True
+                self.accepts_any_event = True
             elif key is _AS_OPTION:
                 stack.append(deref(item[1]))
             elif key is SLASH:
@@ -91,12 +91,12 @@ class _DefinablePredicates:
                 if isinstance(name, Atom) and isinstance(arity, int):
                     self.keys.add(functor(name.name, arity))
                 else:
-                    self.anything = True
+                    self.accepts_any_event = True
             else:
                 self.keys.add(key)
 
 
-def slipped_arrows(program: ProgramModel) -> Iterator[RuleError]:
+def find_operators_in_clauses(program: ProgramModel) -> Iterator[RuleError]:
     """Yield pattern operators in the bodies of clauses, where an event rule was probably intended."""
     for clause in program.clauses:
         if clause.parent[0] is not NECK:
@@ -111,12 +111,12 @@ def slipped_arrows(program: ProgramModel) -> Iterator[RuleError]:
                 break
 
 
-def _calls_in(clause: WrittenTerm) -> Iterator[Subterm]:
+def _calls_in(clause: SourceTerm) -> Iterator[Subterm]:
     for call in calls(clause.parent, clause.number):
         yield Subterm(call.term, call.parent, call.number, clause.place_of)
 
 
-def redefined(program: ProgramModel) -> Iterator[RuleError]:
+def find_redefined_builtins(program: ProgramModel) -> Iterator[RuleError]:
     """Yield predicates of the program that replace built-in ones."""
     built_in = program.logic.database.library.kept
     reported: Set[Functor] = set()
@@ -128,7 +128,7 @@ def redefined(program: ProgramModel) -> Iterator[RuleError]:
         yield RuleError(f"{key} is built in: the definition of this program replaces it", clause.place)
 
 
-def undefined(program: ProgramModel) -> Iterator[RuleError]:
+def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
     """Yield calls of undefined predicates in clauses."""
     defined = _DefinablePredicates(program)
     reported: Dict[Functor, None] = {}
@@ -157,21 +157,21 @@ _MAX_HINTS = 100
 """Maximum number of undefined predicates for which similar names are searched."""
 
 
-def retracted(program: ProgramModel) -> Iterator[RuleError]:
+def find_never_asserted(program: ProgramModel) -> Iterator[RuleError]:
     """Yield predicates that are retracted but never asserted."""
     defined = _DefinablePredicates(program)
-    nearby = NearFunctors()
+    nearby = FunctorSuggestions()
     reported: Set[Functor] = set()
     for subterm in program.all_subterms():
         term = subterm.term
         key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
-        if key is None or key in reported or key in defined.keys or defined.anything:
+        if key is None or key in reported or key in defined.keys or defined.accepts_any_event:
             continue
         # A predicate with clauses from another source, for example a loaded state, has something to retract.
         if program.logic.defines(key) and not _is_empty(program, key):
             continue
         reported.add(key)
-        nearest = nearby.of(key, defined.keys)
+        nearest = nearby.suggest(key, defined.keys)
         hint = f"; did you mean {nearest}?" if nearest else ""
         yield RuleError(f"nothing asserts {key}, so there is never a clause to retract{hint}", subterm.place)
 
@@ -190,12 +190,12 @@ def key_of_clause(term: Any) -> Optional[Functor]:
     return key_of(term)
 
 
-def unread_rules(program: ProgramModel) -> Iterator[RuleError]:
+def find_unloaded_rule_file(program: ProgramModel) -> Iterator[RuleError]:
     """Yield the rule file of the folder if no goal loads it."""
     if program.folder is None:
         return
     path = program.folder / RULES
-    if not os.path.isfile(path) or program.loaded.files.has_loaded(path):
+    if not os.path.isfile(path) or program.rule_base.files.has_loaded(path):
         # An unreadable file counts as absent.
         return
     try:
@@ -207,24 +207,24 @@ def unread_rules(program: ProgramModel) -> Iterator[RuleError]:
         yield RuleError(f"{path} is not read: no goal in {GOALS} calls compile_event_file('{RULES}')")
 
 
-def unknown_states(program: ProgramModel) -> Iterator[RuleError]:
+def find_undeclared_states(program: ProgramModel) -> Iterator[RuleError]:
     """Yield states that goals query but nothing declares."""
     declared_functors = [state.form.functor for state in program.states]
-    nearby = NearFunctors()
+    nearby = FunctorSuggestions()
     for subterm in program.calls():
         key = queried_state(subterm.term)
         if key is None or key in declared_functors or not program.logic.is_of_system(subterm.term[0]):
             continue
-        nearest = nearby.of(key, declared_functors)
+        nearest = nearby.suggest(key, declared_functors)
         hint = (
             f"; did you mean {nearest}?" if nearest else ": state(S, from(Event), until(Event)) declares one"
         )
         yield RuleError(f"there is no state {key}{hint}", subterm.place)
 
 
-def labels(program: ProgramModel) -> Iterator[RuleError]:
+def find_duplicate_labels(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules that share the label of an earlier rule."""
-    rules_by_label: Dict[Any, WrittenRule] = {}
+    rules_by_label: Dict[Any, SourceRule] = {}
     for rule in program.rules:
         label = rule.definition.label
         if label is None:
@@ -240,14 +240,14 @@ def labels(program: ProgramModel) -> Iterator[RuleError]:
             )
 
 
-def singletons(program: ProgramModel) -> Iterator[RuleError]:
+def find_singletons(program: ProgramModel) -> Iterator[RuleError]:
     """Yield named variables with a single occurrence in a rule, clause or goal."""
-    for read_term in program.reads:
+    for read_term in program.read_terms:
         unreported: Set[Var] = {read_term.names[name] for name in read_term.singletons}
         if not unreported:
             continue
         names = {var: name for name, var in read_term.names.items()}
-        for subterm in subterms(wrapped(read_term.term), 1, read_term.place_of):
+        for subterm in subterms(wrap_term(read_term.term), 1, read_term.place_of):
             term: Any = deref(subterm.term)
             if term.__class__ is Var and term in unreported:
                 # A variable that the reader counted once has one place.

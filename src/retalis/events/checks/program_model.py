@@ -1,10 +1,12 @@
 """Model of a loaded program for the static checks, with source positions.
 
-Loaded rules and clauses do not keep the places of their subterms. `read_again` therefore parses the files of the
-program a second time and keeps rules, clauses and goals together with functions that give places. Definitions without
-a source file, for example asserted at run time, are taken from the loaded program, with the place of the whole.
+Loaded rules and clauses do not keep the places of their subterms. `parse_sources_again` therefore parses the files of
+the program a second time and keeps rules, clauses and goals together with functions that give places. Definitions
+without a source file, for example asserted at run time, are taken from the loaded program, with the place of the
+whole.
 
-`closest_name`, `did_you_mean` and `NearFunctors` find similar names for "did you mean" hints within a bounded time.
+`closest_name`, `did_you_mean` and `FunctorSuggestions` find similar names for "did you mean" hints within a bounded
+time.
 """
 
 import os
@@ -39,25 +41,25 @@ MAX_COMPARISONS = 40_000
 """Maximum number of comparisons of names per check; takes about a second."""
 
 
-def closest_name(name: str, names: Iterable[str], alike: float = 0.66) -> str:
+def closest_name(name: str, names: Iterable[str], cutoff: float = 0.66) -> str:
     """Return the most similar name, or ""."""
-    matches = get_close_matches(name, list(dict.fromkeys(names))[:_MAX_CANDIDATES], 1, alike)
+    matches = get_close_matches(name, list(dict.fromkeys(names))[:_MAX_CANDIDATES], 1, cutoff)
     return matches[0] if matches else ""
 
 
-def did_you_mean(name: str, names: Iterable[str], alike: float = 0.66) -> str:
+def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.66) -> str:
     """Return "; did you mean ...?" with the most similar name, or ""."""
-    closest = closest_name(name, names, alike)
+    closest = closest_name(name, names, cutoff)
     return f"; did you mean {closest}?" if closest else ""
 
 
-class NearFunctors:
+class FunctorSuggestions:
     """Search for similar functors, with a limit for the total work."""
 
     def __init__(self) -> None:
         self._comparisons_left = MAX_COMPARISONS
 
-    def of(self, key: Functor, keys: Iterable[Functor]) -> str:
+    def suggest(self, key: Functor, keys: Iterable[Functor]) -> str:
         """Return a functor with the same or the most similar name and the nearest arity, or ""."""
         candidates = list(keys)
         same_name = [
@@ -89,14 +91,14 @@ _LOAD_GOALS = frozenset(
 )
 
 
-class WrittenRule(NamedTuple):
+class SourceRule(NamedTuple):
     """Rule with a function for the places of its parts."""
 
     definition: RuleDefinition
     place_of: PlaceLookup
 
 
-class WrittenTerm(NamedTuple):
+class SourceTerm(NamedTuple):
     """Clause, or goal of a goal file or directive.
 
     Attributes:
@@ -154,30 +156,30 @@ def subterms(parent: CompoundTerm, number: int, place_of: PlaceLookup) -> Iterat
             ]
 
 
-def wrapped(term: Term) -> CompoundTerm:
+def wrap_term(term: Term) -> CompoundTerm:
     """Return a term with the given one as its only argument, which gives that one a parent."""
     return (_WRAPPER, term)
 
 
-class SourcePositions(NamedTuple):
+class ParsedSources(NamedTuple):
     """Contents of the files of a program, with places."""
 
-    rules: List[WrittenRule]
-    clauses: List[WrittenTerm]
-    goals: List[WrittenTerm]
-    reads: List[ReadTerm]
+    rules: List[SourceRule]
+    clauses: List[SourceTerm]
+    goals: List[SourceTerm]
+    read_terms: List[ReadTerm]
     sources: Set[str]
 
 
-def read_again(logic: PrologSystem, folder: Path, loaded: Iterable[Path]) -> SourcePositions:
+def parse_sources_again(logic: PrologSystem, folder: Path, loaded_paths: Iterable[Path]) -> ParsedSources:
     """Parse the files of a program again.
 
     Args:
         logic: provides the operators.
         folder: the folder of the program.
-        loaded: real paths of the loaded files; files that goals name are parsed even if they were not loaded.
+        loaded_paths: real paths of the loaded files; files that goals name are parsed even if they were not loaded.
     """
-    positions = SourcePositions([], [], [], [], set())
+    positions = ParsedSources([], [], [], [], set())
     real_folder = Path(os.path.realpath(folder))
     goal_files = [folder / GOALS]
     for path in goal_files:
@@ -185,7 +187,7 @@ def read_again(logic: PrologSystem, folder: Path, loaded: Iterable[Path]) -> Sou
     read_paths = {os.path.realpath(path) for path in goal_files}
     paths = [
         *_loaded_files(positions.goals, folder),
-        *sorted(_path_as_written(path, real_folder, folder) for path in loaded),
+        *sorted(_path_as_written(path, real_folder, folder) for path in loaded_paths),
     ]
     for path in paths:
         if os.path.realpath(path) not in read_paths:
@@ -205,7 +207,7 @@ def _path_as_written(path: Path, real_folder: Path, folder: Path) -> Path:
         return path
 
 
-def _loaded_files(goals: Iterable[WrittenTerm], folder: Path) -> Iterator[Path]:
+def _loaded_files(goals: Iterable[SourceTerm], folder: Path) -> Iterator[Path]:
     """Yield the files that goals load, in order."""
     for goal in goals:
         for subterm in subterms(goal.parent, goal.number, goal.place_of):
@@ -231,7 +233,7 @@ def _read_short_text(path: Path) -> str:
     return text if len(text) <= MAX_SOURCE_CHARACTERS else ""
 
 
-def _add_goals(positions: SourcePositions, files: List[Path], path: Path, logic: PrologSystem) -> None:
+def _add_goals(positions: ParsedSources, files: List[Path], path: Path, logic: PrologSystem) -> None:
     for read_term in read_goals(_read_short_text(path), logic.operators, str(path)):
         if not isinstance(read_term, ReadTerm):
             continue
@@ -242,55 +244,55 @@ def _add_goals(positions: SourcePositions, files: List[Path], path: Path, logic:
             if included not in files and len(files) < _MAX_FILES:
                 files.append(included)
             continue
-        positions.reads.append(read_term)
-        positions.goals.append(_written_goal(goal, read_term))
+        positions.read_terms.append(read_term)
+        positions.goals.append(_source_goal(goal, read_term))
 
 
-def _written_goal(goal: Term, read_term: ReadTerm) -> WrittenTerm:
-    parent = wrapped(goal)
+def _source_goal(goal: Term, read_term: ReadTerm) -> SourceTerm:
+    parent = wrap_term(goal)
 
     def place_of(part: Term, number: int = 0) -> Place:
         # The wrapping term is not in the source: its place is that of the goal.
         return read_term.place_of(goal) if part is parent else read_term.place_of(part, number)
 
-    return WrittenTerm(None, parent, 1, place_of, read_term.place)
+    return SourceTerm(None, parent, 1, place_of, read_term.place)
 
 
-def _add_file(positions: SourcePositions, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
+def _add_file(positions: ParsedSources, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
     for read_term in program:
         if isinstance(read_term, SyntaxFault):
             continue
         checker = FileChecker()
         checker.read(read_term)
-        positions.reads.append(read_term)
+        positions.read_terms.append(read_term)
         for definition in [*checker.rules, *checker.inner]:
-            positions.rules.append(WrittenRule(definition, read_term.place_of))
+            positions.rules.append(SourceRule(definition, read_term.place_of))
         for step in checker.steps:
             if step.kind == "clause":
                 positions.clauses.append(clause_of(step.term, read_term.place_of, read_term.place))
             elif step.kind == "directive":
-                positions.goals.append(_written_goal(step.term, read_term))
+                positions.goals.append(_source_goal(step.term, read_term))
 
 
-def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> WrittenTerm:
+def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> SourceTerm:
     """Return the parts of a clause; for a grammar rule, only its predicate."""
     if term.__class__ is tuple and term[0] is NECK:
-        return WrittenTerm(deref(term[1]), term, 2, place_of, place)
+        return SourceTerm(deref(term[1]), term, 2, place_of, place)
     if term.__class__ is tuple and term[0] is _GRAMMAR:
         key = key_of(term[1])
         if key is not None:
             # The translation of a grammar rule adds two arguments, for the list and its rest.
             head: Tuple[Any, ...] = (functor(key.name, key.arity + 2), *[Var() for _ in range(key.arity + 2)])
-            return WrittenTerm(head, wrapped(TRUE), 1, place_of, place)
-    return WrittenTerm(term, wrapped(TRUE), 1, place_of, place)
+            return SourceTerm(head, wrap_term(TRUE), 1, place_of, place)
+    return SourceTerm(term, wrap_term(TRUE), 1, place_of, place)
 
 
-def clause_at(head: Term, body: Term, place: Optional[Place]) -> WrittenTerm:
-    """Return a clause whose starting place only is known."""
-    return WrittenTerm(head, (NECK, head, body), 2, everywhere(place), place)
+def clause_at(head: Term, body: Term, place: Optional[Place]) -> SourceTerm:
+    """Return a clause of which only the starting place is known."""
+    return SourceTerm(head, (NECK, head, body), 2, constant_place(place), place)
 
 
-def everywhere(place: Optional[Place]) -> PlaceLookup:
+def constant_place(place: Optional[Place]) -> PlaceLookup:
     """Return a function that gives the same place for all parts."""
     if place is None:
         return nowhere
@@ -337,14 +339,14 @@ class EventConsumer(NamedTuple):
         return deref(self.term[3])
 
     @property
-    def stands_for_event(self) -> bool:
+    def stores_whole_event(self) -> bool:
         """True if the form is a free variable such as ``_``: then the event itself is stored or sent."""
         return is_event_variable(self.pattern, deref(self.term[2]), self.form)
 
     @property
-    def made(self) -> Term:
+    def output_term(self) -> Term:
         """The term that is stored or sent: the form, or the event itself."""
-        return self.pattern if self.stands_for_event else self.form
+        return self.pattern if self.stores_whole_event else self.form
 
 
 class StateDeclaration(NamedTuple):
@@ -363,9 +365,9 @@ class ProgramModel:
         knowledge: the memories and subscriptions.
         definitions: the known message types.
         topics: contents of ``pub_sub.xml``.
-        direct: topics that node retalis subscribes to itself.
+        directly_subscribed: topics that node retalis subscribes to itself.
         folder: the folder of the program; None if only the loaded program is checked.
-        observed: whether there is an observer of all events.
+        has_observer: whether there is an observer of all events.
     """
 
     def __init__(
@@ -374,26 +376,30 @@ class ProgramModel:
         knowledge: KnowledgeBase,
         definitions: Definitions,
         topics: Topics,
-        direct: Tuple[TopicType, ...] = (),
+        directly_subscribed: Tuple[TopicType, ...] = (),
         folder: Optional[Path] = None,
-        observed: bool = False,
+        has_observer: bool = False,
     ):
-        self.loaded = rules
+        self.rule_base = rules
         self.logic: PrologSystem = rules.logic
         self._renamed = {
-            topics.event_of(topic): kind for topic, kind in topics.subscribed if topics.event_of(topic)
+            topics.event_of(topic): type_name
+            for topic, type_name in topics.subscribed
+            if topics.event_of(topic)
         }
         self.definitions = definitions
         self.topics = topics
-        self.direct = direct
+        self.directly_subscribed = directly_subscribed
         self.folder = folder
-        self.observed = observed
-        files = SourcePositions([], [], [], [], set())
+        self.has_observer = has_observer
+        files = ParsedSources([], [], [], [], set())
         if folder is not None:
-            files = read_again(self.logic, folder, rules.files.loaded)
-        self.reads: List[ReadTerm] = files.reads
-        self.names: Dict[Var, str] = {var: name for read in files.reads for name, var in read.names.items()}
-        self.goals: List[WrittenTerm] = files.goals
+            files = parse_sources_again(self.logic, folder, rules.files.loaded)
+        self.read_terms: List[ReadTerm] = files.read_terms
+        self.names: Dict[Var, str] = {
+            var: name for read in files.read_terms for name, var in read.names.items()
+        }
+        self.goals: List[SourceTerm] = files.goals
         self.rules = [*files.rules, *_other_rules(rules, files.sources)]
         self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
         self.declared = rules.declared.now()
@@ -404,17 +410,17 @@ class ProgramModel:
         self._collect_states(knowledge)
         self._types: Dict[str, Optional[Definition]] = {}
 
-    def definition(self, kind: Optional[str]) -> Optional[Definition]:
+    def definition(self, type_name: Optional[str]) -> Optional[Definition]:
         """Return the definition of a message type, or None if it is unknown."""
-        if kind is None:
+        if type_name is None:
             return None
-        if kind not in self._types:
+        if type_name not in self._types:
             try:
                 # Unknown types are stored as None, so that their files are searched once.
-                self._types[kind] = self.definitions.find(kind)
+                self._types[type_name] = self.definitions.find(type_name)
             except MessageError:
-                self._types[kind] = None
-        return self._types[kind]
+                self._types[type_name] = None
+        return self._types[type_name]
 
     def event_of(self, topic: str) -> str:
         """Return the event name of a topic if it differs from that of its type, else ""."""
@@ -433,14 +439,14 @@ class ProgramModel:
         """Yield the awaited events, each with a prefix for messages without a place."""
         for rule in self.rules:
             term = rule.definition.term
-            own = list(
+            rule_subterms = list(
                 subterms(_wrapped_rule(rule), 1, rule.place_of)
                 if rule.definition.head is None or term.__class__ is not tuple
                 else subterms(term, 2, rule.place_of)
             )
             for node in walk(rule.definition.pattern, negated=True):
                 if isinstance(node, Occurs):
-                    yield _locate(own, deref(node.term), rule.place_of), ""
+                    yield _locate(rule_subterms, deref(node.term), rule.place_of), ""
         for consumer in (*self.memories, *self.subscriptions):
             yield consumer.event, consumer.prefix
         for form, place_of, prefix in self.states:
@@ -457,7 +463,7 @@ class ProgramModel:
         for rule in self.rules:
             for part in walk(rule.definition.pattern, negated=True):
                 if not isinstance(part, Occurs):
-                    goals += [(wrapped(goal), 1, rule.place_of) for goal in own_terms(part)]
+                    goals += [(wrap_term(goal), 1, rule.place_of) for goal in own_terms(part)]
         for parent, number, place_of in goals:
             for call in calls(parent, number):
                 yield Subterm(call.term, call.parent, call.number, place_of)
@@ -486,12 +492,14 @@ class ProgramModel:
             # Memories of the files were collected with places already; the others were created at run time.
             if ("", term_key(instance.id)) not in seen:
                 prefix = f"memory {self.logic.brief(instance.id)}: "
-                self.memories.append(EventConsumer(_compound(instance.definition), prefix, everywhere(None)))
+                self.memories.append(
+                    EventConsumer(_compound(instance.definition), prefix, constant_place(None))
+                )
         for (topic, _), subscription in knowledge.subscriptions.items():
             if (topic, term_key(subscription.id)) not in seen:
                 prefix = f"a subscription of topic {topic}: "
                 self.subscriptions.append(
-                    EventConsumer(_compound(subscription.definition), prefix, everywhere(None))
+                    EventConsumer(_compound(subscription.definition), prefix, constant_place(None))
                 )
 
     def _collect_states(self, knowledge: KnowledgeBase) -> None:
@@ -508,7 +516,7 @@ class ProgramModel:
                 seen.add(form.key)
         for state in knowledge.states:
             if state.form.key not in seen:
-                self.states.append(StateDeclaration(state.form, everywhere(None), f"{state.name}: "))
+                self.states.append(StateDeclaration(state.form, constant_place(None), f"{state.name}: "))
 
     def topic(self, term: Term) -> str:
         """Return the topic of a subscription as text."""
@@ -521,31 +529,33 @@ def _compound(term: Any) -> CompoundTerm:
     return compound
 
 
-def _wrapped_rule(rule: WrittenRule) -> CompoundTerm:
-    return wrapped(rule.definition.term)
+def _wrapped_rule(rule: SourceRule) -> CompoundTerm:
+    return wrap_term(rule.definition.term)
 
 
-def _locate(own: List[Subterm], term: Term, place_of: PlaceLookup) -> Subterm:
+def _locate(rule_subterms: List[Subterm], term: Term, place_of: PlaceLookup) -> Subterm:
     """Return a term of a rule with its place; for copies in repetitions, the place of the rule."""
-    occurrences_of_term = [subterm for subterm in own if subterm.term is term]
+    occurrences_of_term = [subterm for subterm in rule_subterms if subterm.term is term]
     # The same atom may also occur in an earlier goal: the event is the one that is an operand of an operator.
-    joined = [
-        subterm for subterm in occurrences_of_term if subterm is own[0] or subterm.parent[0] in SPELLINGS
+    operands = [
+        subterm
+        for subterm in occurrences_of_term
+        if subterm is rule_subterms[0] or subterm.parent[0] in SPELLINGS
     ]
-    candidates = joined or occurrences_of_term
-    return candidates[0] if candidates else Subterm(term, wrapped(term), 1, place_of)
+    candidates = operands or occurrences_of_term
+    return candidates[0] if candidates else Subterm(term, wrap_term(term), 1, place_of)
 
 
-def _other_rules(rules: RuleBase, sources: Set[str]) -> List[WrittenRule]:
+def _other_rules(rules: RuleBase, sources: Set[str]) -> List[SourceRule]:
     """Return the rules that are not in a parsed file."""
     return [
-        WrittenRule(rule.definition, everywhere(rule.place))
+        SourceRule(rule.definition, constant_place(rule.place))
         for rule in rules.rules
         if rule.place is None or rule.place.source not in sources
     ]
 
 
-def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[WrittenTerm]:
+def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[SourceTerm]:
     """Return the clauses that are not in a parsed file."""
     clauses = []
     for predicate in list(logic.database.predicates.values()):
@@ -557,6 +567,6 @@ def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[WrittenTerm]:
     return clauses
 
 
-def is_open(term: Term) -> bool:
+def is_variable(term: Term) -> bool:
     """Return whether a term is a variable."""
     return deref(term).__class__ is Var

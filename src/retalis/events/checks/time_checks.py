@@ -1,9 +1,9 @@
 """Checks of times: endless cycles, intervals that cannot meet, windows, unbounded state, missed pairs, and timers.
 
-* `cycles` searches for events that raise themselves without a condition, in the graph of rules with one event.
-* `never_meet` computes which events are always instants (messages, and heads of rules on single instants), and
-  evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
-* `waits_for_ever` and `unbounded_keys` report partial matches and keyed states without any time bound.
+* `find_cycles` searches for events that raise themselves without a condition, in the graph of rules with one event.
+* `find_impossible_pairs` computes which events are always instants (messages, and heads of rules on single instants),
+  and evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
+* `find_unbounded_waits` and `find_unbounded_keys` report partial matches and keyed states without any time bound.
 """
 
 from collections import Counter
@@ -36,7 +36,7 @@ from ..language.pattern_tree import (
     occurrences,
 )
 from ..language.rule_head_parser import ALARMS, TIMER, event_raised_by, schedule_error
-from .program_model import ProgramModel, WrittenRule, key_of, subterms, wrapped
+from .program_model import ProgramModel, SourceRule, key_of, subterms, wrap_term
 
 DAY = 86_400
 _UNIT_HINT = "spans are in seconds"
@@ -47,19 +47,19 @@ _UNRESTRICTED, _RECENT, _OFF = atom("unrestricted"), atom("recent"), atom("off")
 class _Trigger(NamedTuple):
     """Rule that an event fires on its own, as soon as it occurs."""
 
-    rule: WrittenRule
+    rule: SourceRule
     head: Term
     event: Term
 
 
-def cycles(program: ProgramModel) -> Iterator[RuleError]:
+def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules by which an event raises itself immediately and without end."""
     # Removing triggers outside of cycles first keeps the search fast for programs with thousands of rules.
     steps = _cyclic_triggers([step for rule in program.rules for step in _triggers_of_rule(rule)])
-    of_event = _indices_by_event(steps)
+    indices_by_event = _indices_by_event(steps)
     reported: Set[int] = set()
     for index, step in enumerate(steps):
-        cycle = None if index in reported else _shortest_cycle(steps, of_event, index)
+        cycle = None if index in reported else _shortest_cycle(steps, indices_by_event, index)
         if cycle is None or any(member in reported for member in cycle):
             continue
         reported.update(cycle)
@@ -75,7 +75,7 @@ def cycles(program: ProgramModel) -> Iterator[RuleError]:
         )
 
 
-def _triggers_of_rule(rule: WrittenRule) -> Iterator[_Trigger]:
+def _triggers_of_rule(rule: SourceRule) -> Iterator[_Trigger]:
     head = rule.definition.head
     # Alarms and queries raise their event later, so they end a cycle without time.
     if head is None or key_of(head) in ALARMS or event_raised_by(head) is not deref(head):
@@ -107,12 +107,12 @@ def _indices_by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int
 def _cyclic_triggers(steps: List[_Trigger]) -> List[_Trigger]:
     """Return the triggers that can be part of a cycle: all others are removed in topological order."""
     makers = Counter(key_of(step.head) for step in steps)
-    of_event = _indices_by_event(steps)
+    indices_by_event = _indices_by_event(steps)
     removed: Set[int] = set()
     # Kahn's algorithm: triggers whose event no trigger raises are not part of a cycle.
-    sources = [key for key in of_event if not makers[key]]
+    sources = [key for key in indices_by_event if not makers[key]]
     while sources:
-        for index in of_event.get(sources.pop(), ()):
+        for index in indices_by_event.get(sources.pop(), ()):
             removed.add(index)
             key = key_of(steps[index].head)
             makers[key] -= 1
@@ -122,7 +122,7 @@ def _cyclic_triggers(steps: List[_Trigger]) -> List[_Trigger]:
 
 
 def _shortest_cycle(
-    steps: List[_Trigger], of_event: Dict[Optional[Functor], List[int]], start: int
+    steps: List[_Trigger], indices_by_event: Dict[Optional[Functor], List[int]], start: int
 ) -> Optional[List[int]]:
     """Return the shortest cycle through a trigger, or None."""
     predecessor: Dict[int, int] = {}
@@ -130,7 +130,7 @@ def _shortest_cycle(
     while level:
         next_level = []
         for index in level:
-            for next_index in of_event.get(key_of(steps[index].head), ()):
+            for next_index in indices_by_event.get(key_of(steps[index].head), ()):
                 step = steps[next_index]
                 # Breadth first, so the first way back is the shortest.
                 if next_index == start and _raises(steps[index], step):
@@ -157,8 +157,8 @@ _SAMPLE_INSTANTS = [(at, at) for at in range(3)]
 _SAMPLE_INTERVALS = list(combinations_with_replacement(range(5), 2))
 
 
-def never_meet(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield joins whose operands can never have the required intervals, because one operand is always an instant."""
+def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield joins whose operands can never have the required intervals, because one of them is always an instant."""
     instants = _Instants(program)
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):
@@ -211,7 +211,7 @@ class _Instants:
 
     def __init__(self, program: ProgramModel):
         self._program = program
-        self._rules: Dict[Functor, List[WrittenRule]] = {}
+        self._rules: Dict[Functor, List[SourceRule]] = {}
         self._goals: Set[Functor] = set()
         for rule in program.rules:
             key = None if rule.definition.head is None else key_of(event_raised_by(rule.definition.head))
@@ -269,11 +269,11 @@ class _Instants:
 def _is_message(program: ProgramModel, key: Functor) -> bool:
     """Return whether events of a functor are messages of a subscribed topic."""
     type_name = program.type_of(key.name)
-    topics = (*program.topics.subscribed, *program.direct)
+    topics = (*program.topics.subscribed, *program.directly_subscribed)
     return type_name is not None and any(topic_type == type_name for _, topic_type in topics)
 
 
-def _required_instants(rules: List[WrittenRule]) -> Optional[Set[Functor]]:
+def _required_instants(rules: List[SourceRule]) -> Optional[Set[Functor]]:
     """Return the events that must be instants for the heads of rules to be instants, or None if they never are."""
     required: Set[Functor] = set()
     for rule in rules:
@@ -306,10 +306,10 @@ def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
 _ANY_EVENT = functor("$any", 0)
 
 
-def windows(program: ProgramModel) -> Iterator[RuleError]:
+def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
     """Yield unlikely time spans: zero, or more than a day."""
     for rule in program.rules:
-        for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
+        for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             term = subterm.term
             if term.__class__ is tuple and SPELLINGS.get(term[0]) == "within" and len(term) == 3:
                 fault = _long_span_text(deref(term[2]))
@@ -318,7 +318,7 @@ def windows(program: ProgramModel) -> Iterator[RuleError]:
     labels = {
         term_key(rule.definition.label): rule for rule in program.rules if rule.definition.label is not None
     }
-    for key, properties in program.loaded.all_properties().items():
+    for key, properties in program.rule_base.all_properties().items():
         for prop in properties:
             fault = ""
             if prop.known and prop.word is None and "step" not in prop.name:
@@ -341,12 +341,12 @@ def _long_span_text(span: Any) -> str:
     return f"{span} is {span / DAY:.3g} days: {_UNIT_HINT}"
 
 
-def waits_for_ever(program: ProgramModel) -> Iterator[RuleError]:
+def find_unbounded_waits(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules whose partial matches are never dropped, neither by the consumption policy nor by time."""
-    flags = program.loaded.flags
+    flags = program.rule_base.flags
     if flags.get("garbage_control") is not _OFF:
         return
-    properties = program.loaded.all_properties()
+    properties = program.rule_base.all_properties()
     for rule in program.rules:
         label = rule.definition.label
         values = (
@@ -365,16 +365,16 @@ def waits_for_ever(program: ProgramModel) -> Iterator[RuleError]:
             )
 
 
-def unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
+def find_unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
     """Yield stream operators that keep a state for each value of a variable without a time bound.
 
     A rule whose label has a time to live is not reported, even if that is 0: its state is intended.
     """
-    flags = program.loaded.flags
+    flags = program.rule_base.flags
     bounds = flags.key_bounds()
     if flags.get("garbage_control") is not _OFF or bounds.idle is not None:
         return
-    properties = program.loaded.all_properties()
+    properties = program.rule_base.all_properties()
     for rule in program.rules:
         label = rule.definition.label
         label_properties = () if label is None else properties.get(term_key(label), ())
@@ -422,22 +422,22 @@ def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
     return any(rule_counts[var] > operator_counts.get(var, 0) for var in bound_by(node.collected))
 
 
-def _aggregate_place(rule: WrittenRule) -> Optional[Place]:
+def _aggregate_place(rule: SourceRule) -> Optional[Place]:
     """Return the place of the first aggregate in a rule."""
-    for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
+    for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
         if subterm.term.__class__ is tuple and subterm.term[0].name == "aggregate":
             return subterm.place
     return rule.definition.place
 
 
-def missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
+def find_missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
     """Yield joins of messages within a span of time that miss pairs, because the default policy uses a message once.
 
     A rule whose label sets a policy is not reported: its policy is intended.
     """
-    if program.loaded.flags.get("event_consumption_policy") is not _RECENT:
+    if program.rule_base.flags.get("event_consumption_policy") is not _RECENT:
         return
-    properties = program.loaded.all_properties()
+    properties = program.rule_base.all_properties()
     for rule in program.rules:
         label = rule.definition.label
         label_properties = () if label is None else properties.get(term_key(label), ())
@@ -490,15 +490,15 @@ def _walk_nodes(pattern: Pattern) -> Iterator[Pattern]:
         stack += reversed(children(node))
 
 
-def _operator_place(rule: WrittenRule, operator: str) -> Optional[Place]:
+def _operator_place(rule: SourceRule, operator: str) -> Optional[Place]:
     """Return the place of the first occurrence of an operator in a rule."""
-    for subterm in subterms(wrapped(rule.definition.term), 1, rule.place_of):
+    for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
         if subterm.term.__class__ is tuple and SPELLINGS.get(subterm.term[0]) == operator:
             return subterm.place
     return rule.definition.place
 
 
-def timers(program: ProgramModel) -> Iterator[RuleError]:
+def find_invalid_timers(program: ProgramModel) -> Iterator[RuleError]:
     """Yield goals that set a timer with an invalid schedule."""
     if not program.logic.is_of_system(TIMER):
         return

@@ -1,11 +1,11 @@
 """Checks of value types: uses of a variable that its message slot or declared argument does not allow.
 
-A variable has the type of the slots and declared arguments where it occurs. `kinds` reports occurrences with types
-that exclude each other, and goals that treat a value as something else: arithmetic on texts, or comparisons with
-constants that the value never equals.
+A variable has the type of the slots and declared arguments where it occurs. `find_type_conflicts` reports occurrences
+with types that exclude each other, and goals that treat a value as something else: arithmetic on texts, or
+comparisons with constants that the value never equals.
 
-`numerals` reports integers where a slot has floats and vice versa: the terms ``1`` and ``1.0`` are different, so such
-a pattern never matches, and ``==`` never holds.
+`find_number_type_mismatches` reports integers where a slot has floats and vice versa: the terms ``1`` and ``1.0`` are
+different, so such a pattern never matches, and ``==`` never holds.
 """
 
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
@@ -21,8 +21,8 @@ from ..language.pattern_tree import Occurs, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
 from ..program.event_file_checker import nowhere
 from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
-from .event_flow_checks import event_of_kept, events_of_goals, events_of_rule
-from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrapped
+from .event_flow_checks import event_of_consumer, events_of_goals, events_of_rule
+from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrap_term
 
 _NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 _IS = functor("is", 2)
@@ -58,7 +58,7 @@ _MESSAGE_PREDICATES = {
 }
 """Predicates whose first argument is a message, with its type."""
 
-_COLLECTED = frozenset(
+_NUMERIC_AGGREGATES = frozenset(
     functor(name, 1) for name, function in SEQUENCE_AGGREGATES.items() if function.is_numeric
 )
 _ELEMENTWISE = frozenset(name for name, function in AGGREGATES.items() if function.accepts_arrays)
@@ -66,23 +66,23 @@ _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
 _WINDOW = functor(_AGGREGATE, 4)
 
 
-class SlotKind(NamedTuple):
+class SlotType(NamedTuple):
     """Type of a variable, from the slot in which it occurs.
 
     Attributes:
-        kind: the type.
+        value_type: the type.
         slot: slot and message type, or declared argument and event.
-        is_made: whether the program creates that term: the value then comes from elsewhere and goes into the slot.
+        is_created: whether the program creates that term: the value then comes from elsewhere and goes into the slot.
     """
 
-    kind: ValueType
+    value_type: ValueType
     slot: str
-    is_made: bool
+    is_created: bool
 
     @property
-    def what(self) -> str:
+    def text(self) -> str:
         """A value of the type in words."""
-        return self.kind.what
+        return self.value_type.what
 
 
 def _accepts_other_types(slot: Field) -> bool:
@@ -90,10 +90,10 @@ def _accepts_other_types(slot: Field) -> bool:
     return slot.is_bytes or (slot.type == "bool" and slot.length is None)
 
 
-def kinds(program: ProgramModel) -> Iterator[RuleError]:
+def find_type_conflicts(program: ProgramModel) -> Iterator[RuleError]:
     """Yield uses of values that contradict their types."""
     for rule in program.rules:
-        parent = wrapped(rule.definition.term)
+        parent = wrap_term(rule.definition.term)
         names = {**program.names, **rule.definition.names}
         events = events_of_rule(rule) if program.declared else []
         yield from _check_clause(
@@ -101,13 +101,13 @@ def kinds(program: ProgramModel) -> Iterator[RuleError]:
         )
     for clause in program.clauses:
         # A fact has no parent with head and body, so it is wrapped.
-        whole = clause.parent if clause.parent[0] is NECK else wrapped(clause.head or clause.parent)
+        clause_term = clause.parent if clause.parent[0] is NECK else wrap_term(clause.head or clause.parent)
         events = events_of_goals(clause) if program.declared else []
-        yield from _check_clause(program, wrapped(whole), clause.place_of, program.names, events)
+        yield from _check_clause(program, wrap_term(clause_term), clause.place_of, program.names, events)
     for consumer in (*program.memories, *program.subscriptions):
-        events = [event_of_kept(consumer)]
+        events = [event_of_consumer(consumer)]
         for error in _check_clause(
-            program, wrapped(consumer.term), consumer.place_of, program.names, events, consumer.form
+            program, wrap_term(consumer.term), consumer.place_of, program.names, events, consumer.form
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
@@ -122,20 +122,20 @@ def _check_clause(
 ) -> Iterator[RuleError]:
     """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
     all_subterms = list(subterms(parent, 1, place_of))
-    slots: Dict[Var, SlotKind] = {}
+    slots: Dict[Var, SlotType] = {}
     branches = any(subterm.key in _ALTERNATIVES for subterm in all_subterms)
     created = _created_terms(all_subterms, out)
     event_ids = {id(deref(event.term)) for event in events}
     for subterm in all_subterms:
-        is_made = id(subterm.term) in created
-        for position, value_type, slot in _typed_arguments(program, subterm.term, is_made, event_ids):
+        is_created = id(subterm.term) in created
+        for position, value_type, slot in _typed_arguments(program, subterm.term, is_created, event_ids):
             value = deref(subterm.term[position])
             if value.__class__ is not Var:
                 continue
-            occurrence = SlotKind(value_type, slot, is_made)
+            occurrence = SlotType(value_type, slot, is_created)
             first_occurrence = slots.setdefault(value, occurrence)
             # In a term with alternatives, the two occurrences may belong to different branches.
-            if first_occurrence.kind.excludes(value_type) and not branches:
+            if first_occurrence.value_type.excludes(value_type) and not branches:
                 yield RuleError(
                     _type_clash_text(_variable_name(value, names), first_occurrence, occurrence),
                     place_of(subterm.term, position),
@@ -143,7 +143,9 @@ def _check_clause(
                 slots.pop(value)
             # The source of a value says more about its type than the slot it goes into; of two sources, the narrower
             # type is kept.
-            elif (first_occurrence.is_made and not is_made) or value_type.forms < first_occurrence.kind.forms:
+            elif (
+                first_occurrence.is_created and not is_created
+            ) or value_type.forms < first_occurrence.value_type.forms:
                 slots[value] = occurrence
     if slots:
         yield from _check_goals(all_subterms, slots, names)
@@ -151,14 +153,14 @@ def _check_clause(
 
 
 def _typed_arguments(
-    program: ProgramModel, term: Any, is_made: bool, event_ids: Set[int]
+    program: ProgramModel, term: Any, is_created: bool, event_ids: Set[int]
 ) -> Iterator[Tuple[int, ValueType, str]]:
     """Yield the arguments of a message or declared event: position, type, and name for messages."""
     definition = program.message_of(term)
     if definition is not None:
         for position, slot in enumerate(definition.fields, 1):
             value_type = slot_value_type(slot)
-            if value_type is not None and not (is_made and _accepts_other_types(slot)):
+            if value_type is not None and not (is_created and _accepts_other_types(slot)):
                 yield position, value_type, f"{slot.name} of {definition.name}"
     elif term.__class__ is tuple and id(term) in event_ids:
         declaration = program.declared.get(term[0].name)
@@ -169,23 +171,23 @@ def _typed_arguments(
 
 def _created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[int]:
     """Return the ids of the terms that are created: rule heads, forms of subscriptions, and events of goals."""
-    makers = [] if output is None else [wrapped(deref(output))]
+    makers = [] if output is None else [wrap_term(deref(output))]
     makers += [subterm.term for subterm in all_subterms if makes_event(subterm.term)]
     # By identity: an equal term may occur as a pattern as well. The ids stay unique, because the terms are alive.
     return {id(subterm.term) for maker in makers for subterm in subterms(maker, 1, nowhere)}
 
 
-def _type_clash_text(name: str, first: SlotKind, second: SlotKind) -> str:
+def _type_clash_text(name: str, first: SlotType, second: SlotType) -> str:
     """Return the message for a variable with two types."""
     # The message names the source of the value first.
-    if first.is_made and not second.is_made:
+    if first.is_created and not second.is_created:
         first, second = second, first
-    if second.is_made and not first.is_made and second.what == "a text":
-        return f"{name} is {first.what} ({first.slot}) and goes into a text ({second.slot}): {_as_text_advice(name)}"
-    return f"{name} is {first.what} ({first.slot}) and, here, {second.what} ({second.slot}): these are never equal"
+    if second.is_created and not first.is_created and second.text == "a text":
+        return f"{name} is {first.text} ({first.slot}) and goes into a text ({second.slot}): {_as_text_advice(name)}"
+    return f"{name} is {first.text} ({first.slot}) and, here, {second.text} ({second.slot}): these are never equal"
 
 
-def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:
     reported: Set[Var] = set()
     for subterm in all_subterms:
         key = subterm.key
@@ -196,7 +198,7 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names:
         else:
             if key in _EQUALITIES:
                 yield from _check_compared_terms(subterm, slots, names)
-            elif key in _COLLECTED:
+            elif key in _NUMERIC_AGGREGATES:
                 yield from _check_aggregated_terms(subterm, slots, names)
             continue
         while operands:
@@ -206,7 +208,7 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names:
                 # The arguments of arithmetic functions are numbers as well.
                 operands += [(term, argument_position) for argument_position in range(1, len(term))]
             occurrence = slots.get(term) if term.__class__ is Var else None
-            if occurrence is not None and occurrence.what in _ADVICE and term not in reported:
+            if occurrence is not None and occurrence.text in _ADVICE and term not in reported:
                 reported.add(term)
                 yield RuleError(
                     _not_number_text(_variable_name(term, names), occurrence),
@@ -215,7 +217,7 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names:
 
 
 def _check_array_arguments(
-    program: ProgramModel, all_subterms: List[Subterm], slots: Dict[Var, SlotKind], names: Any
+    program: ProgramModel, all_subterms: List[Subterm], slots: Dict[Var, SlotType], names: Any
 ) -> Iterator[RuleError]:
     """Yield arguments that are not the array or the message that a predicate takes."""
     for subterm in all_subterms:
@@ -227,11 +229,11 @@ def _check_array_arguments(
         argument: Any = deref(subterm.term[1])
         occurrence = slots.get(argument) if argument.__class__ is Var else None
         text = ""
-        if occurrence is not None and not occurrence.is_made:
-            value = f"{_variable_name(argument, names)} is {occurrence.what} ({occurrence.slot})"
-            if expected is None and occurrence.what in _NO_ARRAYS:
+        if occurrence is not None and not occurrence.is_created:
+            value = f"{_variable_name(argument, names)} is {occurrence.text} ({occurrence.slot})"
+            if expected is None and occurrence.text in _NO_ARRAYS:
                 text = f"{value}, not an array: {subterm.key} takes a list of numbers"
-            elif expected is not None and occurrence.kind.of_message != functor_name(expected):
+            elif expected is not None and occurrence.value_type.of_message != functor_name(expected):
                 text = f"{value}, not a whole message: {subterm.key} takes a {expected}"
         elif expected is not None:
             definition = program.message_of(argument)
@@ -253,19 +255,19 @@ _ADVICE = {
 """Advice for values that are not numbers; timestamps count as numbers."""
 
 
-def _not_number_text(name: str, occurrence: SlotKind) -> str:
+def _not_number_text(name: str, occurrence: SlotType) -> str:
     """Return the message for a variable that is used as a number but has another type."""
-    if not occurrence.is_made:
-        return f"{name} is {occurrence.what} ({occurrence.slot}), not a number: {_ADVICE[occurrence.what]}"
-    advice = _as_text_advice(name) if occurrence.what == "a text" else "send another variable"
-    return f"{name} is a number here and goes into {occurrence.what} ({occurrence.slot}): {advice}"
+    if not occurrence.is_created:
+        return f"{name} is {occurrence.text} ({occurrence.slot}), not a number: {_ADVICE[occurrence.text]}"
+    advice = _as_text_advice(name) if occurrence.text == "a text" else "send another variable"
+    return f"{name} is a number here and goes into {occurrence.text} ({occurrence.slot}): {advice}"
 
 
 def _as_text_advice(name: str) -> str:
     return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
 
 
-def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:
     """Yield values of a numeric aggregate that are not numbers."""
     if subterm.parent[0].name != _AGGREGATE or subterm.number != 1:
         return
@@ -274,17 +276,17 @@ def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names:
     # Windows aggregate arrays element by element.
     if (
         slot is not None
-        and slot.what == "a list"
+        and slot.text == "a list"
         and subterm.parent[0] is _WINDOW
         and subterm.term[0].name in _ELEMENTWISE
     ):
         return
-    if slot is not None and slot.what in _ADVICE and not slot.is_made:
-        text = f"{_variable_name(value, names)} is {slot.what} ({slot.slot}): {subterm.term[0].name} collects numbers"
+    if slot is not None and slot.text in _ADVICE and not slot.is_created:
+        text = f"{_variable_name(value, names)} is {slot.text} ({slot.slot}): {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.place_of(subterm.term, 1))
 
 
-def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: Any) -> Iterator[RuleError]:
+def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:
     """Yield comparisons of a variable with a constant that it never equals."""
     for position, other_position in ((1, 2), (2, 1)):
         value: Any = deref(subterm.term[position])
@@ -292,12 +294,12 @@ def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotKind], names: A
         occurrence = slots.get(value) if value.__class__ is Var else None
         reason = (
             None
-            if occurrence is None or occurrence.is_made
-            else _inequality_reason(occurrence.what, constant)
+            if occurrence is None or occurrence.is_created
+            else _inequality_reason(occurrence.text, constant)
         )
         if occurrence is not None and reason is not None:
             yield RuleError(
-                f"{_variable_name(value, names)} is {occurrence.what} ({occurrence.slot}): {reason}",
+                f"{_variable_name(value, names)} is {occurrence.text} ({occurrence.slot}): {reason}",
                 subterm.place_of(subterm.term, other_position),
             )
 
@@ -355,11 +357,11 @@ _MAX_EXACT_INTEGER = 10**15
 class _NumberSlot(NamedTuple):
     """Numeric slot in which a variable occurs."""
 
-    kind: type
+    number_type: type
     slot: str
 
 
-def numerals(program: ProgramModel) -> Iterator[RuleError]:
+def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield numbers that no message has in that slot, and comparisons with such slots that never hold."""
     created = _created_events(program)
     for event, prefix in program.patterns():
@@ -374,8 +376,8 @@ def numerals(program: ProgramModel) -> Iterator[RuleError]:
                     yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
     for rule in program.rules:
         events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, Occurs)]
-        event_subterms = [Subterm(deref(term), wrapped(term), 1, rule.place_of) for term in events]
-        rule_subterm = Subterm(None, wrapped(rule.definition.term), 1, rule.place_of)
+        event_subterms = [Subterm(deref(term), wrap_term(term), 1, rule.place_of) for term in events]
+        rule_subterm = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
         yield from _check_compared_numbers(
             program, event_subterms, rule_subterm, {**program.names, **rule.definition.names}, created
         )
@@ -437,12 +439,11 @@ def _check_compared_numbers(
             variable: Any = deref(subterm.term[position])
             value = deref(subterm.term[other_position])
             slot = slots.get(variable) if variable.__class__ is Var else None
-            if slot is not None and _has_other_type(value, slot.kind):
-                text = (
-                    f"{names.get(variable, 'this variable')} is {_numeric_type_name(slot.kind)} ({slot.slot})"
-                )
+            if slot is not None and _has_other_type(value, slot.number_type):
+                name = names.get(variable, "this variable")
                 yield RuleError(
-                    f"{text}, never {_numeric_type_name(type(value))}: write {numeric}",
+                    f"{name} is {_numeric_type_name(slot.number_type)} ({slot.slot}), "
+                    f"never {_numeric_type_name(type(value))}: write {numeric}",
                     subterm.place_of(subterm.term, other_position),
                 )
 
