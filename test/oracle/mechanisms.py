@@ -282,7 +282,7 @@ listed, planned = RowPatternNFA._transitions, RowPatternNFA.__init__
 
 def never_later(plan: Any, own: Any, marks: Any) -> None:
     """Have no step wait for a later item."""
-    planned(plan, [one._replace(later=False) for one in own], marks)
+    planned(plan, [one._replace(skips_rows=False) for one in own], marks)
 
 
 def later_steps_first(window: Any, way: Any, item: StreamElement) -> Any:

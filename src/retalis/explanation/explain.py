@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 
 from ..engine.engine import Engine
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
-from ..events.language.pattern_tree import Aggregate, Shaped, Windowed, walk
+from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
 from ..events.language.stream_parser import subscription_event
 from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
@@ -449,7 +449,7 @@ def _parse_request(request: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
 
 def _explain_no_firing(rule: EventRule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
     """Return why a rule did not fire although all parts of its pattern matched."""
-    has_window = any(isinstance(subpattern, Windowed) for subpattern in walk(rule.definition.pattern))
+    has_window = any(isinstance(subpattern, WindowPattern) for subpattern in walk(rule.definition.pattern))
     has_interval = any((match.start, match.end) == interval for match in part.matches)
     if interval is not None and not has_window and not has_interval:
         return "nowhere with that interval"
@@ -463,9 +463,9 @@ def _describe_likely_reasons(rule: EventRule) -> str:
     aggregate_results: List[Term] = []
     shapes: List[str] = []
     for part in walk(rule.definition.pattern):
-        if isinstance(part, Aggregate):
+        if isinstance(part, AggregatePattern):
             aggregate_results.append(part.result)
-        elif isinstance(part, Shaped):
+        elif isinstance(part, RatePattern):
             shapes.append(part.shape)
     # The explained event fixes the result of an aggregate, and the rule has computed other ones.
     if any(deref(result).__class__ is not Var for result in aggregate_results):

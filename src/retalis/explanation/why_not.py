@@ -27,20 +27,20 @@ from typing import (
 
 from ..events.language.event_operators import OPERATORS, EventOperator, OperatorKind, names_of_kind
 from ..events.language.pattern_tree import (
-    Absent,
-    Action,
-    Aggregate,
-    Awaited,
-    Condition,
-    Either,
-    Occurs,
-    Pair,
-    Repeated,
-    Shaped,
-    Star,
-    StepForm,
-    Windowed,
-    Within,
+    AbsencePattern,
+    ActionPattern,
+    AggregatePattern,
+    ConditionPattern,
+    EventPattern,
+    KleenePattern,
+    NotPattern,
+    OrPattern,
+    PairPattern,
+    RatePattern,
+    RepeatedPattern,
+    RowPatternStep,
+    WindowPattern,
+    WithinPattern,
     occurrences,
 )
 from ..events.language.row_pattern_parser import step_term
@@ -205,19 +205,19 @@ class WhyNot:
         self._field_named_variables = rule.definition.names
         self._times = TimeFormat(self._show, origin)
         self._evaluators: Dict[type, Callable[[Any], Part]] = {
-            Occurs: self._evaluate_occurs,
-            Pair: self._evaluate_pair,
-            Repeated: self._evaluate_repeated,
-            Either: self._evaluate_either,
-            Absent: self._evaluate_absent,
-            Star: self._evaluate_star,
-            Aggregate: self._evaluate_aggregate,
-            Condition: self._evaluate_condition,
-            Within: self._evaluate_within,
-            Action: self._evaluate_action,
-            Windowed: self._evaluate_windowed,
-            Shaped: self._evaluate_shaped,
-            Awaited: self._evaluate_awaited,
+            EventPattern: self._evaluate_occurs,
+            PairPattern: self._evaluate_pair,
+            RepeatedPattern: self._evaluate_repeated,
+            OrPattern: self._evaluate_either,
+            NotPattern: self._evaluate_absent,
+            KleenePattern: self._evaluate_star,
+            AggregatePattern: self._evaluate_aggregate,
+            ConditionPattern: self._evaluate_condition,
+            WithinPattern: self._evaluate_within,
+            ActionPattern: self._evaluate_action,
+            WindowPattern: self._evaluate_windowed,
+            RatePattern: self._evaluate_shaped,
+            AbsencePattern: self._evaluate_awaited,
         }
 
     def evaluate(self, pattern: Any) -> Part:
@@ -226,7 +226,7 @@ class WhyNot:
 
     # ---- one method per type of pattern ----------------------------------------------------------------
 
-    def _evaluate_occurs(self, pattern: Occurs) -> Part:
+    def _evaluate_occurs(self, pattern: EventPattern) -> Part:
         matches = []
         for occurrence in self._occurrences:
             check_limits(1)
@@ -239,7 +239,7 @@ class WhyNot:
         text = f"{self._show(pattern.term)}: {self._format_result(matches, 'did not happen', pattern.term)}"
         return Part(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
 
-    def _evaluate_pair(self, pattern: Pair) -> Part:
+    def _evaluate_pair(self, pattern: PairPattern) -> Part:
         left, right = self.evaluate(pattern.left), self.evaluate(pattern.right)
         spans = _spans(OPERATORS[pattern.operator])
         values_agree = False
@@ -256,23 +256,25 @@ class WhyNot:
                     matches.append(Candidate(values, *span, None, (first.end, second.start)))
         reason = "one side is missing"
         if left.matches and right.matches:
-            reason = OPERATORS[pattern.operator].wrong if values_agree else "no pair with the same values"
+            reason = (
+                OPERATORS[pattern.operator].no_match_text if values_agree else "no pair with the same values"
+            )
         return Part(
             f"{pattern.operator}: {self._format_result(matches, reason)}",
             matches[-MAX_CANDIDATES:],
             [left, right],
         )
 
-    def _evaluate_repeated(self, pattern: Repeated) -> Part:
+    def _evaluate_repeated(self, pattern: RepeatedPattern) -> Part:
         # A repetition of many events is cut off: the first missing event is among the first repetitions.
         return self.evaluate(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).as_sequence())
 
-    def _evaluate_either(self, pattern: Either) -> Part:
+    def _evaluate_either(self, pattern: OrPattern) -> Part:
         parts = [self.evaluate(branch) for branch in pattern.branches]
         matches = [match for part in parts for match in part.matches]
         return Part(f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}", matches, parts)
 
-    def _evaluate_absent(self, pattern: Absent) -> Part:
+    def _evaluate_absent(self, pattern: NotPattern) -> Part:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         matches = [
             match
@@ -291,7 +293,7 @@ class WhyNot:
             return negated.end < match.start
         return match.gap[0] < negated.start and negated.end < match.gap[1]
 
-    def _evaluate_star(self, pattern: Star) -> Part:
+    def _evaluate_star(self, pattern: KleenePattern) -> Part:
         first_part, repeated_part = self.evaluate(pattern.first), self.evaluate(pattern.repeated)
         extended = [
             Candidate(values, match.start, last.end)
@@ -304,7 +306,7 @@ class WhyNot:
             [first_part, repeated_part],
         )
 
-    def _evaluate_aggregate(self, pattern: Aggregate) -> Part:
+    def _evaluate_aggregate(self, pattern: AggregatePattern) -> Part:
         first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
         names = variables(value)
@@ -350,7 +352,7 @@ class WhyNot:
                     if values is not None:
                         yield match, later, values
 
-    def _evaluate_condition(self, pattern: Condition) -> Part:
+    def _evaluate_condition(self, pattern: ConditionPattern) -> Part:
         part = self.evaluate(pattern.pattern)
         matches = []
         problems: Dict[str, None] = {}
@@ -374,7 +376,7 @@ class WhyNot:
         text = f"{name} {self._show(pattern.goal)}: {self._format_result(matches, rejected, pattern.goal)}"
         return Part(text, matches, [part])
 
-    def _evaluate_within(self, pattern: Within) -> Part:
+    def _evaluate_within(self, pattern: WithinPattern) -> Part:
         part = self.evaluate(pattern.pattern)
         matches = [match for match in part.matches if match.end - match.start <= pattern.span]
         # The parser has subtracted a nanosecond, because `within` excludes the bound that is written.
@@ -388,7 +390,7 @@ class WhyNot:
             bool(part.matches),
         )
 
-    def _evaluate_action(self, pattern: Action) -> Part:
+    def _evaluate_action(self, pattern: ActionPattern) -> Part:
         part = self.evaluate(pattern.pattern)
         text = f"{_ACTION_NAMES[pattern.every]} {self._show(pattern.goal)}"
         if not part.matches:
@@ -396,7 +398,7 @@ class WhyNot:
         # The goal is not called here, because it may have effects: the action counts as done.
         return Part(text, part.matches, [part])
 
-    def _evaluate_windowed(self, pattern: Windowed) -> Part:
+    def _evaluate_windowed(self, pattern: WindowPattern) -> Part:
         # The window is evaluated separately from its input, so that missing events and unfinished windows can be told
         # apart.
         part = self.evaluate(pattern.collected)
@@ -436,25 +438,25 @@ class WhyNot:
         )
         return Part(f"{text}: {shown_results}", matches, parts)
 
-    def _evaluate_steps(self, steps: Sequence[StepForm], progress: Sequence[int]) -> List[Part]:
+    def _evaluate_steps(self, steps: Sequence[RowPatternStep], progress: Sequence[int]) -> List[Part]:
         """Return the results for the steps of a row pattern, for the sequence of events that got farthest."""
         parts = []
         reached = True
         for step, count in zip(steps, progress or [0] * len(steps)):
-            is_complete = count >= step.least
+            is_complete = count >= step.min_count
             text = f"step {self._show(step_term(step))}"
             if not reached:
                 parts.append(Part(f"{text}: not reached", [], [], None, False))
             else:
                 events = "1 event" if count == 1 else f"{count} events"
-                missing = "" if is_complete else f" of {step.least}"
+                missing = "" if is_complete else f" of {step.min_count}"
                 parts.append(
                     Part(f"{text}: took {events}{missing}", [_PLACEHOLDER_MATCH] if is_complete else [], [])
                 )
             reached = reached and is_complete
         return parts
 
-    def _evaluate_shaped(self, pattern: Shaped) -> Part:
+    def _evaluate_shaped(self, pattern: RatePattern) -> Part:
         part = self.evaluate(pattern.pattern)
         stream = rate_operator(pattern)
         node = self._rule.stream_node(pattern)
@@ -476,7 +478,7 @@ class WhyNot:
         )
         return Part(text, matches, [part], None, bool(part.matches))
 
-    def _evaluate_awaited(self, pattern: Awaited) -> Part:
+    def _evaluate_awaited(self, pattern: AbsencePattern) -> Part:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         elapsed_matches = [match for match in part.matches if match.end + pattern.span <= self._current_time]
         matches = [

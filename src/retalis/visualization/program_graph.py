@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..engine.engine import Engine
-from ..events.language.pattern_tree import Occurs, own_terms, walk
+from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..foundation.errors import UsageError, beginning, counted, printable
 from ..prolog.terms.list_terms import list_items, list_parts
@@ -167,7 +167,7 @@ class _GraphBuilder:
         positive_parts = {id(part) for part in walk(definition.pattern)}
         goals: List[Term] = []
         for part in walk(definition.pattern, negated=True):
-            if isinstance(part, Occurs):
+            if isinstance(part, EventPattern):
                 kind = "flow" if id(part) in positive_parts else "absent"
                 event = self._add_event(part.term)
                 self._add_edge(event, node, event if kind == "flow" else "", kind)

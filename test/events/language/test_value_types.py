@@ -29,7 +29,7 @@ VALUES = {
 @pytest.mark.parametrize("value", VALUES)
 def test_a_value_is_of_its_kinds_and_no_others(value):
     kinds = [*VALUE_TYPES, "std_msgs__0__Empty", "std_msgs__0__Bool"]
-    found = [name for name in kinds if parse_value_type(parse_term(name)).takes(parse_term(value))]
+    found = [name for name in kinds if parse_value_type(parse_term(name)).accepts(parse_term(value))]
     assert sorted(found) == sorted(VALUES[value].split())
 
 

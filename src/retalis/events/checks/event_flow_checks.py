@@ -22,7 +22,7 @@ from ..language.event_declarations import (
 )
 from ..language.event_operators import ARROWS, SPELLINGS
 from ..language.pattern_parser import EventTerm, PatternReader
-from ..language.pattern_tree import Action
+from ..language.pattern_tree import ActionPattern
 from ..language.rule_head_parser import event_raised_by, makes_event
 from ..language.state_parser import StateForm
 from ..program.topic_configuration import TOPICS
@@ -222,7 +222,7 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
         ):
             continue
         # A rule with ``do`` exists for its goal; its event may be unused.
-        if isinstance(rule.definition.pattern, Action):
+        if isinstance(rule.definition.pattern, ActionPattern):
             continue
         reported.add(key)
         place = rule.place_of(head) if deref(head).__class__ is tuple else rule.definition.place
@@ -301,8 +301,10 @@ def _find_unfitting_topics(program: ProgramModel) -> Iterator[RuleError]:
         for slot, argument in zip(definition.fields, () if fault else declaration.arguments):
             slot_type = slot_value_type(slot)
             if slot_type is not None and slot_type.excludes(argument.value_type):
-                types_text = f"{argument.value_type.what}, and {slot.name} of {type_name} {slot_type.what}"
-                fault = f"{argument.name} of {declaration.key} is {types_text}"
+                fault = (
+                    f"{argument.name} of {declaration.key} is {argument.value_type.description}, "
+                    f"and {slot.name} of {type_name} {slot_type.description}"
+                )
         if fault:
             yield RuleError(f"the events of topic {topic}: {fault}")
 

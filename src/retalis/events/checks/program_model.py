@@ -26,7 +26,7 @@ from ..knowledge.memory import is_event_variable
 from ..language.called_predicates import calls
 from ..language.event_operators import SPELLINGS
 from ..language.pattern_parser import PlaceLookup
-from ..language.pattern_tree import Occurs, RuleDefinition, own_terms, walk
+from ..language.pattern_tree import EventPattern, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, parse_state_declaration
 from ..language.stream_parser import subscription_event
 from ..program.event_file_checker import FileChecker, nowhere
@@ -265,7 +265,7 @@ def _add_file(positions: ParsedSources, program: Iterable[Union[ReadTerm, Syntax
         checker = FileChecker()
         checker.read(read_term)
         positions.read_terms.append(read_term)
-        for definition in [*checker.rules, *checker.inner]:
+        for definition in [*checker.rules, *checker.nested_rules]:
             positions.rules.append(SourceRule(definition, read_term.place_of))
         for step in checker.steps:
             if step.kind == "clause":
@@ -445,7 +445,7 @@ class ProgramModel:
                 else subterms(term, 2, rule.place_of)
             )
             for node in walk(rule.definition.pattern, negated=True):
-                if isinstance(node, Occurs):
+                if isinstance(node, EventPattern):
                     yield _locate(rule_subterms, deref(node.term), rule.place_of), ""
         for consumer in (*self.memories, *self.subscriptions):
             yield consumer.event, consumer.prefix
@@ -462,7 +462,7 @@ class ProgramModel:
         ]
         for rule in self.rules:
             for part in walk(rule.definition.pattern, negated=True):
-                if not isinstance(part, Occurs):
+                if not isinstance(part, EventPattern):
                     goals += [(wrap_term(goal), 1, rule.place_of) for goal in own_terms(part)]
         for parent, number, place_of in goals:
             for call in calls(parent, number):

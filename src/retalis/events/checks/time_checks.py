@@ -16,21 +16,21 @@ from ...prolog.terms.types import Functor, Term, Trail, atom, deref, functor
 from ...prolog.terms.unification import undo, unify
 from ..language.event_operators import OPERATORS, SPELLINGS
 from ..language.pattern_tree import (
-    Absent,
-    Action,
-    Aggregate,
-    Awaited,
-    Condition,
-    Either,
-    Occurs,
-    Pair,
+    AbsencePattern,
+    ActionPattern,
+    AggregatePattern,
+    ConditionPattern,
+    EventPattern,
+    KleenePattern,
+    NotPattern,
+    OrPattern,
+    PairPattern,
     Pattern,
-    Repeated,
+    RatePattern,
+    RepeatedPattern,
     RuleDefinition,
-    Shaped,
-    Star,
-    Windowed,
-    Within,
+    WindowPattern,
+    WithinPattern,
     bound_by,
     children,
     occurrences,
@@ -87,12 +87,12 @@ def _triggers_of_rule(rule: SourceRule) -> Iterator[_Trigger]:
 
 def _sole_triggers(pattern: Pattern) -> Iterator[Term]:
     """Yield the events that match a pattern on their own and unconditionally."""
-    if isinstance(pattern, Occurs):
+    if isinstance(pattern, EventPattern):
         yield pattern.term
-    elif isinstance(pattern, Either):
+    elif isinstance(pattern, OrPattern):
         for branch in pattern.branches:
             yield from _sole_triggers(branch)
-    elif isinstance(pattern, Within) or (isinstance(pattern, Action) and not pattern.every):
+    elif isinstance(pattern, WithinPattern) or (isinstance(pattern, ActionPattern) and not pattern.every):
         yield from _sole_triggers(pattern.pattern)
 
 
@@ -162,7 +162,7 @@ def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
     instants = _Instants(program)
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):
-            if isinstance(node, Pair) and node.operator in OPERATORS:
+            if isinstance(node, PairPattern) and node.operator in OPERATORS:
                 left_is_instant, right_is_instant = instants.holds(node.left), instants.holds(node.right)
                 if (left_is_instant or right_is_instant) and not _can_match(
                     node.operator, left_is_instant, right_is_instant
@@ -293,10 +293,10 @@ def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
     stack: List[Pattern] = [pattern]
     while stack:
         node = stack.pop()
-        key = key_of(node.term) if isinstance(node, Occurs) else None
+        key = key_of(node.term) if isinstance(node, EventPattern) else None
         if key is not None:
             events.add(key)
-        elif isinstance(node, (Either, Condition, Within, Action)):
+        elif isinstance(node, (OrPattern, ConditionPattern, WithinPattern, ActionPattern)):
             stack += children(node)
         else:
             return None
@@ -357,7 +357,7 @@ def find_unbounded_waits(program: ProgramModel) -> Iterator[RuleError]:
             continue
         node = _unbounded_join(rule.definition.pattern)
         if node is not None:
-            operator = node.operator if isinstance(node, Pair) else "seq"
+            operator = node.operator if isinstance(node, PairPattern) else "seq"
             yield RuleError(
                 "partial matches of this pattern are kept forever: the policy is unrestricted, and no window ends "
                 "it; write (...) within SECONDS, or turn on garbage_control",
@@ -387,7 +387,9 @@ def find_unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
                     f"no time ends the state that is kept here for each key, up to {bounds.keys} keys; write (...) "
                     "within SECONDS, or give the rule a label with property(ttl, SECONDS), or property(ttl, 0) if "
                     "the keys are few",
-                    _operator_place(rule, "with") if isinstance(node, Shaped) else _aggregate_place(rule),
+                    _operator_place(rule, "with")
+                    if isinstance(node, RatePattern)
+                    else _aggregate_place(rule),
                 )
 
 
@@ -396,27 +398,27 @@ def _operators_without_bound(pattern: Pattern) -> Iterator[Pattern]:
     stack: List[Tuple[Any, bool]] = [(pattern, False)]
     while stack:
         node, is_bounded = stack.pop()
-        if isinstance(node, (Windowed, Shaped, Awaited)):
+        if isinstance(node, (WindowPattern, RatePattern, AbsencePattern)):
             if not is_bounded:
                 yield node
             # A bound applies to the outputs of the operator, not to its inputs.
             is_bounded = False
-        elif isinstance(node, Within):
+        elif isinstance(node, WithinPattern):
             is_bounded = True
         # A bound above an operator limits its inputs as well, except for stream operators (see above).
         stack += [(child, is_bounded) for child in reversed(children(node, False))]
-        if isinstance(node, (Absent, Awaited)):
+        if isinstance(node, (NotPattern, AbsencePattern)):
             stack.append((node.negated, False))
 
 
 def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
     """Return whether a stream operator keeps a state for each value of a variable."""
-    if isinstance(node, Shaped):
+    if isinstance(node, RatePattern):
         return node.shape == "change" and any(variables(term) for term in node.by)
-    if not isinstance(node, Windowed) or node.window.kind not in ("newest", "batch", "steps"):
+    if not isinstance(node, WindowPattern) or node.window.kind not in ("newest", "batch", "steps"):
         return False
     measured = [value for value in node.values if value is not None]
-    operator_counts = occurrences([*measured, *node.window.looked_at], node.collected)
+    operator_counts = occurrences([*measured, *node.window.navigated_vars], node.collected)
     head = [] if definition.head is None else [definition.head]
     rule_counts = occurrences(head, definition.pattern)
     return any(rule_counts[var] > operator_counts.get(var, 0) for var in bound_by(node.collected))
@@ -455,12 +457,12 @@ def find_missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
 def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
     """Return whether a pattern joins messages of two topics by ``and`` within a span of time."""
     for node in _walk_nodes(pattern):
-        if not isinstance(node, Within):
+        if not isinstance(node, WithinPattern):
             continue
         joined = node.pattern
-        while isinstance(joined, (Within, Condition)):
+        while isinstance(joined, (WithinPattern, ConditionPattern)):
             joined = joined.pattern
-        if isinstance(joined, Pair) and joined.operator == "and":
+        if isinstance(joined, PairPattern) and joined.operator == "and":
             sides = [_alternative_events(joined.left), _alternative_events(joined.right)]
             if all(keys and all(_is_message(program, key) for key in keys) for keys in sides):
                 return True
@@ -472,10 +474,10 @@ def _unbounded_join(pattern: Pattern) -> Optional[Pattern]:
     stack: List[Any] = [pattern]
     while stack:
         node = stack.pop()
-        if isinstance(node, Within):
+        if isinstance(node, WithinPattern):
             continue
         # These store partial matches; alternatives and conditions store nothing.
-        if isinstance(node, (Pair, Star, Aggregate, Repeated)):
+        if isinstance(node, (PairPattern, KleenePattern, AggregatePattern, RepeatedPattern)):
             join: Pattern = node
             return join
         stack += reversed(children(node, False))

@@ -17,7 +17,7 @@ from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var
 from ..language.event_declarations import ValueType, slot_value_type
 from ..language.event_operators import OperatorKind, names_of_kind
 from ..language.pattern_parser import EventTerm, PlaceLookup
-from ..language.pattern_tree import Occurs, walk
+from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
 from ..program.event_file_checker import nowhere
 from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
@@ -82,7 +82,7 @@ class SlotType(NamedTuple):
     @property
     def text(self) -> str:
         """A value of the type in words."""
-        return self.value_type.what
+        return self.value_type.description
 
 
 def _accepts_other_types(slot: Field) -> bool:
@@ -375,7 +375,7 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
                     )
                     yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
     for rule in program.rules:
-        events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, Occurs)]
+        events = [node.term for node in walk(rule.definition.pattern, True) if isinstance(node, EventPattern)]
         event_subterms = [Subterm(deref(term), wrap_term(term), 1, rule.place_of) for term in events]
         rule_subterm = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
         yield from _check_compared_numbers(

@@ -29,7 +29,7 @@ from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, Var, deref
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
-from ..language.pattern_tree import Shaped
+from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.partial_matches import NetworkOptions
 from ..network.stream_compiler import rate_node_spec
@@ -44,7 +44,7 @@ RateLimiterState = Tuple[Any, int, int]
 """State of the operator, number of late events, and number of dropped events."""
 
 
-def rate_terms(part: Shaped) -> Tuple[Term, ...]:
+def rate_terms(part: RatePattern) -> Tuple[Term, ...]:
     """Return the terms of a pattern that a rate operator uses."""
     return part.by if part.value is None else (part.value, *part.by)
 
@@ -75,7 +75,7 @@ class OutputRateLimiter:
     serial = 0
 
     def __init__(
-        self, part: Shaped, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, position: int
+        self, part: RatePattern, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, position: int
     ):
         self._spec = rate_node_spec(part, names)
         self.widths = (len(part.by), int(part.value is not None))
@@ -343,7 +343,7 @@ class Subscriptions:
         return send_limited
 
     def _create_rate_limiter(
-        self, rate_operator: Shaped, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
+        self, rate_operator: RatePattern, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
         rate = OutputRateLimiter(rate_operator, names, title, self._rules, self._warn, next(self._positions))

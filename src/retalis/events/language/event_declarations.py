@@ -103,34 +103,34 @@ class ValueType(NamedTuple):
 
     Attributes:
         term: the type as it is written.
-        what: a value of the type in words, with its article.
+        description: a value of the type in words, with its article.
         forms: forms of terms with this type, see `form_of`; ``stamp`` is the list [Sec,NSec] of a message.
         items: type of the items, for a list whose item type is declared.
-        of_message: name of the terms, for messages.
+        message_name: name of the terms, for messages.
     """
 
     term: Term
-    what: str
+    description: str
     forms: FrozenSet[str]
     items: "Optional[ValueType]" = None
-    of_message: str = ""
+    message_name: str = ""
 
     def excludes(self, other: "ValueType") -> bool:
         """Return whether no value has both types."""
         # Two messages of different types never unify, although both are compound terms.
-        if self.of_message and other.of_message:
-            return self.of_message != other.of_message
+        if self.message_name and other.message_name:
+            return self.message_name != other.message_name
         # ``nan`` and ``inf`` are atoms and numbers, so a shared form ``word`` alone does not make two types
         # compatible.
         return not (self.forms & other.forms) - _AMBIGUOUS_FORMS
 
-    def takes(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         """Return whether a bound value has the type, without checking the items of lists."""
         if form_of(value) not in self.forms:
             return False
-        if self.of_message:
+        if self.message_name:
             name: str = value[0].name if value.__class__ is tuple else value.name
-            return name == self.of_message
+            return name == self.message_name
         return self.term is not _TIME or _may_be_instant(value)
 
 
@@ -224,8 +224,8 @@ def _simple_value_type(term: Term) -> ValueType:
         return value_type
     if type_name(term.name) is not None:
         return ValueType(term, f"a message {term.name}", frozenset(("compound", "atom")), None, term.name)
-    near = get_close_matches(term.name, VALUE_TYPES, 1)
-    hint = f"; did you mean {near[0]}?" if near else ""
+    suggestion = get_close_matches(term.name, VALUE_TYPES, 1)
+    hint = f"; did you mean {suggestion[0]}?" if suggestion else ""
     raise UsageError(f"there is no kind {term.name}{hint or f': a kind is {_value_type_notations()}'}")
 
 
@@ -471,13 +471,12 @@ class Declarations:
 
     def _type_error(self, part: ValuePart, subject: str, declaration: Optional[Declaration]) -> str:
         """Return the error for a value that does not have its type, or ""."""
-        if part.value_type.takes(part.value):
+        if part.value_type.accepts(part.value):
             return ""
         prefix = "an item of " if part.is_item else ""
         declared_form = "" if declaration is None else f"; declared as {self._term_text(declaration.term)}"
-        return (
-            f"{prefix}{subject} is {part.value_type.what}, found {self._term_text(part.value)}{declared_form}"
-        )
+        found = self._term_text(part.value)
+        return f"{prefix}{subject} is {part.value_type.description}, found {found}{declared_form}"
 
     def refusal(self, term: Term) -> str:
         """Return the reason why an incoming event does not fit its declaration, or ""."""
@@ -517,8 +516,10 @@ class VariableTypes:
         if not self._reports_clashes or not known_type.excludes(value_type):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
-        known_text = f"{known_type.what} ({known_subject})"
-        return f"{name} is {known_text} and, here, {value_type.what} ({subject}): these are never equal"
+        known_text = f"{known_type.description} ({known_subject})"
+        return (
+            f"{name} is {known_text} and, here, {value_type.description} ({subject}): these are never equal"
+        )
 
 
 def head_event(parent: CompoundTerm, number: int) -> EventTerm:

@@ -67,11 +67,11 @@ class EventOperator(NamedTuple):
         either: whether the sides may arrive in either order; otherwise only the right side completes a pair (a late
             left side does under ``out_of_order``).
         alone: whether a single event could be both sides if nothing excluded it.
-        everything: whether a right side matches all left sides that fit, under every consumption policy.
-        wrong: explanation if no pair matches.
+        joins_all: whether a right side matches all left sides that fit, under every consumption policy.
+        no_match_text: explanation if no pair matches.
         between: for an absence, whether it may be between the two sides of a sequence.
         form: the notation, for operators in functional notation only.
-        confused_with: words that are no operators, but are often used in place of this one.
+        confused_words: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
         rows: rows of the table of patterns.
     """
@@ -93,11 +93,11 @@ class EventOperator(NamedTuple):
     end: str = "e1 if e1 >= e2 else e2"
     either: bool = True
     alone: bool = True
-    everything: bool = False
-    wrong: str = "no pair fits"
+    joins_all: bool = False
+    no_match_text: str = "no pair fits"
     between: bool = False
     form: str = ""
-    confused_with: Tuple[str, ...] = ()
+    confused_words: Tuple[str, ...] = ()
     advice: str = ""
     rows: Tuple[OperatorEntry, ...] = ()
 
@@ -215,7 +215,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1045,
         signs=("#",),
         comparisons=("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"),
-        wrong="no two of them overlap",
+        no_match_text="no two of them overlap",
         rows=(
             OperatorEntry(
                 "`P par Q`", "P and Q overlap by more than an instant", "from the first start to the last end"
@@ -264,8 +264,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         end="e2",
         either=False,
         alone=False,
-        wrong="none of the first ended before one of the second started",
-        confused_with=("before", "after", "then", "followed_by"),
+        no_match_text="none of the first ended before one of the second started",
+        confused_words=("before", "after", "then", "followed_by"),
         advice='to say that one event ends before another starts, write "seq", the earlier one first',
         rows=(OperatorEntry("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
     ),
@@ -280,8 +280,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         end="e2",
         either=False,
         alone=False,
-        everything=True,
-        wrong="none of the first ended before one of the second started",
+        joins_all=True,
+        no_match_text="none of the first ended before one of the second started",
         rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
     ),
     EventOperator(
@@ -291,7 +291,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         comparisons=("s1 == s2", "e1 == e2"),
         start="s1",
         end="e1",
-        wrong="no two of them have the same interval",
+        no_match_text="no two of them have the same interval",
         rows=(OperatorEntry("`P equals Q`", "P and Q have the same interval", "that interval"),),
     ),
     EventOperator(
@@ -301,7 +301,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         comparisons=("e1 == s2",),
         start="s1",
         end="e2",
-        wrong="none of the first ended when one of the second started",
+        no_match_text="none of the first ended when one of the second started",
         rows=(OperatorEntry("`P meets Q`", "Q starts when P ends: e1 = s2", "[s1,e2]"),),
     ),
     EventOperator(
@@ -311,7 +311,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         comparisons=("s2 <= s1", "e1 <= e2"),
         start="s2",
         end="e2",
-        wrong="none of the first lies within one of the second",
+        no_match_text="none of the first lies within one of the second",
         rows=(OperatorEntry("`P during Q`", "P lies within Q, ends included", "that of Q"),),
     ),
     EventOperator(
@@ -322,7 +322,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s2",
         end="e2",
         alone=False,
-        wrong="none of the first starts with one of the second and ends before it",
+        no_match_text="none of the first starts with one of the second and ends before it",
         rows=(OperatorEntry("`P starts Q`", "P and Q start together, and P ends first", "that of Q"),),
     ),
     EventOperator(
@@ -333,7 +333,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s2",
         end="e2",
         alone=False,
-        wrong="none of the first ends with one of the second and starts after it",
+        no_match_text="none of the first ends with one of the second and starts after it",
         rows=(OperatorEntry("`P finishes Q`", "P and Q end together, and P started later", "that of Q"),),
     ),
     EventOperator(
@@ -514,5 +514,5 @@ EVENT_SYNTAX.register(
         for operator in EVENT_OPERATORS
         if operator.kind in (OperatorKind.ALTERNATIVES, OperatorKind.PAIR)
     ],
-    advice={word: operator.advice for operator in EVENT_OPERATORS for word in operator.confused_with},
+    advice={word: operator.advice for operator in EVENT_OPERATORS for word in operator.confused_words},
 )

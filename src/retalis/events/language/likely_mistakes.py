@@ -147,7 +147,7 @@ def wrong_arity(term: Any) -> Optional[str]:
     return f"{_ORDINARY_EVENT}; {name} {form}"
 
 
-def near(word: str, candidates: Iterable[str]) -> str:
+def suggestion(word: str, candidates: Iterable[str]) -> str:
     """Return "; did you mean ...?" with the most similar word, or ""."""
     matches = get_close_matches(word, list(candidates), 1)
     return f"; did you mean {matches[0]}?" if matches else ""

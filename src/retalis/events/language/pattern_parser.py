@@ -32,19 +32,19 @@ from .pattern_tree import (
     MAX_COMPOSED_REPETITIONS,
     MAX_REPETITIONS,
     SEQ,
-    Absent,
-    Action,
-    Aggregate,
-    Awaited,
-    Condition,
-    Either,
-    Occurs,
-    Pair,
+    AbsencePattern,
+    ActionPattern,
+    AggregatePattern,
+    ConditionPattern,
+    EventPattern,
+    KleenePattern,
+    NotPattern,
+    OrPattern,
+    PairPattern,
     Pattern,
-    Repeated,
-    Star,
-    Windowed,
-    Within,
+    RepeatedPattern,
+    WindowPattern,
+    WithinPattern,
     bound_by,
     occurrences,
     substitute_variables,
@@ -77,10 +77,11 @@ class PatternReader:
 
     Attributes:
         place: the function ``place``.
-        inner: rules that are defined inside the pattern, ``(S <- Q)``.
+        nested_rules: rules that are defined inside the pattern, ``(S <- Q)``.
         goals: calls in the goals of the pattern.
         events: the awaited events.
-        untimed: calls of ``t1/1`` and ``t2/1`` that a goal requires, in goals for which no interval is defined.
+        interval_calls: calls of ``t1/1`` and ``t2/1`` that a goal requires, in goals for which no interval is
+            defined.
         aggregates: the aggregates, each with its term.
         windows: the aggregates over windows, each with its term.
         absences: the terms of absences between two events.
@@ -92,12 +93,12 @@ class PatternReader:
         self.place = place
         self._warn = warn
         self._anonymous = anonymous
-        self.inner: List[Term] = []
+        self.nested_rules: List[Term] = []
         self.goals: List[Subgoal] = []
         self.events: List[EventTerm] = []
-        self.untimed: List[Subgoal] = []
-        self.aggregates: List[Tuple[Aggregate, Term]] = []
-        self.windows: List[Tuple[Windowed, Term]] = []
+        self.interval_calls: List[Subgoal] = []
+        self.aggregates: List[Tuple[AggregatePattern, Term]] = []
+        self.windows: List[Tuple[WindowPattern, Term]] = []
         self.absences: List[CompoundTerm] = []
 
     def read(self, parent: CompoundTerm, number: int) -> Pattern:
@@ -111,7 +112,7 @@ class PatternReader:
             return self._event(parent, number)
         head = term[0]
         if head in ARROWS:
-            self.inner.append(term)
+            self.nested_rules.append(term)
             return self._event(term, 1)
         name = SPELLINGS.get(head)
         # Programs older than an operator may use its name for events; `is_event` tells the two apart by the
@@ -130,24 +131,24 @@ class PatternReader:
     def _pair(self, name: str, term: CompoundTerm) -> Pattern:
         if name == SEQ:
             return self._sequence(term)
-        return Pair(name, self.operand(term, 1, name), self.operand(term, 2, name))
+        return PairPattern(name, self.operand(term, 1, name), self.operand(term, 2, name))
 
     def _unknown_operator(self, name: str, term: CompoundTerm) -> Pattern:
         raise self.error(
             f"there is no operator {name}; use {_ABSENCE_OPERATORS} for the absence of an event", term
         )
 
-    def _time_limit(self, name: str, term: CompoundTerm) -> Within:
+    def _time_limit(self, name: str, term: CompoundTerm) -> WithinPattern:
         # The bound is exclusive in the language and inclusive in the network, hence one nanosecond less.
-        return Within(self.operand(term, 1, name), self.span(name, term) - 1)
+        return WithinPattern(self.operand(term, 1, name), self.span(name, term) - 1)
 
-    def _condition(self, name: str, term: CompoundTerm) -> Condition:
+    def _condition(self, name: str, term: CompoundTerm) -> ConditionPattern:
         pattern = self.operand(term, 1, name)
-        return Condition(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
+        return ConditionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
 
-    def _action(self, name: str, term: CompoundTerm) -> Action:
+    def _action(self, name: str, term: CompoundTerm) -> ActionPattern:
         pattern = self.operand(term, 1, name)
-        return Action(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
+        return ActionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         """Return the pattern of an operand; see `read`."""
@@ -156,7 +157,7 @@ class PatternReader:
             raise self.error(f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term)
         return self.read(parent, number)
 
-    def _event(self, parent: CompoundTerm, number: int) -> Occurs:
+    def _event(self, parent: CompoundTerm, number: int) -> EventPattern:
         term = deref(parent[number])
         if term.__class__ not in (tuple, Atom, Var):
             class_name = "a string" if term.__class__ is String else "a number"
@@ -166,7 +167,7 @@ class PatternReader:
         if warning is not None:
             self._warn(self.error(warning, *((parent, number) if term.__class__ is Atom else (term, 0))))
         self.events.append(EventTerm(term, parent, number))
-        return Occurs(term)
+        return EventPattern(term)
 
     def _sequence(self, term: CompoundTerm) -> Pattern:
         left, right = deref(term[1]), deref(term[2])
@@ -176,28 +177,28 @@ class PatternReader:
         if left_goal is not None and right_goal is not None:
             raise self.error("a sequence of two goals does not wait for any event", term)
         if right_goal is not None:
-            return Condition(self.read(term, 1), right_goal, False)
+            return ConditionPattern(self.read(term, 1), right_goal, False)
         if left_goal is not None:
-            return Condition(self.read(term, 2), left_goal, False)
+            return ConditionPattern(self.read(term, 2), left_goal, False)
         first = self.read(term, 1)
         if right.__class__ is tuple and right[0] in RUN_OPERATORS and not is_event(right):
             run = RUN_OPERATORS[right[0]]
             if run.kind is OperatorKind.AGGREGATE:
                 return self._aggregate(first, right, run)
             if run.kind is OperatorKind.DEADLINE:
-                return Awaited(first, self.operand(right, 1, run.name), self.span(run.name, right))
-            return Star(first, self.operand(right, 1, run.name))
+                return AbsencePattern(first, self.operand(right, 1, run.name), self.span(run.name, right))
+            return KleenePattern(first, self.operand(right, 1, run.name))
         if right.__class__ is tuple and right[0].name == _ABSENT:
             notation = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
             self._warn(self.error(f"this is an ordinary event; {notation}", right))
-        return Pair(SEQ, first, self.read(term, 2))
+        return PairPattern(SEQ, first, self.read(term, 2))
 
     def _goal_operand(self, term: Term) -> Optional[Term]:
         if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
             return self.goal(term, 1, term[0].name)
         return None
 
-    def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> Aggregate:
+    def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> AggregatePattern:
         function_term = deref(term[1])
         name = functor_name(function_term)
         arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
@@ -208,11 +209,11 @@ class PatternReader:
             )
         collected = self.operand(term, 2, operator.name)
         value = deref(function_term[1]) if function_term.__class__ is tuple else None
-        aggregate = Aggregate(first, name, value, collected, deref(term[3]))
+        aggregate = AggregatePattern(first, name, value, collected, deref(term[3]))
         self.aggregates.append((aggregate, term))
         return aggregate
 
-    def _alternatives(self, name: str, term: CompoundTerm) -> Either:
+    def _alternatives(self, name: str, term: CompoundTerm) -> OrPattern:
         branches: List[Pattern] = []
         # Nested alternatives become one node with many branches. An explicit stack, because programs can be generated
         # with thousands of them, more than the recursion limit of Python.
@@ -224,9 +225,9 @@ class PatternReader:
                 pending += [(branch, 2), (branch, 1)]
             else:
                 branches.append(self.operand(parent, number, name))
-        return Either(tuple(branches))
+        return OrPattern(tuple(branches))
 
-    def _window(self, name: str, term: CompoundTerm) -> Windowed:
+    def _window(self, name: str, term: CompoundTerm) -> WindowPattern:
         window = parse_window(self, term)
         self.windows.append((window, term))
         return window
@@ -235,7 +236,7 @@ class PatternReader:
         regrouped = regroup_rate_operator(term)
         return parse_rate_operator(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
 
-    def _absence(self, name: str, term: CompoundTerm) -> Absent:
+    def _absence(self, name: str, term: CompoundTerm) -> NotPattern:
         pattern = self.operand(term, 1, name)
         negated = self.operand(term, 2, name)
         is_between = EVENT_OPERATOR[name].between
@@ -249,7 +250,7 @@ class PatternReader:
             self._warn(self.error(message, term))
         if inside:
             self.absences.append(term)
-        return Absent(pattern, negated, inside)
+        return NotPattern(pattern, negated, inside)
 
     def _repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
@@ -268,13 +269,13 @@ class PatternReader:
         # The last repetition is kept apart: the node of the first ones then is an ordinary left operand, and a
         # ``cnot`` covers the gap before the last one.
         last = substitute_variables(pattern, renaming) if renaming else pattern
-        repeated = Repeated(pattern, times - 1, fresh_variables)
+        repeated = RepeatedPattern(pattern, times - 1, fresh_variables)
         if times > MAX_COMPOSED_REPETITIONS and not repeated.repeats_single_events():
             message = (
                 f"{name} takes at most {MAX_COMPOSED_REPETITIONS} repetitions of a pattern of several events"
             )
             raise self.error(message, term, 2)
-        return Pair(SEQ, pattern if times == 2 else repeated, last)
+        return PairPattern(SEQ, pattern if times == 2 else repeated, last)
 
     def span(self, name: str, term: CompoundTerm) -> int:
         """Return the second argument of a term, a number of seconds, in nanoseconds.
@@ -300,7 +301,7 @@ class PatternReader:
                 raise self.error(f"{operator} needs a goal", call.parent, call.number)
             self.goals.append(call)
         if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
-            self.untimed += required_interval_calls(parent, number)
+            self.interval_calls += required_interval_calls(parent, number)
         return deref(parent[number])
 
     def error(self, message: str, term: Term, number: int = 0) -> RuleError:
@@ -324,13 +325,13 @@ class PatternReader:
 
 def _is_sequence(pattern: Pattern) -> bool:
     """Return whether a pattern is a sequence, possibly inside conditions."""
-    while isinstance(pattern, (Condition, Within)):
+    while isinstance(pattern, (ConditionPattern, WithinPattern)):
         pattern = pattern.pattern
-    return isinstance(pattern, Pair) and pattern.operator == SEQ
+    return isinstance(pattern, PairPattern) and pattern.operator == SEQ
 
 
 def check_aggregate(
-    aggregate: Aggregate,
+    aggregate: AggregatePattern,
     term: Any,
     pattern: Any,
     names: Mapping[Var, str],
@@ -382,7 +383,7 @@ def check_aggregate(
 
 
 def check_window(
-    windowed: Windowed,
+    windowed: WindowPattern,
     term: Any,
     rule: Term,
     names: Mapping[Var, str],

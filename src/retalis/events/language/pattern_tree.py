@@ -1,8 +1,8 @@
 """Syntax tree of patterns, and functions on it.
 
 A rule is parsed into a `RuleDefinition` whose pattern is a tree of named tuples, one class per operator. The tree is
-immutable and independent of the network that is compiled from it; saved states contain it, so its classes and fields
-are part of the format of state files.
+immutable and independent of the network that is compiled from it. State files contain the text of rules, not the
+tree.
 """
 
 from types import MappingProxyType
@@ -13,29 +13,29 @@ from ...prolog.terms.term_traversal import rebuild, variables, variant_key
 from ...prolog.terms.types import Functor, Term, Var, functor
 
 Pattern = Union[
-    "Occurs",
-    "Pair",
-    "Repeated",
-    "Either",
-    "Absent",
-    "Star",
-    "Aggregate",
-    "Condition",
-    "Within",
-    "Action",
-    "Windowed",
-    "Shaped",
-    "Awaited",
+    "EventPattern",
+    "PairPattern",
+    "RepeatedPattern",
+    "OrPattern",
+    "NotPattern",
+    "KleenePattern",
+    "AggregatePattern",
+    "ConditionPattern",
+    "WithinPattern",
+    "ActionPattern",
+    "WindowPattern",
+    "RatePattern",
+    "AbsencePattern",
 ]
 
 
-class Occurs(NamedTuple):
+class EventPattern(NamedTuple):
     """Event that unifies with a term."""
 
     term: Term
 
 
-class Pair(NamedTuple):
+class PairPattern(NamedTuple):
     """Two patterns that are joined by an operator of `OPERATORS`."""
 
     operator: str
@@ -43,39 +43,42 @@ class Pair(NamedTuple):
     right: "Pattern"
 
 
-class Repeated(NamedTuple):
-    """Pattern that is repeated in sequence; the variables ``own`` are fresh in each repetition."""
+class RepeatedPattern(NamedTuple):
+    """Pattern that is repeated in sequence; the variables ``fresh_vars`` are fresh in each repetition."""
 
     pattern: "Pattern"
     times: int
-    own: Tuple[Var, ...]
+    fresh_vars: Tuple[Var, ...]
 
     def as_sequence(self) -> "Pattern":
         """Return the equivalent sequence of patterns."""
         result: Pattern = self.pattern
         for _ in range(self.times - 1):
             # Variables ``_`` are independent in each repetition; all others are shared and join the repetitions.
-            fresh = {var: Var() for var in self.own}
-            result = Pair(SEQ, result, substitute_variables(self.pattern, fresh) if fresh else self.pattern)
+            renaming = {var: Var() for var in self.fresh_vars}
+            repetition = substitute_variables(self.pattern, renaming) if renaming else self.pattern
+            result = PairPattern(SEQ, result, repetition)
         return result
 
     def repeats_single_events(self) -> bool:
         """Return whether each repetition is one event, and each event has at most one match."""
         nodes = walk(self.pattern)
-        if not all(isinstance(node, (Occurs, Either, Condition, Within)) for node in nodes):
+        if not all(
+            isinstance(node, (EventPattern, OrPattern, ConditionPattern, WithinPattern)) for node in nodes
+        ):
             return False
-        terms = [node.term for node in nodes if isinstance(node, Occurs)]
+        terms = [node.term for node in nodes if isinstance(node, EventPattern)]
         keys = {term[0] if term.__class__ is tuple else term for term in terms}
         return len(terms) == 1 or (len(keys) == len(terms) and not any(key.__class__ is Var for key in keys))
 
 
-class Either(NamedTuple):
+class OrPattern(NamedTuple):
     """Alternatives (``or``)."""
 
     branches: "Tuple[Pattern, ...]"
 
 
-class Absent(NamedTuple):
+class NotPattern(NamedTuple):
     """Pattern that matches if no match of another one lies inside a sequence (``inside``), or at any earlier time."""
 
     pattern: "Pattern"
@@ -83,14 +86,14 @@ class Absent(NamedTuple):
     inside: bool
 
 
-class Star(NamedTuple):
+class KleenePattern(NamedTuple):
     """Pattern that is followed by any number of repetitions of another one."""
 
     first: "Pattern"
     repeated: "Pattern"
 
 
-class Aggregate(NamedTuple):
+class AggregatePattern(NamedTuple):
     """Pattern that is followed by any number of repetitions of another one, which are aggregated into a result."""
 
     first: "Pattern"
@@ -100,7 +103,7 @@ class Aggregate(NamedTuple):
     result: Term
 
 
-class Condition(NamedTuple):
+class ConditionPattern(NamedTuple):
     """Pattern with a goal that must have a solution; if ``timed``, the goal can call ``t1/1`` and ``t2/1``."""
 
     pattern: "Pattern"
@@ -108,14 +111,14 @@ class Condition(NamedTuple):
     timed: bool
 
 
-class Within(NamedTuple):
+class WithinPattern(NamedTuple):
     """Pattern whose matches take ``span`` nanoseconds at most."""
 
     pattern: "Pattern"
     span: int
 
 
-class Action(NamedTuple):
+class ActionPattern(NamedTuple):
     """Pattern with a goal that is called once per match (``do``), or for all of its solutions (``every``)."""
 
     pattern: "Pattern"
@@ -123,24 +126,24 @@ class Action(NamedTuple):
     every: bool
 
 
-class StepForm(NamedTuple):
+class RowPatternStep(NamedTuple):
     """Step of a row pattern: a pattern variable of MATCH_RECOGNIZE with its quantifier and its condition.
 
     Attributes:
         name: the name.
-        least: minimum number of rows.
-        most: maximum number of rows; None for no limit.
+        min_count: minimum number of rows.
+        max_count: maximum number of rows; None for no limit.
         reluctant: whether the quantifier is reluctant, that is, prefers fewer rows.
-        later: whether rows that fit no step may be skipped before each row of this one.
+        skips_rows: whether rows that fit no step may be skipped before each row of this one.
         goal: the condition of a row, or None; it can navigate with ``prev/1``, ``first`` and ``last``.
         until: condition of a row that ends the step, or None.
     """
 
     name: str
-    least: int
-    most: Optional[int]
+    min_count: int
+    max_count: Optional[int]
     reluctant: bool
-    later: bool
+    skips_rows: bool
     goal: Optional[Term]
     until: Optional[Term]
 
@@ -150,28 +153,28 @@ class StepForm(NamedTuple):
         return [goal for goal in (self.goal, self.until) if goal is not None]
 
 
-class WindowForm(NamedTuple):
+class WindowSpec(NamedTuple):
     """Window: the matches that are aggregated together, and the times at which a result is emitted.
 
     Attributes:
-        kind: ``last`` for a sliding window of ``span`` ns, ``newest`` for a sliding window of ``most`` matches,
+        kind: ``last`` for a sliding window of ``span`` ns, ``newest`` for a sliding window of ``max_count`` matches,
             ``every`` for windows of ``span`` ns that start every ``step`` ns, ``first`` for windows that start with
-            a match, ``batch`` for tumbling windows of ``most`` matches, ``steps`` for row patterns.
+            a match, ``batch`` for tumbling windows of ``max_count`` matches, ``steps`` for row patterns.
         span: length in ns.
         step: for ``every``, ns from one start to the next one.
-        most: number of matches.
+        max_count: number of matches.
         running: whether each match emits a result, not only the end of a window.
         steps: the steps of a row pattern.
-        looked_at: the variables of the pattern that conditions of steps use.
+        navigated_vars: the variables of the pattern that conditions of steps use.
     """
 
     kind: str
     span: int = 0
     step: int = 0
-    most: int = 0
+    max_count: int = 0
     running: bool = False
-    steps: Tuple[StepForm, ...] = ()
-    looked_at: Tuple[Var, ...] = ()
+    steps: Tuple[RowPatternStep, ...] = ()
+    navigated_vars: Tuple[Var, ...] = ()
 
     @property
     def goals(self) -> List[Term]:
@@ -179,7 +182,7 @@ class WindowForm(NamedTuple):
         return [goal for step in self.steps for goal in step.goals]
 
 
-class Windowed(NamedTuple):
+class WindowPattern(NamedTuple):
     """Aggregation of the matches of a pattern that are in a window.
 
     Attributes:
@@ -187,8 +190,8 @@ class Windowed(NamedTuple):
         kinds: names of the measures.
         settings: setting of each measure: a term, a tuple of terms, or None.
         values: aggregated value of each measure; None for measures without a value.
-        results: term for the result of each measure; if ``listed``, one term for the list of all results.
-        listed: whether the results are unified as one list.
+        results: term for the result of each measure; if ``is_listed``, one term for the list of all results.
+        is_listed: whether the results are unified as one list.
         window: the window.
         scopes: for each measure the number of the step that it is restricted to, or None.
     """
@@ -198,12 +201,12 @@ class Windowed(NamedTuple):
     settings: Tuple[Any, ...]
     values: Tuple[Optional[Term], ...]
     results: Tuple[Term, ...]
-    listed: bool
-    window: WindowForm
+    is_listed: bool
+    window: WindowSpec
     scopes: Tuple[Optional[int], ...]
 
 
-class Shaped(NamedTuple):
+class RatePattern(NamedTuple):
     """Pattern whose matches pass a rate operator (throttle, burst, debounce, change), keyed by ``by``.
 
     Attributes:
@@ -221,7 +224,7 @@ class Shaped(NamedTuple):
     by: Tuple[Term, ...]
 
 
-class Awaited(NamedTuple):
+class AbsencePattern(NamedTuple):
     """Pattern that matches if no match of another one lies within ``span`` ns after it."""
 
     pattern: "Pattern"
@@ -230,19 +233,19 @@ class Awaited(NamedTuple):
 
 
 PATTERNS = (
-    Occurs,
-    Pair,
-    Repeated,
-    Either,
-    Absent,
-    Star,
-    Aggregate,
-    Condition,
-    Within,
-    Action,
-    Windowed,
-    Shaped,
-    Awaited,
+    EventPattern,
+    PairPattern,
+    RepeatedPattern,
+    OrPattern,
+    NotPattern,
+    KleenePattern,
+    AggregatePattern,
+    ConditionPattern,
+    WithinPattern,
+    ActionPattern,
+    WindowPattern,
+    RatePattern,
+    AbsencePattern,
 )
 """All classes of pattern nodes."""
 SEQ = "seq"
@@ -256,7 +259,7 @@ def substitute_variables(part: Pattern, renaming: Mapping[Var, Var]) -> Any:
     """Return a pattern in which some variables are replaced by others."""
 
     def rename(value: Any) -> Any:
-        if isinstance(value, (*PATTERNS, WindowForm, StepForm)):
+        if isinstance(value, (*PATTERNS, WindowSpec, RowPatternStep)):
             return value.__class__(*map(rename, value))
         # Terms are tuples that begin with a functor; any other tuple is a field with several patterns or variables.
         if value.__class__ is tuple and (not value or value[0].__class__ is not Functor):
@@ -287,15 +290,15 @@ def always_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = Fal
         conditions: whether variables that conditions bind are included.
         empty: whether matches of aggregates without any repetition are considered too.
     """
-    if isinstance(pattern, Either):
+    if isinstance(pattern, OrPattern):
         branches = [always_bound_by(branch, conditions, empty) for branch in pattern.branches]
         # A match has one branch only, so a variable is bound for certain only if all branches bind it.
         return set.intersection(*branches)
-    if isinstance(pattern, Star) or (empty and isinstance(pattern, Aggregate)):
+    if isinstance(pattern, KleenePattern) or (empty and isinstance(pattern, AggregatePattern)):
         # Zero repetitions are a match as well, and bind nothing.
         return always_bound_by(pattern.first, conditions, empty)
     # A condition binds variables when it is solved, which may be after the match was stored under its key.
-    counts = conditions or not isinstance(pattern, Condition)
+    counts = conditions or not isinstance(pattern, ConditionPattern)
     bound = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
     for child in children(pattern, False):
         bound |= always_bound_by(child, conditions, empty)
@@ -304,16 +307,16 @@ def always_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = Fal
 
 def own_terms(node: Pattern) -> List[Term]:
     """Return the terms of one node, without those of its children."""
-    if isinstance(node, Occurs):
+    if isinstance(node, EventPattern):
         return [node.term]
-    if isinstance(node, (Condition, Action)):
+    if isinstance(node, (ConditionPattern, ActionPattern)):
         return [node.goal]
-    if isinstance(node, Aggregate):
+    if isinstance(node, AggregatePattern):
         return [node.result] if node.value is None else [node.value, node.result]
-    if isinstance(node, Windowed):
+    if isinstance(node, WindowPattern):
         measured = [value for value in node.values if value is not None]
-        return [*measured, *node.window.looked_at, *node.results]
-    if isinstance(node, Shaped):
+        return [*measured, *node.window.navigated_vars, *node.results]
+    if isinstance(node, RatePattern):
         return [*node.by] if node.value is None else [node.value, *node.by]
     return []
 
@@ -332,19 +335,19 @@ def walk(pattern: Pattern, negated: bool = False) -> List[Pattern]:
 
 def children(node: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
     """Return the children of a node, from left to right."""
-    if isinstance(node, Pair):
+    if isinstance(node, PairPattern):
         return (node.left, node.right)
-    if isinstance(node, Either):
+    if isinstance(node, OrPattern):
         return node.branches
-    if isinstance(node, (Absent, Awaited)):
+    if isinstance(node, (NotPattern, AbsencePattern)):
         return (node.pattern, node.negated) if negated else (node.pattern,)
-    if isinstance(node, Star):
+    if isinstance(node, KleenePattern):
         return (node.first, node.repeated)
-    if isinstance(node, Aggregate):
+    if isinstance(node, AggregatePattern):
         return (node.first, node.collected)
-    if isinstance(node, Windowed):
+    if isinstance(node, WindowPattern):
         return (node.collected,)
-    if isinstance(node, (Repeated, Condition, Within, Action, Shaped)):
+    if isinstance(node, (RepeatedPattern, ConditionPattern, WithinPattern, ActionPattern, RatePattern)):
         return (node.pattern,)
     return ()
 
@@ -363,7 +366,7 @@ def _as_term(pattern: Pattern) -> Term:
 
 
 def _conditions_of_steps(node: Pattern) -> List[Term]:
-    steps = node.window.steps if isinstance(node, Windowed) else ()
+    steps = node.window.steps if isinstance(node, WindowPattern) else ()
     # A placeholder keeps the positions of the conditions distinct: a ``where`` is no ``until``.
     none = functor("none", 1)(0)
     return [none if goal is None else goal for step in steps for goal in (step.goal, step.until)]
@@ -371,38 +374,38 @@ def _conditions_of_steps(node: Pattern) -> List[Term]:
 
 def _discriminator(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
     """Return a name and numbers that distinguish a node from others with the same terms."""
-    if isinstance(node, Pair):
+    if isinstance(node, PairPattern):
         return node.operator, ()
-    if isinstance(node, Aggregate):
+    if isinstance(node, AggregatePattern):
         return node.kind, ()
-    if isinstance(node, Shaped):
+    if isinstance(node, RatePattern):
         return node.shape, (node.span,)
-    if isinstance(node, Windowed):
+    if isinstance(node, WindowPattern):
         settings = " ".join(map(repr, node.settings))
         name = f"{node.window.kind} {' '.join(node.kinds)} {settings}"
         # Only the plain fields of steps: their conditions are terms, and compared as such.
         name += "".join(map(repr, (*(step[:5] for step in node.window.steps), *node.scopes)))
-        return name, (*node.window[1:4], int(node.window.running), int(node.listed))
+        return name, (*node.window[1:4], int(node.window.running), int(node.is_listed))
     return type(node).__name__, _numbers(node)
 
 
 def _numbers(node: Pattern) -> Tuple[int, ...]:
-    if isinstance(node, Repeated):
+    if isinstance(node, RepeatedPattern):
         return (node.times,)
-    if isinstance(node, Either):
+    if isinstance(node, OrPattern):
         return (len(node.branches),)
-    if isinstance(node, Absent):
+    if isinstance(node, NotPattern):
         return (int(node.inside),)
-    if isinstance(node, (Within, Awaited)):
+    if isinstance(node, (WithinPattern, AbsencePattern)):
         return (node.span,)
-    if isinstance(node, Condition):
+    if isinstance(node, ConditionPattern):
         return (int(node.timed),)
-    return (int(node.every),) if isinstance(node, Action) else ()
+    return (int(node.every),) if isinstance(node, ActionPattern) else ()
 
 
 def _variable_occurrences(term: Term) -> List[Var]:
     """Return all occurrences of variables in a term."""
-    found_variables: List[Var] = []
+    all_occurrences: List[Var] = []
     stack = [term]
     while stack:
         item = stack.pop()
@@ -411,10 +414,10 @@ def _variable_occurrences(term: Term) -> List[Var]:
         elif item.__class__ is Var:
             # Bound variables are followed, so that two variables that were unified count as one.
             if item.ref is None:
-                found_variables.append(item)
+                all_occurrences.append(item)
             else:
                 stack.append(item.ref)
-    return found_variables
+    return all_occurrences
 
 
 def occurrences(terms: List[Term], pattern: Optional[Pattern]) -> Dict[Var, int]:
@@ -455,7 +458,7 @@ class RuleDefinition(NamedTuple):
     def unused(self) -> FrozenSet[Var]:
         """Variables with one occurrence, if each position in the rule is matched once."""
         if any(
-            isinstance(node, (Repeated, Star, Aggregate, Windowed))
+            isinstance(node, (RepeatedPattern, KleenePattern, AggregatePattern, WindowPattern))
             for node in walk(self.pattern, negated=True)
         ):
             return frozenset()

@@ -15,7 +15,7 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Term, Var, atom, deref, functor
-from .pattern_tree import StepForm
+from .pattern_tree import RowPatternStep
 
 if TYPE_CHECKING:
     from .pattern_parser import PatternReader
@@ -61,7 +61,7 @@ class StepCondition(NamedTuple):
 
 def parse_row_pattern(
     reader: "PatternReader", form: CompoundTerm, pattern_variables: Set[Var]
-) -> Tuple[Tuple[StepForm, ...], Tuple[Var, ...]]:
+) -> Tuple[Tuple[RowPatternStep, ...], Tuple[Var, ...]]:
     """Return the steps of a row pattern, and the variables of the pattern that their conditions use.
 
     Args:
@@ -82,10 +82,10 @@ def parse_row_pattern(
         if names.count(name) > 1:
             raise reader.error(f"two steps are called {name}", form, 1)
     # A match without any row would hold at every instant.
-    if not any(step.least for step in steps):
+    if not any(step.min_count for step in steps):
         raise reader.error("at least one step must have a minimum above 0", form, 1)
     _require_ends(reader, steps, form)
-    looked_at: List[Var] = []
+    navigated_vars: List[Var] = []
     for number, step in enumerate(steps):
         for goal in step.goals:
             parts = conditions(goal, names, number, pattern_variables)
@@ -96,11 +96,11 @@ def parse_row_pattern(
                 *variables(goal),
                 *(navigations.var for part in parts for navigations in part.navigations),
             ]
-            looked_at += [var for var in mentioned if var in pattern_variables]
-    return tuple(steps), tuple(dict.fromkeys(looked_at))
+            navigated_vars += [var for var in mentioned if var in pattern_variables]
+    return tuple(steps), tuple(dict.fromkeys(navigated_vars))
 
 
-def _parse_step(reader: "PatternReader", term: Any, form: CompoundTerm) -> StepForm:
+def _parse_step(reader: "PatternReader", term: Any, form: CompoundTerm) -> RowPatternStep:
     """Return the step that a term denotes."""
     unwrapped, later = term, False
     goal: Optional[Term] = None
@@ -113,7 +113,7 @@ def _parse_step(reader: "PatternReader", term: Any, form: CompoundTerm) -> StepF
             break
         unwrapped = deref(unwrapped[1])
     if unwrapped.__class__ is Atom:
-        return StepForm(unwrapped.name, 1, 1, False, later, goal, None)
+        return RowPatternStep(unwrapped.name, 1, 1, False, later, goal, None)
     if unwrapped.__class__ is not tuple or unwrapped[0] in (_WHERE, _UNTIL):
         raise reader.error(f"a step is {_STEP_NOTATION}; and Step where Goal, later(Step)", form, 1)
     return _quantified_step(reader, unwrapped, later, goal)
@@ -121,7 +121,7 @@ def _parse_step(reader: "PatternReader", term: Any, form: CompoundTerm) -> StepF
 
 def _quantified_step(
     reader: "PatternReader", term: CompoundTerm, later: bool, goal: Optional[Term]
-) -> StepForm:
+) -> RowPatternStep:
     """Return the step that a term with a quantifier denotes."""
     arguments: List[Any] = [deref(argument) for argument in term[1:]]
     reluctant, until = False, None
@@ -140,7 +140,7 @@ def _quantified_step(
         raise reader.error(
             f"a step is {_STEP_NOTATION}, where N is not larger than M, and M at least 1", term
         )
-    return StepForm(term[0].name, minimum, maximum, reluctant, later, goal, until)
+    return RowPatternStep(term[0].name, minimum, maximum, reluctant, later, goal, until)
 
 
 def _are_counts(minimum: Any, maximum: Any) -> bool:
@@ -149,20 +149,20 @@ def _are_counts(minimum: Any, maximum: Any) -> bool:
     return maximum is None or (maximum.__class__ is int and 1 <= maximum >= minimum)
 
 
-def _require_ends(reader: "PatternReader", steps: Sequence[StepForm], form: CompoundTerm) -> None:
+def _require_ends(reader: "PatternReader", steps: Sequence[RowPatternStep], form: CompoundTerm) -> None:
     """Reject a step without an end, which would never complete a match."""
     for number, step in enumerate(steps):
         if step.reluctant or step.until is not None:
             continue
         missing = ""
-        if step.most is None and step.goal is None:
-            missing = "a condition, a largest number" if not step.later else "a largest number"
+        if step.max_count is None and step.goal is None:
+            missing = "a condition, a largest number" if not step.skips_rows else "a largest number"
         elif (
-            step.later
-            and step.most != step.least
-            and not any(later_step.least for later_step in steps[number + 1 :])
+            step.skips_rows
+            and step.max_count != step.min_count
+            and not any(later_step.min_count for later_step in steps[number + 1 :])
         ):
-            # With ``later``, an optional further row could still arrive at any time, so the match would never be
+            # With ``skips_rows``, an optional further row could still arrive at any time, so the match would never be
             # final.
             # Else it would wait for more, which may never come.
             missing = "a single number"
@@ -249,16 +249,16 @@ def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Op
     return RowNavigation(kind, names.index(name.name) if name.name in names else -1, var, Var())
 
 
-def steps_term(steps: Sequence[StepForm]) -> Term:
+def steps_term(steps: Sequence[RowPatternStep]) -> Term:
     """Return the term of a row pattern."""
     return _STEPS(make_list([step_term(step) for step in steps]))
 
 
-def step_term(step: StepForm) -> Term:
+def step_term(step: RowPatternStep) -> Term:
     """Return the term of a step."""
-    arguments: List[Term] = [] if step.least == step.most == 1 else [step.least]
-    if step.most != step.least:
-        arguments.append(atom(_GREEDY) if step.most is None else step.most)
+    arguments: List[Term] = [] if step.min_count == step.max_count == 1 else [step.min_count]
+    if step.max_count != step.min_count:
+        arguments.append(atom(_GREEDY) if step.max_count is None else step.max_count)
     ending: Optional[Term] = atom(_RELUCTANT) if step.reluctant else None
     if step.until is not None:
         ending = _UNTIL(step.until)
@@ -267,4 +267,4 @@ def step_term(step: StepForm) -> Term:
     term: Term = functor(step.name, len(arguments))(*arguments) if arguments else atom(step.name)
     if step.goal is not None:
         term = _WHERE(term, step.goal)
-    return _LATER(term) if step.later else term
+    return _LATER(term) if step.skips_rows else term

@@ -20,7 +20,7 @@ from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, from_any, from_
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .called_predicates import calls
 from .event_operators import ARROWS, SPELLINGS
-from .likely_mistakes import head_error, head_warning, near
+from .likely_mistakes import head_error, head_warning, suggestion
 from .pattern_parser import PlaceLookup
 
 RULE = functor("rule:", 2)
@@ -64,14 +64,15 @@ class Property(NamedTuple):
         """Error in the property, or None."""
         if not self.known:
             names = ", ".join(KNOWN_PROPERTIES)
-            return f"there is no property {self.name}; the properties are {names}{near(self.name, KNOWN_PROPERTIES)}"
+            hint = suggestion(self.name, KNOWN_PROPERTIES)
+            return f"there is no property {self.name}; the properties are {names}{hint}"
         words = WORD_PROPERTIES.get(self.name)
         if words is not None:
             value = self.value.name if isinstance(self.value, Atom) else ""
             return (
                 None
                 if value in words
-                else f"property {self.name} is {_alternatives_text(words)}{near(value, words)}"
+                else f"property {self.name} is {_alternatives_text(words)}{suggestion(value, words)}"
             )
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds, 0 or more"

@@ -18,8 +18,8 @@ from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
 from ..streams.aggregates import AGGREGATES
 from .event_operators import SPELLINGS
-from .likely_mistakes import bracket_advice, near
-from .pattern_tree import Occurs, Pattern, Shaped, Windowed, WindowForm, bound_by
+from .likely_mistakes import bracket_advice, suggestion
+from .pattern_tree import EventPattern, Pattern, RatePattern, WindowPattern, WindowSpec, bound_by
 from .row_pattern_parser import parse_row_pattern, steps_term
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
     return regrouped
 
 
-def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> Shaped:
+def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> RatePattern:
     """Return the pattern ``P with S``.
 
     Raises:
@@ -125,7 +125,9 @@ def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> Shaped:
     if name not in RATE_OPERATORS or len(operator) not in (2, 3):
         notations = "; ".join(part.form for part in RATE_OPERATORS.values())
         error_position = (operator,) if operator.__class__ is tuple else (term, 2)
-        raise reader.error(f"with needs one of {notations}{near(name, RATE_OPERATORS)}", *error_position)
+        raise reader.error(
+            f"with needs one of {notations}{suggestion(name, RATE_OPERATORS)}", *error_position
+        )
     span, value = 0, None
     if RATE_OPERATORS[name].timed:
         span = _parse_seconds(reader, name, operator, 1)
@@ -140,10 +142,10 @@ def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> Shaped:
     for number, used in ((1, value), *((2, part) for part in keys)):
         if used is not None and any(var not in pattern_variables for var in variables(used)):
             raise reader.error(f"{name} uses a variable that no event of its pattern binds", operator, number)
-    return Shaped(pattern, name, span, value, keys)
+    return RatePattern(pattern, name, span, value, keys)
 
 
-def parse_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
+def parse_window(reader: "PatternReader", term: CompoundTerm) -> WindowPattern:
     """Return the pattern ``aggregate(K, Q, R, W)``.
 
     Raises:
@@ -176,11 +178,11 @@ def parse_window(reader: "PatternReader", term: CompoundTerm) -> Windowed:
     window = _parse_window_term(reader, deref(term[4]), term, pattern_variables)
     scopes = _step_numbers(reader, [step for step, _ in restricted_measures], window, term)
     # The rate is computed between the first and the last event of a window.
-    if "rate" in [name for name, _, _ in measures] and window.kind == "batch" and window.most == 1:
+    if "rate" in [name for name, _, _ in measures] and window.kind == "batch" and window.max_count == 1:
         raise reader.error("rate needs a window of at least two events", term, 4)
     names, settings, values = zip(*measures)
     is_listed = function_list is not None and result_terms is None
-    return Windowed(collected, names, settings, values, results, is_listed, window, scopes)
+    return WindowPattern(collected, names, settings, values, results, is_listed, window, scopes)
 
 
 def _split_step_restriction(measure: Any) -> Tuple[Any, Any]:
@@ -191,7 +193,7 @@ def _split_step_restriction(measure: Any) -> Tuple[Any, Any]:
 
 
 def _step_numbers(
-    reader: "PatternReader", steps: Sequence[Any], window: WindowForm, term: CompoundTerm
+    reader: "PatternReader", steps: Sequence[Any], window: WindowSpec, term: CompoundTerm
 ) -> Tuple[Optional[int], ...]:
     """Return for each measure the number of the step that it is restricted to, or None."""
     names = [atom(window_step.name) for window_step in window.steps]
@@ -214,7 +216,7 @@ def _parse_measure(
     if measure is None or len(arguments) != measure.arity:
         notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
         raise reader.error(
-            f"there is no such aggregate; the aggregates are {notations}{near(name, AGGREGATES)}",
+            f"there is no such aggregate; the aggregates are {notations}{suggestion(name, AGGREGATES)}",
             *error_position,
         )
     settings = [deref(argument) for argument in arguments[: measure.setting_count]]
@@ -232,12 +234,12 @@ def _parse_measure(
 
 def _parse_window_term(
     reader: "PatternReader", window: Any, term: CompoundTerm, pattern_variables: Set[Var]
-) -> WindowForm:
+) -> WindowSpec:
     """Return the window that a term denotes; ``pattern_variables`` are the variables that the pattern binds."""
     name = window[0].name if window.__class__ is tuple else ""
     if name == "steps" and len(window) == 2:
-        steps, looked_at = parse_row_pattern(reader, window, pattern_variables)
-        return WindowForm("steps", steps=steps, looked_at=looked_at)
+        steps, navigated_vars = parse_row_pattern(reader, window, pattern_variables)
+        return WindowSpec("steps", steps=steps, navigated_vars=navigated_vars)
     if name == "running" and len(window) == 2:
         tumbling = _parse_window_term(reader, deref(window[1]), term, pattern_variables)
         # Sliding windows and row patterns emit at each match in any case, and hopping windows overlap.
@@ -254,13 +256,13 @@ def _parse_window_term(
         size = deref(window[1])
         if size.__class__ is not int or not 1 <= size <= MAX_WINDOW_ITEMS:
             raise reader.error(f"{name} needs a number of events from 1 to {MAX_WINDOW_ITEMS}", window, 1)
-        return WindowForm("newest" if name == "last" else "batch", most=size)
+        return WindowSpec("newest" if name == "last" else "batch", max_count=size)
     elif len(window) == 2:
         span = _parse_seconds(reader, name, window, 1)
-        return WindowForm(name, span, span) if name == "last" else _hopping_window(reader, window, span, span)
+        return WindowSpec(name, span, span) if name == "last" else _hopping_window(reader, window, span, span)
     elif name == "every" and option == "first":
         span = _parse_seconds(reader, name, window, 1)
-        return WindowForm("first", span, span)
+        return WindowSpec("first", span, span)
     elif name == "last" and second.__class__ is tuple and second[0].name == "every" and len(second) == 2:
         return _hopping_window(
             reader,
@@ -273,13 +275,13 @@ def _parse_window_term(
     )
 
 
-def _hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowForm:
+def _hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowSpec:
     """Return windows that the clock closes, at regular times."""
     # One event that arrives late can close all windows that it is too new for, so their number must be bounded.
     if step < MIN_STEP_NANOSECONDS or span > MAX_WINDOWS * step:
         message = f"every needs 0.001 seconds at least, and last no more than {MAX_WINDOWS} times those of its every"
         raise reader.error(message, window)
-    return WindowForm("every", span, step)
+    return WindowSpec("every", span, step)
 
 
 def _parse_seconds(reader: OperandReader, name: str, term: CompoundTerm, number: int) -> int:
@@ -296,7 +298,7 @@ def _parse_seconds(reader: OperandReader, name: str, term: CompoundTerm, number:
     return from_seconds(seconds)
 
 
-def rate_operator_term(shaped: Shaped) -> Term:
+def rate_operator_term(shaped: RatePattern) -> Term:
     """Return the term of a rate operator."""
     first = timestamps.to_seconds(shaped.span) if shaped.value is None else shaped.value
     if not shaped.by:
@@ -305,7 +307,7 @@ def rate_operator_term(shaped: Shaped) -> Term:
     return functor(shaped.shape, 2)(first, keys)
 
 
-def window_term(window: WindowForm) -> Term:
+def window_term(window: WindowSpec) -> Term:
     """Return the term of a window."""
     if window.kind == "steps":
         return steps_term(window.steps)
@@ -314,9 +316,9 @@ def window_term(window: WindowForm) -> Term:
     if window.kind == "last":
         return functor("last", 1)(span)
     if window.kind == "newest":
-        return functor("last", 2)(window.most, atom("events"))
+        return functor("last", 2)(window.max_count, atom("events"))
     if window.kind == "batch":
-        term = every_with_option(window.most, atom("events"))
+        term = every_with_option(window.max_count, atom("events"))
     elif window.kind == "first":
         term = every_with_option(span, atom("first"))
     elif window.span == window.step:
@@ -336,7 +338,7 @@ def subscription_event(term: Term) -> Term:
     return deref(pattern[1]) if _operator_name(pattern) == "with" else pattern
 
 
-def subscription_rate_operator(term: Term) -> Optional[Shaped]:
+def subscription_rate_operator(term: Term) -> Optional[RatePattern]:
     """Return the rate operator of a subscription, or None.
 
     Raises:
@@ -370,7 +372,7 @@ class _SingleEvent:
         event = deref(parent[number])
         if event.__class__ not in (tuple, Atom, Var) or _operator_name(event):
             raise self.error(_SINGLE_EVENT_ERROR, event)
-        return Occurs(event)
+        return EventPattern(event)
 
     def span(self, name: str, term: CompoundTerm) -> int:
         # Only patterns of several events have a duration.

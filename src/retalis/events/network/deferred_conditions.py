@@ -31,15 +31,15 @@ from typing import (
 from ...prolog.terms.term_traversal import positions, variables
 from ...prolog.terms.types import Term, Values, Var, deref, functor
 from ..language.pattern_tree import (
-    Absent,
-    Aggregate,
-    Awaited,
-    Condition,
+    AbsencePattern,
+    AggregatePattern,
+    ConditionPattern,
+    KleenePattern,
+    NotPattern,
     Pattern,
-    Shaped,
-    Star,
-    Windowed,
-    Within,
+    RatePattern,
+    WindowPattern,
+    WithinPattern,
     occurrences,
     walk,
 )
@@ -367,7 +367,7 @@ def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], 
 
 
 VarSet = FrozenSet[Var]
-TestedCondition = Union[Condition, DeferredConditions]
+TestedCondition = Union[ConditionPattern, DeferredConditions]
 
 
 class Wrapping(NamedTuple):
@@ -375,17 +375,17 @@ class Wrapping(NamedTuple):
 
     core: Pattern
     span: Optional[int]
-    conditions: List[Condition]
-    absent: Optional[Absent]
+    conditions: List[ConditionPattern]
+    absent: Optional[NotPattern]
 
 
 def may_be_revived(pattern: Pattern) -> bool:
     """Return whether retracting an event can create a match of a pattern, instead of only removing some."""
-    operators = (Absent, Star, Aggregate, Windowed, Shaped, Awaited)
+    operators = (NotPattern, KleenePattern, AggregatePattern, WindowPattern, RatePattern, AbsencePattern)
     return any(isinstance(part, operators) for part in walk(pattern))
 
 
-def goal_variables(conditions: List[Condition]) -> VarSet:
+def goal_variables(conditions: List[ConditionPattern]) -> VarSet:
     """Return the variables of conditions."""
     return frozenset(var for condition in conditions for var in variables(condition.goal))
 
@@ -440,14 +440,14 @@ def may_share_event(left: BuiltPattern, right: BuiltPattern) -> bool:
 def unwrap(pattern: Pattern) -> Wrapping:
     """Return the operator below the conditions of a pattern, together with these conditions."""
     span: Optional[int] = None
-    conditions: List[Condition] = []
-    absent: Optional[Absent] = None
+    conditions: List[ConditionPattern] = []
+    absent: Optional[NotPattern] = None
     while True:
-        if isinstance(pattern, Condition):
+        if isinstance(pattern, ConditionPattern):
             conditions.append(pattern)
-        elif isinstance(pattern, Within):
+        elif isinstance(pattern, WithinPattern):
             span = pattern.span if span is None else min(span, pattern.span)
-        elif isinstance(pattern, Absent) and pattern.inside:
+        elif isinstance(pattern, NotPattern) and pattern.inside:
             absent = pattern
         else:
             return Wrapping(pattern, span, conditions[::-1], absent)

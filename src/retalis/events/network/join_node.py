@@ -183,7 +183,7 @@ class JoinNode(NetworkNode):
             if absence.uses_frontiers() and not absence.shared:
                 self.left_buffer.min_end_for = absence.min_first_end
         left_name, right_name = self._names if mode.policy.replacing else (None, None)
-        self.left_buffer.set_identity_function(None if operator.everything else left_name)
+        self.left_buffer.set_identity_function(None if operator.joins_all else left_name)
         self.right_buffer.set_identity_function(None if self._keeps(mode) else right_name)
         left_action = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
         for negated, absence in zip(self.negated, self.absences):
@@ -235,8 +235,8 @@ class JoinNode(NetworkNode):
         only_waits = store_only(left), self._fuse(left, False, out, mode)
         if self._keeps(mode):
             tracker = self.rule.network.tracker
-            only_waits = join_revived_first(tracker, left, policy.consuming, operator.everything, out), None
-        if operator.everything:
+            only_waits = join_revived_first(tracker, left, policy.consuming, operator.joins_all, out), None
+        if operator.joins_all:
             self.right.bind(join_all_at_once(right, True, out), mode)
             if not late:
                 return only_waits
@@ -294,8 +294,8 @@ class JoinNode(NetworkNode):
     def _may_fuse(self, mode: NetworkOptions) -> bool:
         """Return whether nothing inspects the events of the matches, so that no match object is needed."""
         rule = self.rule
-        looked_at = mode.tracked or mode.revised or rule.shares_events or rule.skipping is not None
-        return not looked_at and not rule.collects
+        is_inspected = mode.tracked or mode.revised or rule.shares_events or rule.skipping is not None
+        return not is_inspected and not rule.collects
 
     def _fuse_absence(
         self, negated: NetworkNode, absence: NegationBuffer, mode: NetworkOptions
@@ -403,7 +403,7 @@ class JoinNode(NetworkNode):
         result = self.joined(left, right)
         if result is None:
             return after
-        if mode.policy.consuming or self.operator.everything:
+        if mode.policy.consuming or self.operator.joins_all:
             left.leave()
             right.consumed_by = left
             if self.operator.either:

@@ -36,7 +36,15 @@ from ...prolog.terms.term_traversal import positions, term_key, variables
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
 from ..dispatch.discrimination_tree import matches_all_events
 from ..fused.fused_single_event import Continuation
-from ..language.pattern_tree import Aggregate, Either, Pattern, Star, Windowed, children, own_terms
+from ..language.pattern_tree import (
+    AggregatePattern,
+    KleenePattern,
+    OrPattern,
+    Pattern,
+    WindowPattern,
+    children,
+    own_terms,
+)
 from ..matches.consumption_policy import Emit
 from ..matches.negation import NegationBuffer, RuledOutSweep
 from ..matches.partial_matches import (
@@ -85,12 +93,12 @@ class MatchKeys:
 
     def _find_vars_bound_by_events(self, pattern: Pattern) -> FrozenSet[Var]:
         # There may be no repetition, so only the start is certain.
-        if isinstance(pattern, (Star, Aggregate)):
+        if isinstance(pattern, (KleenePattern, AggregatePattern)):
             return self._vars_bound_by_events(pattern.first)
-        if isinstance(pattern, Windowed):
+        if isinstance(pattern, WindowPattern):
             return frozenset()
         below = [self._vars_bound_by_events(child) for child in children(pattern, False)]
-        if isinstance(pattern, Either):
+        if isinstance(pattern, OrPattern):
             return frozenset.intersection(*below)
         if not below:
             return frozenset(var for term in own_terms(pattern) for var in variables(term))

@@ -23,19 +23,19 @@ from ...prolog.terms.types import NIL, Term, Var
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.event_operators import OPERATORS
 from ..language.pattern_tree import (
-    Absent,
-    Action,
-    Aggregate,
-    Awaited,
-    Condition,
-    Either,
-    Occurs,
-    Pair,
+    AbsencePattern,
+    ActionPattern,
+    AggregatePattern,
+    ConditionPattern,
+    EventPattern,
+    KleenePattern,
+    NotPattern,
+    OrPattern,
+    PairPattern,
     Pattern,
-    Repeated,
-    Shaped,
-    Star,
-    Windowed,
+    RatePattern,
+    RepeatedPattern,
+    WindowPattern,
     always_bound_by,
     bound_by,
     occurrences,
@@ -141,14 +141,14 @@ class RuleCompiler(StreamCompiler):
             context: variables of the patterns to its left.
             limit: smallest interval bounds above it; None for none.
         """
-        pairs: List[Tuple[Pair, Wrapping, Retention]] = []
+        pairs: List[Tuple[PairPattern, Wrapping, Retention]] = []
         first_left_stream = len(self.stream_nodes)
         while True:
             wrapping = unwrap(pattern)
             span = wrapping.span
             limit = inner = limit.within(span)
             core = wrapping.core
-            if not isinstance(core, Pair):
+            if not isinstance(core, PairPattern):
                 break
             pairs.append((core, wrapping, inner))
             pattern = core.left
@@ -163,14 +163,14 @@ class RuleCompiler(StreamCompiler):
         self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Retention
     ) -> BuiltPattern:
         """Build a pattern that is not a pair."""
-        if isinstance(core, (Star, Aggregate)):
+        if isinstance(core, (KleenePattern, AggregatePattern)):
             return self._build_kleene(core, wrapping, context, inner)
-        if isinstance(core, Repeated):
+        if isinstance(core, RepeatedPattern):
             return self._build_repeat(core, context, inner)
-        if isinstance(core, Occurs):
+        if isinstance(core, EventPattern):
             leaf = self._add(EventNode(self.rule, core.term), None, UNLIMITED)
             built = BuiltPattern(leaf, [], [], [leaf])
-        elif isinstance(core, Either):
+        elif isinstance(core, OrPattern):
             branches = [self._build(branch, context, inner) for branch in core.branches]
             node: NetworkNode = OrNode([branch.node for branch in branches], self.keep)
             deferred = [condition for branch in branches for condition in branch.deferred]
@@ -178,12 +178,12 @@ class RuleCompiler(StreamCompiler):
             single = [leaf for branch in branches for leaf in branch.single]
             in_order = [leaf for branch in branches for leaf in branch.leaves]
             built = BuiltPattern(self._add(node, None, inner), deferred, joined, single, in_order)
-        elif isinstance(core, Absent):
+        elif isinstance(core, NotPattern):
             built = self._build_not(core, context, inner)
-        elif isinstance(core, (Windowed, Shaped, Awaited)):
+        elif isinstance(core, (WindowPattern, RatePattern, AbsencePattern)):
             built = self._build_stream(core, context, inner.part)
         else:
-            assert isinstance(core, Action)
+            assert isinstance(core, ActionPattern)
             below = self._build(core.pattern, context, inner)
             node = ActionNode(
                 below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.keep
@@ -191,7 +191,7 @@ class RuleCompiler(StreamCompiler):
             built = below._replace(node=self._add(node, None, inner))
         return self._add_filter(built, wrapping, context)
 
-    def _build_repeat(self, core: Repeated, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build_repeat(self, core: RepeatedPattern, context: VarSet, limit: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
         if core.repeats_single_events():
             # If the pattern has deferred conditions, the nodes built so far are discarded, and the sequence is
@@ -210,7 +210,7 @@ class RuleCompiler(StreamCompiler):
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
         bound = self._bound_by.get(id(pattern))
         if bound is None:
-            if isinstance(pattern, Pair) and id(pattern.left) in self._bound_by:
+            if isinstance(pattern, PairPattern) and id(pattern.left) in self._bound_by:
                 bound = self._bound(pattern.left).union(bound_by(pattern.right))
             else:
                 bound = frozenset(bound_by(pattern))
@@ -244,7 +244,7 @@ class RuleCompiler(StreamCompiler):
         return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
 
     def _split(
-        self, conditions: List[Condition], core: Pattern, context: VarSet
+        self, conditions: List[ConditionPattern], core: Pattern, context: VarSet
     ) -> Tuple[List[TestedCondition], List[DeferredConditions]]:
         """Divide the conditions of an operator into those that it can test and those that are deferred.
 
@@ -313,7 +313,7 @@ class RuleCompiler(StreamCompiler):
 
     def _build_join(
         self,
-        core: Pair,
+        core: PairPattern,
         wrapping: Wrapping,
         context: VarSet,
         limit: Retention,
@@ -365,7 +365,9 @@ class RuleCompiler(StreamCompiler):
             joined += negated.first.leaves
         return BuiltPattern(node, deferred, joined, [])
 
-    def _negated(self, absent: Union[Absent, Awaited], context: VarSet, limit: Retention) -> NegatedPattern:
+    def _negated(
+        self, absent: Union[NotPattern, AbsencePattern], context: VarSet, limit: Retention
+    ) -> NegatedPattern:
         return NegatedPattern(lambda: self._build(absent.negated, context, limit), self.copies, self.nodes)
 
     def _test_joined(
@@ -391,7 +393,7 @@ class RuleCompiler(StreamCompiler):
     ) -> List[DeferredConditions]:
         """Test a negation with conditions on outer variables, or return it for the nodes above."""
         if not gap_condition.needs - goal_variables(
-            [test for test in conditions if isinstance(test, Condition)]
+            [test for test in conditions if isinstance(test, ConditionPattern)]
         ):
             # The conditions of the pair bind all of its variables.
             node.test(*deferred_test(self.rule, node, gap_condition, node.vars))
@@ -400,7 +402,7 @@ class RuleCompiler(StreamCompiler):
             node.test(*early_test(self.rule, node, gap_condition, node.vars))
         return [gap_condition]
 
-    def _build_not(self, core: Absent, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build_not(self, core: NotPattern, context: VarSet, limit: Retention) -> BuiltPattern:
         below = self._build(core.pattern, context, limit)
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
@@ -422,10 +424,14 @@ class RuleCompiler(StreamCompiler):
         return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
 
     def _build_kleene(
-        self, core: Union[Star, Aggregate], wrapping: Wrapping, context: VarSet, limit: Retention
+        self,
+        core: Union[KleenePattern, AggregatePattern],
+        wrapping: Wrapping,
+        context: VarSet,
+        limit: Retention,
     ) -> BuiltPattern:
         inner_context = context | frozenset(bound_by(core.first))
-        pattern = core.repeated if isinstance(core, Star) else core.collected
+        pattern = core.repeated if isinstance(core, KleenePattern) else core.collected
         first_left_stream = len(self.stream_nodes)
         first = self._build(core.first, context, limit)
         repeated = self._build_right(pattern, inner_context, limit, first_left_stream)
@@ -443,7 +449,7 @@ class RuleCompiler(StreamCompiler):
         )
         node.can_be_revived = (may_be_revived(core.first), may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
-        measured = [core.value] if isinstance(core, Aggregate) and core.value is not None else []
+        measured = [core.value] if isinstance(core, AggregatePattern) and core.value is not None else []
         outside = self._outside(pattern, measured)
         for value in measured:
             node.open([var for var in variables(value) if var in outside])
@@ -458,7 +464,7 @@ class RuleCompiler(StreamCompiler):
         deferred = [*first.deferred, *(pending.of_each(items) for pending in further)]
         carried = items if further else None
         self.keep.add(items.var)
-        if isinstance(core, Aggregate):
+        if isinstance(core, AggregatePattern):
             node.finish(outside, self._sequence_aggregate(core, node.step_vars), core.result, carried)
         else:
             node.finish(outside, None, None, carried)
@@ -481,7 +487,7 @@ class RuleCompiler(StreamCompiler):
         inside = occurrences(list(values), pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
 
-    def _sequence_aggregate(self, core: Aggregate, names: List[Var]) -> SequenceAggregate:
+    def _sequence_aggregate(self, core: AggregatePattern, names: List[Var]) -> SequenceAggregate:
         if core.value is None:
             return SequenceAggregate(core.kind, lambda values: NIL, lambda term, values: term)
         value = compile_builder(core.value, names, "value of an aggregate")

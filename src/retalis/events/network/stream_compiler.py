@@ -25,12 +25,12 @@ from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_window import FusedWindow, has_fused_measures
 from ..language.pattern_tree import (
-    Awaited,
+    AbsencePattern,
     Pattern,
-    Shaped,
-    StepForm,
-    Windowed,
-    WindowForm,
+    RatePattern,
+    RowPatternStep,
+    WindowPattern,
+    WindowSpec,
     always_bound_by,
     bound_by,
 )
@@ -70,7 +70,7 @@ GivenGoal = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def compile_row_pattern(form: WindowForm, before: int, goal_test: GivenGoal) -> RowPatternNFA:
+def compile_row_pattern(form: WindowSpec, before: int, goal_test: GivenGoal) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:
@@ -78,7 +78,7 @@ def compile_row_pattern(form: WindowForm, before: int, goal_test: GivenGoal) -> 
         before: number of values of an element that precede those that conditions use.
         goal_test: returns a function that calls a goal.
     """
-    position_of = {var: position for position, var in enumerate(form.looked_at, before)}
+    position_of = {var: position for position, var in enumerate(form.navigated_vars, before)}
     names = [step_form.name for step_form in form.steps]
     marks: Dict[StepNavigation, int] = {}
 
@@ -107,13 +107,13 @@ def compile_row_pattern(form: WindowForm, before: int, goal_test: GivenGoal) -> 
             tests.append(StepTest(tuple(navigations), partial(_holds, is_satisfied, *values)))
         return tuple(tests)
 
-    def step(position: int, step_form: StepForm) -> RowPatternVariable:
+    def step(position: int, step_form: RowPatternStep) -> RowPatternVariable:
         tests, until = [
             () if goal is None else test(goal, position, f"{called} of the step {step_form.name}")
             for goal, called in ((step_form.goal, "the condition"), (step_form.until, "until"))
         ]
         return RowPatternVariable(
-            step_form.least, step_form.most, step_form.reluctant, step_form.later, tests, until
+            step_form.min_count, step_form.max_count, step_form.reluctant, step_form.skips_rows, tests, until
         )
 
     steps = [step(position, step_form) for position, step_form in enumerate(form.steps)]
@@ -136,8 +136,8 @@ def _holds(
 
 _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
     "last": lambda make, form: SlidingTimeWindow(make, form.span),
-    "newest": lambda make, form: SlidingCountWindow(make, form.most),
-    "batch": lambda make, form: TumblingCountWindow(make, form.most, form.running),
+    "newest": lambda make, form: SlidingCountWindow(make, form.max_count),
+    "batch": lambda make, form: TumblingCountWindow(make, form.max_count, form.running),
     "first": lambda make, form: AnchoredTumblingWindow(make, form.span, form.running),
     "every": lambda make, form: (
         EagerTumblingWindow(make, form.span) if form.running else HoppingWindow(make, form.span, form.step)
@@ -155,12 +155,12 @@ _LATE_DEBOUNCED = "an event is too late and is ignored: the time in which a newe
 _LATE_AWAITED = "an event is too late and is ignored: the time in which nothing may follow it has passed"
 
 
-def rate_operator(part: Shaped) -> StreamOperator:
+def rate_operator(part: RatePattern) -> StreamOperator:
     """Return the operator of ``P with S``."""
     return _SHAPES[part.shape](part.span)
 
 
-def rate_node_spec(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
+def rate_node_spec(part: RatePattern, names: Sequence[Var]) -> StreamNodeSpec:
     """Return the specification of a node of ``P with S``, given the variables of P's matches."""
     by = _builder(part.by, names)
     value = _builder(() if part.value is None else (part.value,), names)
@@ -174,7 +174,7 @@ def rate_node_spec(part: Shaped, names: Sequence[Var]) -> StreamNodeSpec:
 
 
 def window_node_spec(
-    part: Windowed,
+    part: WindowPattern,
     names: Sequence[Var],
     groups: Sequence[Var],
     result: Result,
@@ -193,8 +193,8 @@ def window_node_spec(
     key_positions = [position_of[var] for var in groups]
     single_position = key_positions[0] if len(key_positions) == 1 else None
     measured_terms = [value for value in part.values if value is not None]
-    looked_at = part.window.looked_at
-    build, navigated_positions = _builder(measured_terms, names), [position_of[var] for var in looked_at]
+    navigated_vars = part.window.navigated_vars
+    build, navigated_positions = _builder(measured_terms, names), [position_of[var] for var in navigated_vars]
     evaluate_values = [
         _lenient_evaluation(
             evaluators.compile_expression(kind, value, names, AGGREGATES[kind].accepts_arrays), scope
@@ -245,11 +245,13 @@ def window_node_spec(
     return StreamNodeSpec(lambda mode: make(), item, result, clocked, _LATE, calls, fused)
 
 
-def _fused_form(part: Windowed, position_of: Dict[Var, int], groups: Sequence[Var]) -> Optional[FusedWindow]:
+def _fused_form(
+    part: WindowPattern, position_of: Dict[Var, int], groups: Sequence[Var]
+) -> Optional[FusedWindow]:
     """Return the form of a window that `fused_window` takes: only variables are measured; None for other windows."""
     if (
         part.window.kind != "last"
-        or part.listed
+        or part.is_listed
         or not has_fused_measures(part.kinds)
         or _distinct_new_vars(part, groups) is None
     ):
@@ -263,7 +265,7 @@ def _fused_form(part: Windowed, position_of: Dict[Var, int], groups: Sequence[Va
     return FusedWindow(part.window.span, [position_of[var] for var in groups], part.kinds, values)
 
 
-def _distinct_new_vars(part: Windowed, groups: Sequence[Var]) -> Optional[List[Var]]:
+def _distinct_new_vars(part: WindowPattern, groups: Sequence[Var]) -> Optional[List[Var]]:
     """Return the terms of the results if these are different new variables, else None."""
     new_vars = [term for term in part.results if term.__class__ is Var and term not in groups]
     return new_vars if len(set(new_vars)) == len(part.results) else None
@@ -291,7 +293,7 @@ def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
     return value if evaluate is None or value.__class__ in (int, float) else evaluate(value, values)
 
 
-def _measures(part: Windowed, folded: Callable[[Any], FoldFunction]) -> Callable[[], List[Any]]:
+def _measures(part: WindowPattern, folded: Callable[[Any], FoldFunction]) -> Callable[[], List[Any]]:
     """Return a function that creates the accumulators of one key."""
     makers = []
     position = 0
@@ -358,13 +360,13 @@ def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], 
     return lambda values: tuple([build(values) for build in built])
 
 
-def window_result(part: Windowed, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
+def window_result(part: WindowPattern, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
     """Return the variables of a window's matches, and the function that makes their values.
 
     The function takes the values of the key and the results. It returns None if the term of a result does not unify
     with it.
     """
-    listed, terms, known_vars = part.listed, part.results, set(groups)
+    listed, terms, known_vars = part.is_listed, part.results, set(groups)
     new_vars = _distinct_new_vars(part, groups)
     if new_vars is not None:
         if listed:
@@ -412,11 +414,11 @@ class StreamCompiler:
     def _outside(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
         raise NotImplementedError
 
-    def _negated(self, absent: Awaited, context: VarSet, limit: Retention) -> NegatedPattern:
+    def _negated(self, absent: AbsencePattern, context: VarSet, limit: Retention) -> NegatedPattern:
         raise NotImplementedError
 
     def _build_stream(
-        self, core: Union[Windowed, Shaped, Awaited], context: VarSet, part: Optional[int]
+        self, core: Union[WindowPattern, RatePattern, AbsencePattern], context: VarSet, part: Optional[int]
     ) -> BuiltPattern:
         """Build an operator on streams.
 
@@ -425,17 +427,17 @@ class StreamCompiler:
             context: variables of the patterns to its left.
             part: longest interval of a useful match, in ns; None for no bound.
         """
-        if isinstance(core, Awaited):
+        if isinstance(core, AbsencePattern):
             return self._build_absence(core, context)
-        pattern = core.collected if isinstance(core, Windowed) else core.pattern
+        pattern = core.collected if isinstance(core, WindowPattern) else core.pattern
         below = self._build(pattern, context, UNLIMITED)
         # A window has no partner further left at the time when its elements are measured, so such conditions cannot
         # be deferred.
         if below.deferred:
-            what = "what is measured" if isinstance(core, Windowed) else f"the pattern of {core.shape}"
-            raise RuleError(f"a condition in {what} uses a pattern to the left of it", self.rule.place)
+            what = "what is measured" if isinstance(core, WindowPattern) else f"the pattern of {core.shape}"
+            raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
         names = below.node.vars
-        if isinstance(core, Shaped):
+        if isinstance(core, RatePattern):
             node = StreamNode(self.rule, [below.node], names, rate_node_spec(core, names), core)
             built = below if core.shape != "debounce" else BuiltPattern(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, Retention(part, part)))
@@ -444,7 +446,7 @@ class StreamCompiler:
                 "a condition of a step uses a pattern to the left of what is measured", self.rule.place
             )
         values = [value for value in core.values if value is not None]
-        outside = self._outside(pattern, [*values, *core.window.looked_at])
+        outside = self._outside(pattern, [*values, *core.window.navigated_vars])
         groups = [var for var in names if var in outside]
         own_vars, result = window_result(core, groups)
         evaluators = Evaluators(self.rule)
@@ -454,7 +456,7 @@ class StreamCompiler:
         )
         return BuiltPattern(node, [], below.leaves, [])
 
-    def _build_absence(self, core: Awaited, context: VarSet) -> BuiltPattern:
+    def _build_absence(self, core: AbsencePattern, context: VarSet) -> BuiltPattern:
         """Build a pattern after which another one must not happen for some time."""
         below = self._build(core.pattern, context, UNLIMITED)
         inner_context = context | frozenset(bound_by(core.pattern))

@@ -38,7 +38,7 @@ from ..language.event_declarations import Declarations, calls_in_query, events_r
 from ..language.event_operators import ARROWS, NO_FACTS, SPELLINGS
 from ..language.likely_mistakes import uncovered_gap_warning
 from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window
-from ..language.pattern_tree import Action, Pattern, RuleDefinition, bound_by, occurrences
+from ..language.pattern_tree import ActionPattern, Pattern, RuleDefinition, bound_by, occurrences
 from ..language.rule_head_parser import (
     ALARMS,
     RULE,
@@ -103,7 +103,7 @@ class CheckedFile(NamedTuple):
 
     steps: List[FileEntry]
     rules: List[RuleDefinition]
-    inner: List[RuleDefinition]
+    nested_rules: List[RuleDefinition]
 
 
 class FileChecker:
@@ -123,9 +123,9 @@ class FileChecker:
         self.warnings = Errors()
         self.steps: List[FileEntry] = []
         self.rules: List[RuleDefinition] = []
-        self.inner: List[RuleDefinition] = []
+        self.nested_rules: List[RuleDefinition] = []
         self.calls: List[PredicateCall] = []
-        self.untimed: List[PredicateCall] = []
+        self.interval_calls: List[PredicateCall] = []
         self._names: Dict[Var, str] = {}
 
     def read(self, read: ReadTerm, place: Optional[Place] = None) -> None:
@@ -173,7 +173,9 @@ class FileChecker:
                 self.steps.append(FileEntry("clause", deref(term[1]), place))
             self._warn_of_likely_rule(term, place_of, place)
             if head is _CLAUSE:
-                self._declared.fit(events_raised_by_goals(calls(term, 2)), term, self._names, place_of, place)
+                self._declared.check_events(
+                    events_raised_by_goals(calls(term, 2)), term, self._names, place_of, place
+                )
             self.steps.append(FileEntry("clause", term, place))
 
     def _add_directive(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
@@ -188,9 +190,11 @@ class FileChecker:
             self._add_use_steps(goal, goal_place)
             return
         goals = goals_of(term, place_of)
-        self._declared.fit(events_raised_by_goals(calls(term, 1)), term, self._names, place_of, place)
+        self._declared.check_events(
+            events_raised_by_goals(calls(term, 1)), term, self._names, place_of, place
+        )
         self.steps.append(FileEntry("directive", goal, goal_place, goals))
-        self._declared.take(goals, place_of)
+        self._declared.apply(goals, place_of)
 
     def _add_use_steps(self, goal: CompoundTerm, place: Optional[Place]) -> None:
         """Process a directive that loads a file, with clauses for predicates that it renames."""
@@ -281,7 +285,7 @@ class FileChecker:
         place: Optional[Place],
         names: Optional[Dict[Var, str]] = None,
     ) -> RuleDefinition:
-        """Return the definition of a rule; nested rules are added to `inner`.
+        """Return the definition of a rule; nested rules are added to `nested_rules`.
 
         Raises:
             RuleError: if the rule cannot fire.
@@ -315,23 +319,23 @@ class FileChecker:
             self._warn_of_pattern(rule, place_of)
             pattern = reader.read(rule, 2)
             if goal is not None:
-                pattern = Action(pattern, goal, False)
+                pattern = ActionPattern(pattern, goal, False)
             definition = RuleDefinition(rule, head, pattern, label, place, self._names)
             self._check_head_variables(head, pattern, head_place or place)
         self._check_goals(reader.goals, pattern, place_of, place)
         # Predicates of `check` have no time, so their use elsewhere is an error unless the program defines them
         # itself.
-        for call in reader.untimed:
+        for call in reader.interval_calls:
             assert call.term.__class__ is tuple
-            self.untimed.append(PredicateCall(call.term[0], place_of(call.term) or place))
+            self.interval_calls.append(PredicateCall(call.term[0], place_of(call.term) or place))
         self._warn_of_parts(reader, pattern, place_of, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
         emitted = events_raised_by_goals((*reader.goals, *calls_in_query(definition.head or TRUE)))
-        self._declared.fit(chain(heads, reader.events, emitted), rule, self._names, place_of, place)
+        self._declared.check_events(chain(heads, reader.events, emitted), rule, self._names, place_of, place)
         for window, part in reader.windows:
             check_window(window, part, rule, self._names, reader.place, self.warnings.append)
-        for nested in reader.inner:
-            self.inner.append(self.definition(nested, None, place_of, place_of(nested) or place))
+        for nested in reader.nested_rules:
+            self.nested_rules.append(self.definition(nested, None, place_of, place_of(nested) or place))
         return definition
 
     def _warn_of_parts(

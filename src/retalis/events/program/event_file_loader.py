@@ -340,14 +340,14 @@ class EventFileLoader:
             else:
                 steps.append(step)
         # A predicate that the program defines itself is not the one of `check`.
-        for call in checker.untimed:
+        for call in checker.interval_calls:
             if call.key not in defined and logic.is_of_system(call.key):
                 message = (
                     f"{call.key} is defined only in the goals of check: "
                     "write check instead of where, do or another operator"
                 )
                 errors.append(RuleError(message, call.place))
-        rules = self._compile_rules([*checker.rules, *checker.inner], errors)
+        rules = self._compile_rules([*checker.rules, *checker.nested_rules], errors)
         for warning in checker.warnings.with_omitted_count():
             self._rules.on_warning(warning)
         return CheckedProgram(steps, rules, checker.calls)

@@ -117,7 +117,7 @@ class FileDeclarations:
         self._declarations = declared
         self._errors = errors
 
-    def take(self, goals: Goals, place_of: PlaceLookup) -> None:
+    def apply(self, goals: Goals, place_of: PlaceLookup) -> None:
         """Apply the declarations of a directive to the rest of the file.
 
         Raises:
@@ -137,7 +137,7 @@ class FileDeclarations:
             elif goal[0] is _SET_FLAG and deref(goal[1]) is UNDECLARED:
                 declarations.strict = deref(goal[2]) is STRICTLY
 
-    def fit(
+    def check_events(
         self,
         events: Iterable[EventTerm],
         term: CompoundTerm,

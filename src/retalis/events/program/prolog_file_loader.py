@@ -263,9 +263,9 @@ class _PrologFile:
             self._note_calls(checker.calls[:])
             checker.calls.clear()
         # Copied before they are cleared: these lists are also used by the checker.
-        errors, rules = checker.errors[:], [*checker.rules, *checker.inner]
+        errors, rules = checker.errors[:], [*checker.rules, *checker.nested_rules]
         if errors or rules:
-            for collected in (checker.errors, checker.rules, checker.inner):
+            for collected in (checker.errors, checker.rules, checker.nested_rules):
                 collected.clear()
         for error in errors:
             self._omitted.append(error)
@@ -341,8 +341,8 @@ class _PrologFile:
             RetalisError: the error itself, if a resource limit is exceeded.
         """
         if isinstance(error, ProgramErrors):
-            for inner in error.errors:
-                self._omitted.append(inner)
+            for nested_rules in error.errors:
+                self._omitted.append(nested_rules)
         elif _is_final(error):
             raise error
         else:

@@ -28,20 +28,20 @@ from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import Term, Trail, Var, atom, functor
 from ...prolog.terms.unification import undo, unify
 from ..language.pattern_tree import (
-    Absent,
-    Action,
-    Aggregate,
-    Awaited,
-    Condition,
-    Either,
-    Occurs,
-    Pair,
+    AbsencePattern,
+    ActionPattern,
+    AggregatePattern,
+    ConditionPattern,
+    EventPattern,
+    KleenePattern,
+    NotPattern,
+    OrPattern,
+    PairPattern,
     Pattern,
-    Repeated,
-    Shaped,
-    Star,
-    Windowed,
-    Within,
+    RatePattern,
+    RepeatedPattern,
+    WindowPattern,
+    WithinPattern,
 )
 from ..language.stream_parser import rate_operator_term, window_term
 from ..matches.partial_matches import ComputedValues, PartialMatch, TrackedMatch
@@ -68,7 +68,7 @@ _MAX_SHOWN_REPETITIONS = 100
 """Maximum number of repetitions of a pattern in an explanation."""
 
 
-_Streamed = Union[Windowed, Shaped, Awaited]
+_Streamed = Union[WindowPattern, RatePattern, AbsencePattern]
 Show = Callable[[Occurrence], Term]
 """Returns the representation of an event within the term of a match."""
 
@@ -168,9 +168,9 @@ class _MissingEventExplainer:
             undo(trail, 0)
 
     def _pattern(self, pattern: Pattern) -> Term:
-        if isinstance(pattern, Occurs):
+        if isinstance(pattern, EventPattern):
             return self._event(pattern.term)
-        if isinstance(pattern, Repeated):
+        if isinstance(pattern, RepeatedPattern):
             pattern = _expanded(pattern)
         name, parts = _parts(pattern)
         operands = [part.term if isinstance(part, _Quoted) else self._pattern(part) for part in parts]
@@ -194,33 +194,35 @@ class _MissingEventExplainer:
 def describe(pattern: Pattern, match: PartialMatch, show: Show) -> Term:
     """Return the term of a match: its events, represented by ``show``, below the names of the operators."""
     # These operators have no operands in an explanation: their match is that of the pattern below them.
-    while isinstance(pattern, (Condition, Within)) or (isinstance(pattern, Absent) and pattern.inside):
+    while isinstance(pattern, (ConditionPattern, WithinPattern)) or (
+        isinstance(pattern, NotPattern) and pattern.inside
+    ):
         pattern = pattern.pattern
-    if isinstance(pattern, Occurs):
+    if isinstance(pattern, EventPattern):
         while match.parts is not None:
             part = match.parts[0]
             assert isinstance(part, PartialMatch)
             match = part
         return show(match.event) if isinstance(match.event, Occurrence) else match.term
     parts: Sequence[Any] = match.parts or ()
-    if isinstance(pattern, Absent):
+    if isinstance(pattern, NotPattern):
         return describe(pattern.pattern, match, show)
-    if isinstance(pattern, Action):
+    if isinstance(pattern, ActionPattern):
         return describe(pattern.pattern, parts[0] if _is_wrapped(parts) else match, show)
     while _is_wrapped(parts):
         match = parts[0]
         parts = match.parts or ()
-    if isinstance(pattern, Either):
+    if isinstance(pattern, OrPattern):
         return describe(pattern.branches[parts[0]], parts[1], show)
-    if isinstance(pattern, Repeated):
+    if isinstance(pattern, RepeatedPattern):
         return _describe_repeated(pattern, match, show)
-    if isinstance(pattern, Pair):
+    if isinstance(pattern, PairPattern):
         left = describe(pattern.left, parts[0], show)
         return functor(f"{pattern.operator}f", 2)(left, describe(pattern.right, parts[1], show))
     return _describe_run(pattern, parts, show)
 
 
-def _describe_repeated(pattern: Repeated, match: PartialMatch, show: Show) -> Term:
+def _describe_repeated(pattern: RepeatedPattern, match: PartialMatch, show: Show) -> Term:
     """Return the term of repetitions, as that of the equivalent sequence."""
     first, *later = repetitions(match, pattern.times)
     shown = describe(pattern.pattern, first, show)
@@ -240,13 +242,13 @@ def _is_wrapped(parts: Sequence[Any]) -> bool:
 
 def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
     """Return the term of a match with any number of repetitions, or of a stream operator."""
-    if isinstance(pattern, (Windowed, Shaped, Awaited)):
+    if isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern)):
         return _describe_stream(pattern, parts, show)
     first = describe(pattern.first, parts[0], show)
     # Repetitions are recorded only while lineage is tracked; otherwise the match shows its first event only.
     held = [part for part in parts if part.__class__ is TrackedMatch]
     taken = list(held[0].matches) if held else []
-    if isinstance(pattern, Star):
+    if isinstance(pattern, KleenePattern):
         repeated = [describe(pattern.repeated, repetition, show) for repetition in taken]
         return functor("seqf", 2)(first, functor("star_timesf", 1)(make_list(repeated)))
     kind = atom(pattern.kind) if pattern.value is None else functor(pattern.kind, 1)(copy(pattern.value))
@@ -258,18 +260,18 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
 
 
 def _describe_stream(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
-    if isinstance(pattern, Windowed):
+    if isinstance(pattern, WindowPattern):
         held: List[Any] = [part for part in parts if part.__class__ is TrackedMatch]
         taken = held[0].match.parts if held else ()
         shown = [describe(pattern.collected, part, show) for part in taken]
         return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))
     first = describe(pattern.pattern, parts[0], show)
-    if isinstance(pattern, Shaped):
+    if isinstance(pattern, RatePattern):
         return functor("withf", 2)(first, copy(rate_operator_term(pattern)))
     return functor("absentf", 3)(first, copy(_as_term(pattern.negated)), timestamps.to_seconds(pattern.span))
 
 
-def _kinds(pattern: Windowed) -> Term:
+def _kinds(pattern: WindowPattern) -> Term:
     """Return the measures of a window: a list, or the only one."""
     kinds = []
     measured = zip(pattern.kinds, pattern.settings, pattern.values, pattern.scopes)
@@ -284,36 +286,38 @@ def _kinds(pattern: Windowed) -> Term:
 
 def _parts(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
     """Return name and operands of a pattern in an explanation."""
-    if isinstance(pattern, Pair):
+    if isinstance(pattern, PairPattern):
         return f"{pattern.operator}f", [pattern.left, pattern.right]
-    if isinstance(pattern, Either):
+    if isinstance(pattern, OrPattern):
         return "orf", list(pattern.branches)
-    if isinstance(pattern, Absent):
+    if isinstance(pattern, NotPattern):
         return "cnotf" if pattern.inside else "fnotf", [pattern.pattern, _Quoted(_as_term(pattern.negated))]
-    if isinstance(pattern, Star):
+    if isinstance(pattern, KleenePattern):
         return "star_timesf", [pattern.first, _Quoted(_as_term(pattern.repeated))]
-    if isinstance(pattern, Aggregate):
+    if isinstance(pattern, AggregatePattern):
         return "aggregatef", [pattern.first, _Quoted(_as_term(pattern.collected))]
-    if isinstance(pattern, Within):
+    if isinstance(pattern, WithinPattern):
         return "withinf", [pattern.pattern, _Quoted((pattern.span + 1) / 1e9)]
-    if isinstance(pattern, (Condition, Action)):
+    if isinstance(pattern, (ConditionPattern, ActionPattern)):
         return _parts_with_goal(pattern)
-    assert isinstance(pattern, (Windowed, Shaped, Awaited))
+    assert isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern))
     return _stream_parts(pattern)
 
 
-def _parts_with_goal(pattern: Union[Condition, Action]) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
-    name = "dof" if isinstance(pattern, Action) else "checkf" if pattern.timed else "wheref"
+def _parts_with_goal(
+    pattern: Union[ConditionPattern, ActionPattern],
+) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
+    name = "dof" if isinstance(pattern, ActionPattern) else "checkf" if pattern.timed else "wheref"
     return name, [pattern.pattern, _Quoted(resolve(pattern.goal))]
 
 
 def _stream_parts(
     pattern: _Streamed,
 ) -> "Tuple[str, List[Union[Pattern, _Quoted]]]":
-    if isinstance(pattern, Windowed):
+    if isinstance(pattern, WindowPattern):
         window = _Quoted(window_term(pattern.window))
         return "windowf", [_Quoted(_kinds(pattern)), pattern.collected, window]
-    if isinstance(pattern, Shaped):
+    if isinstance(pattern, RatePattern):
         return "withf", [pattern.pattern, _Quoted(resolve(rate_operator_term(pattern)))]
     return "absentf", [
         pattern.pattern,
@@ -322,7 +326,7 @@ def _stream_parts(
     ]
 
 
-def _expanded(part: Repeated) -> Pattern:
+def _expanded(part: RepeatedPattern) -> Pattern:
     """Return the equivalent sequence of repetitions, up to a maximum length."""
     return part._replace(times=min(part.times, _MAX_SHOWN_REPETITIONS)).as_sequence()
 
@@ -337,9 +341,9 @@ class _Quoted:
 def _as_term(part: "Union[Pattern, _Quoted]") -> Term:
     if isinstance(part, _Quoted):
         return part.term
-    if isinstance(part, Occurs):
+    if isinstance(part, EventPattern):
         return resolve(part.term)
-    if isinstance(part, Repeated):
+    if isinstance(part, RepeatedPattern):
         part = _expanded(part)
     name, parts = _parts(part)
     return functor(name, len(parts))(*[_as_term(operand) for operand in parts])

@@ -46,18 +46,18 @@ class RowPatternVariable(NamedTuple):
     """Pattern variable with its quantifier and conditions.
 
     Attributes:
-        least: minimum number of elements.
-        most: maximum number of elements; None for no limit.
+        min_count: minimum number of elements.
+        max_count: maximum number of elements; None for no limit.
         reluctant: whether fewer elements are preferred.
-        later: whether elements that no step accepts may lie before each of its own (skip till next match).
+        skips_rows: whether elements that no step accepts may lie before each of its own (skip till next match).
         tests: conditions for its elements.
         until: end condition: an element that satisfies it is not accepted and ends the variable.
     """
 
-    least: int
-    most: Optional[int]
+    min_count: int
+    max_count: Optional[int]
     reluctant: bool
-    later: bool
+    skips_rows: bool
     tests: Tuple[StepTest, ...]
     until: Tuple[StepTest, ...]
 
@@ -107,7 +107,7 @@ class RowPatternNFA:
         self._begin = self._transitions_into(0)
         self._may_end_after = [self._transitions_into(step + 1).ends for step in range(len(steps))]
         self._is_certain_from = [
-            all(variable.later and not variable.until for variable in self.steps[step:])
+            all(variable.skips_rows and not variable.until for variable in self.steps[step:])
             for step in range(len(steps))
         ]
 
@@ -116,13 +116,13 @@ class RowPatternNFA:
         if step_number == SCANNING:
             return self._begin
         step = self.steps[step_number]
-        more = step.most is None or count < step.most
-        return self._table[step_number][count >= step.least][more]
+        more = step.max_count is None or count < step.max_count
+        return self._table[step_number][count >= step.min_count][more]
 
     def capped_count(self, step_number: int, count: int) -> int:
         """Return the count of a step, capped where larger counts make no difference to the transitions."""
         step = self.steps[step_number]
-        return min(count, step.least) if step.most is None else count
+        return min(count, step.min_count) if step.max_count is None else count
 
     def is_certain_to_complete(self, steps: Tuple[int, ...]) -> bool:
         """Return whether a match in these steps is certain to complete, however long that takes."""
@@ -165,14 +165,14 @@ class RowPatternNFA:
         """Return the transitions before a step has accepted an element."""
         if step == len(self.steps):
             return self._make_transitions((), True, ())
-        return self._transitions(step, self.steps[step].least == 0, True)
+        return self._transitions(step, self.steps[step].min_count == 0, True)
 
     def _make_transitions(
         self, steps: Tuple[int, ...], ends: bool, blocking: Tuple[int, ...]
     ) -> StepTransitions:
-        # Skipping an element removes the steps that are not `later`. If there are none, nothing changes, and the
+        # Skipping an element removes the steps that are not `skips_rows`. If there are none, nothing changes, and the
         # state after a skipped element equals the one before it.
-        all_skip = all(self.steps[step].later for step in (*steps, *blocking))
+        all_skip = all(self.steps[step].skips_rows for step in (*steps, *blocking))
         return StepTransitions(steps, ends, steps if all_skip else None, blocking)
 
 
@@ -521,11 +521,11 @@ class RowPatternWindow(KeyedOperator):
             if not (steps[step].until and ends(steps[step].until, state.targets, item))
         ]
         accepting = [step for step in open_steps if passes(steps[step].tests, state.targets, item)]
-        skipping = tuple([step for step in open_steps if steps[step].later])
+        skipping = tuple([step for step in open_steps if steps[step].skips_rows])
         if not accepting and skipping:
             for step in transitions.blocking:
-                # A reluctant step has no `until`. After a skipped element, only `later` steps can follow.
-                if (state.remaining_steps is None or steps[step].later) and passes(
+                # A reluctant step has no `until`. After a skipped element, only `skips_rows` steps can follow.
+                if (state.remaining_steps is None or steps[step].skips_rows) and passes(
                     steps[step].tests, state.targets, item
                 ):
                     return accepting, ()
