@@ -186,7 +186,7 @@ class Accumulator:
 
     @property
     def checks_values(self) -> bool:
-        """Whether `check` rejects some values."""
+        """True if `check` rejects some values."""
         return self.value_rule.check is not None
 
     def check(self, item: StreamElement) -> None:
