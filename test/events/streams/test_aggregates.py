@@ -177,7 +177,7 @@ def test_what_is_in_is_not_looked_through_for_a_result(name):
         inside.append(item)
         measure.add(item)
         if len(inside) > 30:
-            inside[0].gone = True
+            inside[0].is_removed = True
             measure.remove(inside.pop(0))
         if len(inside) > 1:
             assert measure.result(NOTHING, len(inside)) is not None

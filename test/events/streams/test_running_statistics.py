@@ -80,19 +80,19 @@ def entering(steps):
         inside.append(item)
         yield inside, item, None
         if goes:
-            gone = inside.pop(which % len(inside))
-            gone.gone = True
-            yield inside, None, gone
+            removed = inside.pop(which % len(inside))
+            removed.is_removed = True
+            yield inside, None, removed
 
 
 @some
 @given(STEPS)
 def test_the_lowest_is_the_first_of_equal_ones(steps):
     lowest = LazyMinHeap()
-    for inside, came, gone in entering(steps):
+    for inside, came, removed in entering(steps):
         if came is not None:
             lowest.add(came.values[0], came)
-        if gone is not None:
+        if removed is not None:
             lowest.remove()
         top = lowest.top()
         wanted = min(inside, key=lambda item: item.values[0], default=None)
@@ -103,11 +103,11 @@ def test_the_lowest_is_the_first_of_equal_ones(steps):
 @given(STEPS, st.sampled_from([0, 0.1, 0.25, 0.5, 0.75, 0.99, 1]))
 def test_a_quantile_is_linear_between_two(steps, part):
     ranked = QuantileHeaps(part)
-    for inside, came, gone in entering(steps):
+    for inside, came, removed in entering(steps):
         if came is not None:
             ranked.add(came.values[0], came)
-        if gone is not None:
-            ranked.remove(gone)
+        if removed is not None:
+            ranked.remove(removed)
         ordered = sorted(item.values[0] for item in inside)
         if not ordered:
             assert ranked.value() is None
@@ -141,9 +141,9 @@ def test_what_has_gone_is_not_held(kind):
         lowest.add(item.values[0], item)
         ranked.add(item.values[0], item)
         if len(inside) > 10:
-            gone = inside.pop(0)
-            gone.gone = True
+            removed = inside.pop(0)
+            removed.is_removed = True
             lowest.remove()
-            ranked.remove(gone)
+            ranked.remove(removed)
         assert max(len(one.heap) for one in (lowest, ranked.below, ranked.above)) <= 90
     assert entries(ranked) == 10

@@ -237,9 +237,9 @@ def _is_open_list(value: Term) -> bool:
 
 def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield outputs of subscriptions that do not fit the message types of their topics."""
-    published = {plain(topic): type_name for topic, type_name in program.topics.published}
+    published = {comparable_topic(topic): type_name for topic, type_name in program.topics.published}
     for subscription, topic in _subscriptions_with_topic(program):
-        type_name = published.get(plain(topic))
+        type_name = published.get(comparable_topic(topic))
         definition = None if type_name is None else program.definition(type_name)
         fault = None if definition is None else output_fault(definition, subscription.term, topic)
         if fault is not None:
@@ -251,11 +251,11 @@ def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
 
 def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
-    published = [plain(topic) for topic, _ in program.topics.published]
+    published = [comparable_topic(topic) for topic, _ in program.topics.published]
     reported: Set[str] = set()
     for subscription, topic in _subscriptions_with_topic(program):
         if topic in reported or any(
-            _may_be_same_topic(plain(topic), published_topic) for published_topic in published
+            _may_be_same_topic(comparable_topic(topic), published_topic) for published_topic in published
         ):
             continue
         reported.add(topic)
@@ -263,7 +263,7 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
         advice = f'; <publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
-            f"{did_you_mean(plain(topic), published) or advice}",
+            f"{did_you_mean(comparable_topic(topic), published) or advice}",
             subscription.place_of(subscription.term, 4),
         )
 
@@ -280,7 +280,7 @@ def _may_be_same_topic(first: str, second: str) -> bool:
     return first == second or first.endswith(f"/{second}") or second.endswith(f"/{first}")
 
 
-def plain(topic: str) -> str:
+def comparable_topic(topic: str) -> str:
     """Return a topic name in the form that is used for comparisons."""
     return topic.lstrip("/")
 
@@ -361,7 +361,7 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
                 yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
         topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
         # Names with and without a leading slash denote the same topic at the top level.
-        first = elements_by_topic.setdefault((element.tag, plain(topic)), element)
+        first = elements_by_topic.setdefault((element.tag, comparable_topic(topic)), element)
         if first is not element:
             yield RuleError(_duplicate_topic_text(element, first, topic, type_name), element.place)
         yield from _misspelt_type_errors(program, type_name, element.place)

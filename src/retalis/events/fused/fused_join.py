@@ -223,9 +223,9 @@ class _ActionGenerator:
                     Block(
                         "while queue and queue[0].start < before:",
                         [
-                            "gone = queue.popleft()",
-                            "place = gone.buffer",
-                            Block("if place is not None:", ["place.remove(gone)"]),
+                            "expired = queue.popleft()",
+                            "holder = expired.buffer",
+                            Block("if holder is not None:", ["holder.remove(expired)"]),
                         ],
                     ),
                     Block("if late.heap or late.unmoved or expiries.others:", ["expiries.expire(e)"]),

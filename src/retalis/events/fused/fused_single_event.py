@@ -2,8 +2,8 @@
 
 The general path creates a match, calls the goal through the machine, builds the head event and dispatches it. The
 functions generated here do the same on the values of the event directly. Each begins with the conditions under which
-that is allowed (ground event, low depth, a goal without choice points) and otherwise calls the general path (`plain`)
-before anything has changed. Results are the same on both paths.
+that is allowed (ground event, low depth, a goal without choice points) and otherwise calls the general path
+(`general_path`) before anything has changed. Results are the same on both paths.
 """
 
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence
@@ -120,7 +120,7 @@ def goal_action(
     inputs: int,
     rule: Any,
     failed: Callable[[PrologError], None],
-    plain: EventAction,
+    general_path: EventAction,
     completion: Continuation,
 ) -> EventAction:
     """Return the action that calls a goal for each event of a rule whose pattern is a single event.
@@ -130,7 +130,7 @@ def goal_action(
         inputs: number of inputs.
         rule: the rule.
         failed: called with the error of the goal.
-        plain: the general path, for any event.
+        general_path: the general path, for any event.
         completion: action if the goal succeeds.
     """
     machine = rule.network.logic.machine
@@ -138,7 +138,7 @@ def goal_action(
         "code": goal.code,
         "goal": goal,
         "failed": failed,
-        "plain": plain,
+        "general_path": general_path,
         "solved": completion.action,
         "event_filter": completion.event_filter,
         "NO_LISTENERS": NO_LISTENERS,
@@ -161,7 +161,7 @@ def _goal_source(inputs: int) -> str:
         "context = dispatcher.current",
         Block(
             f"if not code.steady or not context[{GROUND}] or context[{DEPTH}] > {MAX_RECURSIVE_DEPTH}:",
-            ["return plain(term, term[1:] if values is None else values, start, end, after)"],
+            ["return general_path(term, term[1:] if values is None else values, start, end, after)"],
         ),
         Block("if values is None:", [f"_, {values} = term"]),
         Block("else:", [f"{values}, = values"]),
@@ -204,9 +204,9 @@ def _goal_source(inputs: int) -> str:
 def question_action(
     dispatcher: Dispatcher,
     key: Functor,
-    known: int,
-    ask: Callable[[Values, int, int, Frame], Frame],
-    plain: EventAction,
+    ground_count: int,
+    run_query: Callable[[Values, int, int, Frame], Frame],
+    general_path: EventAction,
     meter: Optional[Meter],
 ) -> EventAction:
     """Return the action that runs a synchronized query for the values of a match, without creating its event.
@@ -214,9 +214,9 @@ def question_action(
     Args:
         dispatcher: the dispatcher of the events.
         key: functor of the event.
-        known: number of leading values of a match that are ground if the event is.
-        ask: action of the listener of the event; takes values, start, end and the next frame.
-        plain: creates the event and dispatches it.
+        ground_count: number of leading values of a match that are ground if the event is.
+        run_query: action of the listener of the event; takes values, start, end and the next frame.
+        general_path: creates the event and dispatches it.
         meter: counts the pattern work of the rule; see `Budget.meter`.
     """
     event_filter, ground, at_once = (
@@ -225,7 +225,7 @@ def question_action(
         dispatcher.max_recursive_depth,
     )
 
-    def ask_directly(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
+    def run_query_directly(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
         context = dispatcher.current
         if values is None:
             values = term[1:]  # type: ignore[index]
@@ -238,19 +238,19 @@ def question_action(
             or context[DEPTH] >= at_once
             or plan.__class__ is not tuple
             or len(plan) != 1
-            or not (context[GROUND] and known == len(values))
-            and not are_ground(values[known:] if ground() else values)
+            or not (context[GROUND] and ground_count == len(values))
+            and not are_ground(values[ground_count:] if ground() else values)
         ):
-            return plain(term, values, start, end, after)
+            return general_path(term, values, start, end, after)
         if meter is not None and meter(1):
             return after
         dispatcher.current = [TRUE, start, end, context, context[DEPTH] + 1, True, dispatcher.cause, None]
         # The context of the event that is not created is pushed nevertheless: the query sees its interval and depth.
         following = (RESTORE_CONTEXT, dispatcher, context, after)
-        frame = ask(values, start, end, following)
+        frame = run_query(values, start, end, following)
         if frame is not following:
             return frame
         dispatcher.current = context
         return after
 
-    return ask_directly
+    return run_query_directly

@@ -49,7 +49,7 @@ class _MeasureSource(NamedTuple):
         add: adds the value of ``item`` to the accumulator of ``group``.
         remove: removes the value of ``old`` from the accumulator of the keyed window ``left``.
         result: expression for the result of ``number`` elements.
-        keeps_elements: whether the accumulator refers to elements, also to some that are gone.
+        keeps_elements: whether the accumulator refers to elements, also to some that were removed.
     """
 
     check: Sequence[Statement]
@@ -225,7 +225,7 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
             "while queue and queue[0].start <= before:",
             [
                 "old = queue.popleft()",
-                Block("if old.gone:", ["continue"]),
+                Block("if old.is_removed:", ["continue"]),
                 "left = groups[old.key]",
                 # A window with elements out of order keeps heaps; removing from them is rare and left to the general
                 # method.
@@ -240,7 +240,7 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
             "if item is None:",
             [
                 "item = new(StreamElement)",
-                "item.gone = False",
+                "item.is_removed = False",
                 "stream.number += 1",
             ],
         ),
@@ -290,7 +290,7 @@ _NEEDS_GENERAL_PATH = " or ".join(
 def _release_statements(measures: Sequence[_MeasureSource]) -> List[Statement]:
     """Return statements for an element ``old`` that has left; ``item`` is the one that left before, or None."""
     if any(measure.keeps_elements for measure in measures):
-        return ["old.gone = True", "stream.number -= 1"]
+        return ["old.is_removed = True", "stream.number -= 1"]
     # Nothing refers to the element, so it becomes the new one: creating an object takes a twentieth of an event.
     return [Block("if item is not None:", ["stream.number -= 1"]), "item = old"]
 

@@ -290,23 +290,23 @@ def _check_query(head: Any, place_of: PlaceLookup) -> None:
     for call in calls(head, 2):
         if call.term.__class__ not in (tuple, Atom, Var):
             raise RuleError(f"{head[0].name} needs a goal", place_of(call.parent, call.number))
-    items, rest = list_parts(head[3])
-    if not (rest is NIL or rest.__class__ is Var) or not all(_may_be_pair(item) for item in items):
+    items, tail = list_parts(head[3])
+    if not (tail is NIL or tail.__class__ is Var) or not all(_may_be_pair(item) for item in items):
         raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", place_of(head, 3))
     if len(head) > 4 and not _may_be_options(deref(head[4])):
         raise RuleError(f"{head[0].name} takes [timeout(Seconds)] as its options", place_of(head, 4))
 
 
 def _may_be_pair(term: Term) -> bool:
-    items, rest = list_parts(term)
+    items, tail = list_parts(term)
     # An open list may still become a pair when the rule is run.
-    return len(items) <= 2 if rest.__class__ is Var else rest is NIL and len(items) == 2
+    return len(items) <= 2 if tail.__class__ is Var else tail is NIL and len(items) == 2
 
 
 def _may_be_options(term: Term) -> bool:
-    items, rest = list_parts(term)
-    if rest is not NIL or len(items) != 1:
-        return rest.__class__ is Var and not items
+    items, tail = list_parts(term)
+    if tail is not NIL or len(items) != 1:
+        return tail.__class__ is Var and not items
     option: Any = deref(items[0])
     if option.__class__ is not tuple:
         return option.__class__ is Var

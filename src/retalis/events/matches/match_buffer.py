@@ -94,7 +94,7 @@ class MatchBuffer:
             match.older = match.newer = self.newest[key] = match
         else:
             self.link(match)
-        rule.keep(match, self.retention)
+        rule.count_stored(match, self.retention)
 
     def link(self, match: PartialMatch) -> None:
         """Link a match that has a key and an order to the matches of its key, replacing one of the same identity."""
@@ -279,8 +279,8 @@ class MatchBuffer:
             limits = (*limits[:2], max(limits[2], self.min_end_for(start)), limits[3])
         if None not in self.newest:
             return self._within(key, limits, newest)
-        both = self._within(key, limits, newest), self._within(None, limits, newest)
-        return iter(heapq.merge(*both, key=_order, reverse=newest))
+        merged_sources = self._within(key, limits, newest), self._within(None, limits, newest)
+        return iter(heapq.merge(*merged_sources, key=_order, reverse=newest))
 
     def partner_list(self, key: Hashable, start: int, end: int) -> Sequence[PartialMatch]:
         """Return the stored matches that may join a match, oldest first; see `partners`.

@@ -171,7 +171,7 @@ class RunGroup:
     Attributes:
         node: the node that they belong to.
         key: their values.
-        cursors: the sequence with ``number`` repetitions is at ``number - 1``; removed sequences and None are gaps.
+        cursors: the sequence with ``length`` repetitions is at ``number - 1``; removed sequences and None are gaps.
         end: end of the last repetition.
         order: order of the shortest sequence, as if it were a match that was stored; each longer one has one less.
         log: the newest repetitions; sequences that began in the log before it refer to that one.
@@ -214,26 +214,26 @@ class RunGroup:
         """True if the sequences belong to a negated pattern."""
         return self.node.is_negated
 
-    def cursor_with(self, number: int) -> Optional[RunCursor]:
-        """Return the sequence with ``number`` repetitions, or None."""
-        if number > len(self.cursors):
+    def cursor_with(self, length: int) -> Optional[RunCursor]:
+        """Return the sequence with ``length`` repetitions, or None."""
+        if length > len(self.cursors):
             return None
-        cursor = self.cursors[number - 1]
+        cursor = self.cursors[length - 1]
         return None if cursor is None or cursor.buffer is None else cursor
 
-    def numbered_cursors(self) -> Iterator[Tuple[int, RunCursor]]:
+    def cursors_by_length(self) -> Iterator[Tuple[int, RunCursor]]:
         """Yield all sequences with their numbers of repetitions, longest first."""
-        for number in range(len(self.cursors), 0, -1):
-            cursor = self.cursor_with(number)
+        for length in range(len(self.cursors), 0, -1):
+            cursor = self.cursor_with(length)
             if cursor is not None:
-                yield number, cursor
+                yield length, cursor
 
-    def add(self, number: int, cursor: RunCursor) -> None:
-        """Add a sequence with ``number`` repetitions."""
+    def add(self, length: int, cursor: RunCursor) -> None:
+        """Add a sequence with ``length`` repetitions."""
         cursors = self.cursors
-        while len(cursors) < number:
+        while len(cursors) < length:
             cursors.append(None)
-        cursors[number - 1] = cursor
+        cursors[length - 1] = cursor
         self._begin(cursor)
 
     def advance(self, match: PartialMatch, longest: int) -> Optional[RunCursor]:
@@ -281,9 +281,9 @@ class RunGroup:
         if not self.cursor_count:
             self.node.groups.pop(self.key, None)
 
-    def match_of(self, cursor: RunCursor, number: int) -> PartialMatch:
-        """Return a sequence with ``number`` repetitions as a separate match."""
-        if number == 1:
+    def match_of(self, cursor: RunCursor, length: int) -> PartialMatch:
+        """Return a sequence with ``length`` repetitions as a separate match."""
+        if length == 1:
             return cursor.first
         return PartialMatch(
             self.node.values_of(cursor), cursor.start, self.end, None, None, (self._slices(cursor),)
@@ -320,7 +320,7 @@ class RunGroupBuffer:
         """Repair the groups after an interrupt; return the stored sequences, oldest first."""
         sequences = []
         for key, group in list(self._node.groups.items()):
-            cursors = [cursor for _, cursor in group.numbered_cursors()]
+            cursors = [cursor for _, cursor in group.cursors_by_length()]
             group.cursor_count = len(cursors)
             if not cursors:
                 del self._node.groups[key]

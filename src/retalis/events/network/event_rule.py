@@ -487,7 +487,7 @@ class EventRule:
             else:  # a run that was extended since it was entered
                 self._by_end.add(match.latest_end, match, self.waiting)
 
-    def keep(self, match: PartialMatch, span: Optional[int]) -> None:
+    def count_stored(self, match: PartialMatch, span: Optional[int]) -> None:
         """Count a match that has been stored; if there are too many, drop the oldest."""
         self.waiting += 1
         arrivals = self.arrivals

@@ -149,9 +149,9 @@ class RuleGoal:
         try:
             if condition_state.condition_depth > _MAX_CONDITION_DEPTH:
                 raise resource_error("conditions_that_make_events")
-            given = tuple([values[position] for position in self.positions])
-            if are_ground(given):
-                solution = self._ground_goal.test(given)
+            inputs = tuple([values[position] for position in self.positions])
+            if are_ground(inputs):
+                solution = self._ground_goal.test(inputs)
                 if solution is None:
                     return None
                 return values + solution if solution else values
@@ -186,15 +186,15 @@ class RuleGoal:
             solved: receives the match with the values of the solution appended to the others.
             after: the frame to continue with.
         """
-        given = values if self._takes_all else tuple([values[position] for position in self.positions])
+        inputs = values if self._takes_all else tuple([values[position] for position in self.positions])
         # With ground inputs, the goal returns only its other variables; the values of the match are passed beside
         # it.
-        if ground or are_ground(given):
+        if ground or are_ground(inputs):
             goal, passed_values = self._ground_goal, values
         else:
-            goal, given, passed_values = self._open_goal(), values, ()
+            goal, inputs, passed_values = self._open_goal(), values, ()
         return self._dispatcher.call(
-            goal, given, self._reported, solved, term, passed_values, start, end, after
+            goal, inputs, self._reported, solved, term, passed_values, start, end, after
         )
 
     @property
@@ -233,8 +233,8 @@ class RuleGoal:
         after: Frame,
     ) -> Frame:
         """Return the frame that continues with ``solved`` for each solution of the goal, in order; see `act`."""
-        given = tuple([values[position] for position in self.positions])
-        ground = ground or are_ground(given)
+        inputs = tuple([values[position] for position in self.positions])
+        ground = ground or are_ground(inputs)
         # All solutions are computed first: events that follow from the first solution must not change the later
         # ones.
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open_goal(True)
@@ -249,8 +249,8 @@ class RuleGoal:
                 after,
             )
 
-        given = given if ground else values
-        return self._dispatcher.call(goal, given, self._reported, each, term, (), start, end, after)
+        inputs = inputs if ground else values
+        return self._dispatcher.call(goal, inputs, self._reported, each, term, (), start, end, after)
 
     def with_cause(self, match: PartialMatch, solved: EventAction, after: Frame) -> Tuple[EventAction, Frame]:
         """Record the match as the cause of the events that the goal makes, until it ends.
@@ -268,14 +268,14 @@ class RuleGoal:
         key = (tuple(inputs), tuple(outputs), every)
         compiled = self._compiled.get(key)
         if compiled is None:
-            goal, wanted = self.goal, list(outputs)
+            goal, requested_outputs = self.goal, list(outputs)
             if every:
                 all_solutions = Var()
                 goal = (_FINDALL, make_list(outputs), goal, all_solutions)
-                wanted = [all_solutions]
+                requested_outputs = [all_solutions]
             rule = self.rule
             compiled = self._compiled[key] = rule.network.logic.compile_goal(
-                goal, list(inputs), wanted, rule.place, rule.name, self._from_outside
+                goal, list(inputs), requested_outputs, rule.place, rule.name, self._from_outside
             )
         return compiled
 

@@ -54,7 +54,7 @@ class JoinNode(NetworkNode):
         operator: defines which pairs are results, and their interval.
         left: node of the left operand.
         right: node of the right operand.
-        keep: variables that are used elsewhere in the rule.
+        shared_vars: variables that are used elsewhere in the rule.
         gap: variables that receive the gap between the operands, for a negation that is tested further up; or None.
         captured: pairs of variables that receive the interval of the result, for conditions tested further up.
         shares_events: whether one event may be in both operands.
@@ -72,7 +72,7 @@ class JoinNode(NetworkNode):
         operator: EventOperator,
         left: NetworkNode,
         right: NetworkNode,
-        keep: AbstractSet[Var],
+        shared_vars: AbstractSet[Var],
         gap: Optional[Tuple[Var, Var]],
         captured: Sequence[Tuple[Var, Var]],
         shares_events: bool,
@@ -83,25 +83,27 @@ class JoinNode(NetworkNode):
         self.left = left
         self.right = right
         self.gap = gap
-        self.keep = keep
+        self.shared_vars = shared_vars
         self._names = names
         in_left, in_right = positions(left.vars), positions(right.vars)
         self.pairs = tuple((position, in_right[var]) for var, position in in_left.items() if var in in_right)
         self.left_buffer = MatchBuffer(rule, tuple(left_position for left_position, _ in self.pairs))
         self.right_buffer = MatchBuffer(rule, tuple(right_position for _, right_position in self.pairs))
         # Values of the result as source expressions: variables that nothing above uses are dropped here (projection).
-        taken = [(f"lv[{position}]", var) for position, var in enumerate(left.vars) if var in keep]
-        taken += [
+        value_sources = [
+            (f"lv[{position}]", var) for position, var in enumerate(left.vars) if var in shared_vars
+        ]
+        value_sources += [
             (f"rv[{position}]", var)
             for position, var in enumerate(right.vars)
-            if var in keep and var not in in_left
+            if var in shared_vars and var not in in_left
         ]
         if gap is not None:
-            taken += [("e1", gap[0]), ("s2", gap[1])]
+            value_sources += [("e1", gap[0]), ("s2", gap[1])]
         for first, last in captured:
-            taken += [("start", first), ("end", last)]
-        self.taken = [source for source, _ in taken]
-        self.vars = [var for _, var in taken]
+            value_sources += [("start", first), ("end", last)]
+        self.value_sources = [source for source, _ in value_sources]
+        self.vars = [var for _, var in value_sources]
         self.absences: List[NegationBuffer] = []
         self.negated: List[NetworkNode] = []
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
@@ -134,7 +136,7 @@ class JoinNode(NetworkNode):
             return []
         sweeps = []
         for absence in self.absences:
-            sources = [self.taken[position] for _, position in absence.shared]
+            sources = [self.value_sources[position] for _, position in absence.shared]
             # If the negated pattern shares a variable with the second operand, different second operands have
             # different negated matches, and no first operand is ruled out for all of them.
             if absence.uses_frontiers() and all(source.startswith("lv[") for source in sources):
@@ -210,16 +212,16 @@ class JoinNode(NetworkNode):
         return MatchSide(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
 
     def _right_side(self, mode: NetworkOptions) -> MatchSide:
-        both, late, retains_right = self.operator.either, self._is_late(mode), self._keeps(mode)
+        any_order, late, retains_right = self.operator.either, self._is_late(mode), self._keeps(mode)
         flipped = tuple((right_position, left_position) for left_position, right_position in self.pairs)
         join = self._join(False)
         if self._is_revised(mode) and self.can_be_revived[1]:
             join = join_in_order(self.rule.network.tracker, join)
-        waits, stays = both or late or retains_right, late or retains_right
+        waits, stays = any_order or late or retains_right, late or retains_right
         right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
         if retains_right:
             right = right._replace(store=self.retained_matches.add)
-        if self.shares_events and mode.policy.replacing and (both or late):
+        if self.shares_events and mode.policy.replacing and (any_order or late):
             right = right._replace(store=self._wait_later)
         return right
 
@@ -231,7 +233,7 @@ class JoinNode(NetworkNode):
         Return the action of the left one, and the function that fuses it.
         """
         policy, operator, late = mode.policy, self.operator, self._is_late(mode)
-        both = operator.either
+        any_order = operator.either
         only_waits = store_only(left), self._fuse(left, False, out, mode)
         if self._keeps(mode):
             tracker = self.rule.network.tracker
@@ -248,26 +250,26 @@ class JoinNode(NetworkNode):
             _bind(self.right, join_all_partners(right, out), mode, fuse)
             return (
                 (join_all_partners(left, out), self._fuse(left, True, out, mode))
-                if both or late
+                if any_order or late
                 else only_waits
             )
         # `and` with one event in both operands: each event may complete one pair only.
-        once = self.completed if self.shares_events and both and operator.alone else None
+        once = self.completed if self.shares_events and any_order and operator.alone else None
         _bind(self.right, join_one_partner(right, policy.newest, True, out, once), mode, fuse)
-        if not both and not late:
+        if not any_order and not late:
             return only_waits
         arrive = join_one_partner(left, policy.newest, True, out, once)
         # The event of a right operand is stored when it has been tried as a left operand too; see `_wait_later`.
-        if right.store and both:
+        if right.store and any_order:
             return self._after_waiting(arrive), None
         return arrive, self._fuse(left, True, out, mode)
 
-    def _fuse(self, side: MatchSide, takes: bool, out: Emit, mode: NetworkOptions) -> Optional[Fuse]:
+    def _fuse(self, side: MatchSide, joins: bool, out: Emit, mode: NetworkOptions) -> Optional[Fuse]:
         """Return the function that fuses an operand with the dispatch of its events; None if it cannot be fused.
 
         Args:
             side: the operand.
-            takes: whether its matches join with partners; else they are only stored.
+            joins: whether its matches join with partners; else they are only stored.
             out: receives the results.
             mode: options of the network.
         """
@@ -280,16 +282,16 @@ class JoinNode(NetworkNode):
             (self.left.values_are_arguments, self.right.values_are_arguments),
             self.operator,
             self.span,
-            list(zip(self.vars, self.taken)),
+            list(zip(self.vars, self.value_sources)),
             [absence.forbids_pair for absence in self.absences],
             self.tests,
-            self.vars[len(self.taken) :],
-            computed_values_getter(self.vars, len(self.taken), self.keep),
+            self.vars[len(self.value_sources) :],
+            computed_values_getter(self.vars, len(self.value_sources), self.shared_vars),
             completion,
         )
-        newest, uses = mode.policy.newest, mode.policy.consuming
-        taking = PartnerChoice(newest, uses, join_one_of_others(side, newest, out)) if takes else None
-        return lambda plain: fused_side(side, pair, taking, rule, plain, out)
+        newest, consumes = mode.policy.newest, mode.policy.consuming
+        choice = PartnerChoice(newest, consumes, join_one_of_others(side, newest, out)) if joins else None
+        return lambda general_path: fused_side(side, pair, choice, rule, general_path, out)
 
     def _may_fuse(self, mode: NetworkOptions) -> bool:
         """Return whether nothing inspects the events of the matches, so that no match object is needed."""
@@ -303,7 +305,7 @@ class JoinNode(NetworkNode):
         rule = self.rule
         if not self._may_fuse(mode):
             return None
-        return lambda plain: fused_absence(absence, rule, negated.values_are_arguments, plain)
+        return lambda general_path: fused_absence(absence, rule, negated.values_are_arguments, general_path)
 
     def _wait_later(self, match: PartialMatch, key: Hashable) -> None:
         """Store a right operand when its event has been tried as a left operand too.
@@ -350,7 +352,9 @@ class JoinNode(NetworkNode):
         if self.span is not None:
             lines += [f"    if end - start > {self.span}:", "        return None"]
         lines += ["    lv = l.values", "    rv = r.values"]
-        lines.append(f"    values = ({', '.join(self.taken)}{',' if len(self.taken) == 1 else ''})")
+        lines.append(
+            f"    values = ({', '.join(self.value_sources)}{',' if len(self.value_sources) == 1 else ''})"
+        )
         for number, absence in enumerate(self.absences):
             names[f"absence{number}"] = absence.forbids_pair
             lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
@@ -361,12 +365,12 @@ class JoinNode(NetworkNode):
                 "    if values is None:",
                 "        return None",
             ]
-        known = len(self.taken)
+        received_count = len(self.value_sources)
         names["ComputedValues"], names["own"] = (
             ComputedValues,
-            computed_values_getter(self.vars, known, self.keep),
+            computed_values_getter(self.vars, received_count, self.shared_vars),
         )
-        parts = "(l, r, ComputedValues(own(values)))" if len(self.vars) > known else "(l, r)"
+        parts = "(l, r, ComputedValues(own(values)))" if len(self.vars) > received_count else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", names, f"join by {operator.name}"
@@ -380,14 +384,14 @@ class JoinNode(NetworkNode):
     ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
         tracker = self.rule.network.tracker
 
-        def noting(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
+        def join_and_record(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
             tracker.blocker = None
             result = join(match, partner)
             if result is None and tracker.blocker is not None:
                 tracker.record_suppressed(self, (match, partner) if left_arrives else (partner, match))
             return result
 
-        return noting
+        return join_and_record
 
     def retry(self, pair: Tuple[PartialMatch, PartialMatch], after: Frame) -> Frame:
         """Join two matches again, after the negated match between them was retracted."""

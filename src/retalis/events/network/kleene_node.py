@@ -86,8 +86,8 @@ class KleeneValues(NetworkNode):
         self._captures = 0
         self.tests: List[Test] = []
         self.late_tests: List[Test] = []
-        own = set(first.vars)
-        self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in own)]
+        first_vars = set(first.vars)
+        self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first_vars)]
         self.open_vars: List[Var] = []
 
     def open(self, names: Sequence[Var]) -> None:
@@ -115,31 +115,31 @@ class KleeneValues(NetworkNode):
             items: layout of the values of each repetition, if conditions on repetitions are tested further up; else
                 None.
         """
-        own = self.first.vars
-        of_first = set(own)
+        first_vars = self.first.vars
+        first_var_set = set(first_vars)
         of_step = positions(self.step_vars)
         self.aggregate = aggregate
         self.empty = None if aggregate is None else aggregate.start
-        self.fixed = [var for var in self.step_vars if var in outside and var not in of_first]
+        self.fixed = [var for var in self.step_vars if var in outside and var not in first_var_set]
         self.fixed_at = [of_step[var] for var in self.fixed]
         self.items = items
-        self._same_at = len(own)
-        known = [*own, *self.fixed]
+        self._same_at = len(first_vars)
+        result_vars = [*first_vars, *self.fixed]
         if items is not None:
-            given = set(known)
-            items.names = [var for var in self.step_vars if var not in given]
+            given_vars = set(result_vars)
+            items.names = [var for var in self.step_vars if var not in given_vars]
             self._items_at = [of_step[var] for var in items.names]
-            known.insert(self._same_at, items.var)
+            result_vars.insert(self._same_at, items.var)
             self._same_at += 1
-        places = positions(known)
+        places = positions(result_vars)
         self._open_at = [places[var] for var in self.open_vars]
         if aggregate is not None and result is not None:
             self.result_is_open = result.__class__ is Var and result not in places
             self.result_new = [var for var in variables(result) if var not in places]
-            self._result_at = len(known)
-            known += self.result_new
-            self.make_result = compile_builder(result, known, "result of an aggregate")
-        self.vars = known
+            self._result_at = len(result_vars)
+            result_vars += self.result_new
+            self.make_result = compile_builder(result, result_vars, "result of an aggregate")
+        self.vars = result_vars
 
     def capture(self, start: Var, end: Var) -> None:
         """Add the interval to the values, for a condition that may have to be tested further up too."""
@@ -198,11 +198,11 @@ class KleeneValues(NetworkNode):
                 result_values = test(result_values, start, end)
             if result_values is None:
                 return None
-        own = ComputedValues(self._found(result_values))
+        computed_values = ComputedValues(self._found(result_values))
         event = run.event if run.fixed_values is None else None
         # The `TrackedMatch` is needed even if it is empty: with one part, the match would look like a condition
         # around its start.
-        return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, own))
+        return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, computed_values))
 
     def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
@@ -239,7 +239,7 @@ class KleeneNode(KleeneValues):
         repeated: node of Q.
         shares_events: whether one event may be in both.
         names: functions that return the identity of the matches of P and of Q.
-        keep: variables that are used elsewhere in the rule.
+        shared_vars: variables that are used elsewhere in the rule.
 
     Attributes:
         can_be_revived: whether a match of P and of Q can be revived by a retraction.
@@ -254,12 +254,12 @@ class KleeneNode(KleeneValues):
         repeated: NetworkNode,
         shares_events: bool,
         names: Tuple[IdentityFunction, IdentityFunction],
-        keep: AbstractSet[Var],
+        shared_vars: AbstractSet[Var],
     ):
         super().__init__(first, repeated)
         self.rule = rule
         self._first_name, self._repeated_name = names
-        self._keep = keep
+        self._shared_vars = shared_vars
         self.shares_events = shares_events
         in_first, in_repeated = positions(first.vars), positions(repeated.vars)
         self.pairs = tuple(
@@ -313,7 +313,7 @@ class KleeneNode(KleeneValues):
         self.incoming.set_identity_function(
             self._repeated_name if policy.replacing and not self.retains_right else None
         )
-        self._found = computed_values_getter(self.vars, self._same_at, self._keep)
+        self._found = computed_values_getter(self.vars, self._same_at, self._shared_vars)
         self.out = out
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
         # ones.

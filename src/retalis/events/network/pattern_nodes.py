@@ -276,10 +276,10 @@ class FilterNode(NetworkNode):
     """Passes on the matches that satisfy tests: conditions on an event, an ``or``, or the solution of an action."""
 
     def __init__(
-        self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], keep: AbstractSet[Var]
+        self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], shared_vars: AbstractSet[Var]
     ):
         self.child = child
-        self.keep = keep
+        self.shared_vars = shared_vars
         self.is_single_event = child.is_single_event
         self.tests_window = False
         self.vars = list(names)
@@ -294,7 +294,7 @@ class FilterNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         tests = self.tests
         span = self.span
-        computed_values = computed_values_getter(self.vars, len(self.child.vars), self.keep)
+        computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
             start = match.start
@@ -354,12 +354,12 @@ class BindNode(NetworkNode):
 class OrNode(NetworkNode):
     """Emits the matches of all branches; variables of the other branches remain unbound."""
 
-    def __init__(self, children: Sequence[NetworkNode], keep: AbstractSet[Var]):
+    def __init__(self, children: Sequence[NetworkNode], shared_vars: AbstractSet[Var]):
         self.children = children
         kept_vars: Dict[Var, None] = {}
         for child in children:
             for var in child.vars:
-                if var in keep:
+                if var in shared_vars:
                     kept_vars.setdefault(var)
         self.vars = list(kept_vars)
 
@@ -390,9 +390,9 @@ class ActionNode(NetworkNode):
             pattern.
     """
 
-    def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, keep: AbstractSet[Var]):
+    def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, shared_vars: AbstractSet[Var]):
         self.child = child
-        self.keep = keep
+        self.shared_vars = shared_vars
         self.is_single_event = child.is_single_event
         self.tests_window = False
         self.call = call
@@ -411,7 +411,7 @@ class ActionNode(NetworkNode):
         act = call.act_on_all if self.every else call.act
         tracked = mode.tracked
         span = self.span
-        computed_values = computed_values_getter(self.vars, len(self.child.vars), self.keep)
+        computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:

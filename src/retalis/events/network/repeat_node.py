@@ -61,8 +61,8 @@ _SEQ = OPERATORS[SEQ]
 class _Relay(NetworkNode):
     """Represents one of the repetitions if they are joined by nodes of their own."""
 
-    def __init__(self, like: NetworkNode, shared: Collection[Var]):
-        self.vars = [var if var in shared else Var() for var in like.vars]
+    def __init__(self, original: NetworkNode, shared: Collection[Var]):
+        self.vars = [var if var in shared else Var() for var in original.vars]
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Set the action that receives the matches."""
@@ -70,8 +70,10 @@ class _Relay(NetworkNode):
 
     def take(self, match: PartialMatch, after: Frame) -> Frame:
         """Pass on a copy of a match, which can be stored by itself."""
-        own = PartialMatch(match.values, match.start, match.end, match.event, match.term, match.parts)
-        return self._out(own, after)
+        copied_match = PartialMatch(
+            match.values, match.start, match.end, match.event, match.term, match.parts
+        )
+        return self._out(copied_match, after)
 
 
 class RepeatNode(NetworkNode):
@@ -81,7 +83,7 @@ class RepeatNode(NetworkNode):
         rule: the rule that it belongs to.
         child: node of the pattern; makes at most one match of each event.
         times: number of repetitions, at least two.
-        keep: variables that are used elsewhere in the rule. They have the same value in each repetition.
+        shared_vars: variables that are used elsewhere in the rule. They have the same value in each repetition.
         named: returns the identity function for matches with the values of some variables.
 
     Attributes:
@@ -95,13 +97,13 @@ class RepeatNode(NetworkNode):
         rule: "EventRule",
         child: NetworkNode,
         times: int,
-        keep: AbstractSet[Var],
+        shared_vars: AbstractSet[Var],
         named: Callable[[List[Var]], IdentityFunction],
     ):
         self.rule = rule
         self.child = child
         self.times = times
-        self.vars = [var for var in child.vars if var in keep]
+        self.vars = [var for var in child.vars if var in shared_vars]
         self._names = named(child.vars), named(self.vars)
         place_of = positions(child.vars)
         self._kept = tuple([place_of[var] for var in self.vars])
@@ -141,26 +143,26 @@ class RepeatNode(NetworkNode):
             self._switch_to_joins()
         else:
             self._is_grouped = True
-            for number, buffer in self._buffers.items():
-                for match in buffer.all() if number > 1 else ():
-                    set_slice_parts(match, number)
-                self._set_up(buffer, number)
+            for length, buffer in self._buffers.items():
+                for match in buffer.all() if length > 1 else ():
+                    set_slice_parts(match, length)
+                self._set_up(buffer, length)
                 for key in buffer.newest:
-                    self._separate.setdefault(key, {})[number] = None
+                    self._separate.setdefault(key, {})[length] = None
         self.child.bind(self._arrive, mode)
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
-        separate = [(key, list(numbers)) for key, numbers in self._separate.items()]
+        separate = [(key, list(lengths)) for key, lengths in self._separate.items()]
         return self._is_grouped, list(self._buffers), list(self.groups.values()), separate
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        was_grouped, numbers, groups, separate = saved
+        was_grouped, lengths, groups, separate = saved
         if self._is_grouped and not was_grouped:
             self._switch_to_joins()
-        for number in numbers:
-            self._buffer(number)
+        for length in lengths:
+            self._buffer(length)
         self.groups = {group.key: group for group in groups}
         self._separate = {key: dict.fromkeys(lengths) for key, lengths in separate}
 
@@ -169,11 +171,11 @@ class RepeatNode(NetworkNode):
 
         Zero for the buffer of the run groups, whose sequences have any length.
         """
-        was_grouped, numbers, _, _ = saved
+        was_grouped, lengths, _, _ = saved
         if self._is_grouped and was_grouped:
-            return [0, *dict.fromkeys([*self._buffers, *numbers])]
-        known = dict.fromkeys([*self._buffers, *range(1, self.times), *numbers])
-        return [0, *known, *[1] * (self.times - 1)]
+            return [0, *dict.fromkeys([*self._buffers, *lengths])]
+        known_lengths = dict.fromkeys([*self._buffers, *range(1, self.times), *lengths])
+        return [0, *known_lengths, *[1] * (self.times - 1)]
 
     def values_of(self, cursor: RunCursor) -> Values:
         """Return the values of a sequence."""
@@ -226,7 +228,7 @@ class RepeatNode(NetworkNode):
             result = group.match_of(longest, self.times)
             longest.leave()
         cursor: Any = group.cursors[0]
-        self.rule.keep(cursor, self.limit)
+        self.rule.count_stored(cursor, self.limit)
         if self._mode.tracked:
             self._register_dependency(group, match)
         if separate and self._mode.policy.replacing:
@@ -239,35 +241,35 @@ class RepeatNode(NetworkNode):
         The policy decides which of two sequences with the same length stays in the group.
         """
         newest = self._mode.policy.newest
-        for number in list(separate):
+        for length in list(separate):
             self.visits += 1
-            cursor = group.cursor_with(number)
+            cursor = group.cursor_with(length)
             if cursor is not None and newest and self._fits(cursor, match):
                 # It is newer than the separately stored sequences.
                 continue
-            sequence = self._first_fit(number, group.key, match, separate)
+            sequence = self._first_fit(length, group.key, match, separate)
             if sequence is None:
                 continue
             if cursor is not None:
-                self._ungroup(group, cursor, number)
+                self._ungroup(group, cursor, length)
             sequence.leave()
-            sequence = RunCursor(sequence, number, group)
-            group.add(number, sequence)
-            self.rule.keep(sequence, self.limit)
+            sequence = RunCursor(sequence, length, group)
+            group.add(length, sequence)
+            self.rule.count_stored(sequence, self.limit)
 
     def _ungroup_too_long(self, group: RunGroup, match: PartialMatch) -> None:
         """Store the sequences separately that would be too long with a match that does not move the rule's clock."""
-        for number, cursor in list(group.numbered_cursors()):
+        for length, cursor in list(group.cursors_by_length()):
             self.visits += 1
             if not self._fits(cursor, match):
-                self._ungroup(group, cursor, number)
+                self._ungroup(group, cursor, length)
 
     def _replace(self, group: RunGroup, separate: Dict[int, None]) -> None:
         """Remove the separately stored sequences that consist of the same events as the ones in the group."""
-        for number in separate:
-            cursor, buffer = group.cursor_with(number), self._buffers[number]
+        for length in separate:
+            cursor, buffer = group.cursor_with(length), self._buffers[length]
             if cursor is not None and group.key in buffer.newest:
-                older = buffer.find_identical(group.match_of(cursor, number), group.key)
+                older = buffer.find_identical(group.match_of(cursor, length), group.key)
                 if older is not None:
                     older.leave()
 
@@ -279,33 +281,33 @@ class RepeatNode(NetworkNode):
         separate = separate or {}
         # Longest first: a sequence that is extended becomes one of the next length, and must not take the same
         # repetition again.
-        for number in sorted(separate, reverse=True):
+        for length in sorted(separate, reverse=True):
             self.visits += 1
-            sequence = self._first_fit(number, group.key, match, separate)
+            sequence = self._first_fit(length, group.key, match, separate)
             if sequence is None:
                 continue
             sequence.leave()
             values = (
                 sequence.values
-                if number > 1
+                if length > 1
                 else tuple([sequence.values[position] for position in self._kept])
             )
-            slices = BufferSlice((*slices_of(sequence, number), (SharedLog([match]), 0, 1)))
+            slices = BufferSlice((*slices_of(sequence, length), (SharedLog([match]), 0, 1)))
             longer = PartialMatch(values, sequence.start, match.end, None, None, (slices,))
-            if number + 1 == self.times:
+            if length + 1 == self.times:
                 result = longer
             else:
-                self._store_new_sequence(group, longer, number + 1)
+                self._store_new_sequence(group, longer, length + 1)
         self._store_new_sequence(group, match, 1)
         return result
 
     def _first_fit(
-        self, number: int, key: Hashable, match: PartialMatch, separate: Dict[int, None]
+        self, length: int, key: Hashable, match: PartialMatch, separate: Dict[int, None]
     ) -> Optional[PartialMatch]:
         """Return the separately stored sequence of a length that takes a repetition, or None."""
-        buffer = self._buffers[number]
+        buffer = self._buffers[length]
         if key not in buffer.newest:
-            del separate[number]
+            del separate[length]
             return None
         partners = buffer.partners(key, match.start, match.end, self._mode.policy.newest)
         for candidate in metered(partners, self.rule.meter):
@@ -316,67 +318,67 @@ class RepeatNode(NetworkNode):
     def _fits(self, sequence: PartialMatch, match: PartialMatch) -> bool:
         return self.span is None or match.end - sequence.start <= self.span
 
-    def _store_new_sequence(self, group: RunGroup, match: PartialMatch, number: int) -> None:
+    def _store_new_sequence(self, group: RunGroup, match: PartialMatch, length: int) -> None:
         """Store a new sequence separately; it is newer than the one with the same length in the group."""
-        cursor = group.cursor_with(number)
+        cursor = group.cursor_with(length)
         if cursor is not None:
-            if self._mode.policy.replacing and identity(group.match_of(cursor, number)) == identity(match):
+            if self._mode.policy.replacing and identity(group.match_of(cursor, length)) == identity(match):
                 cursor.leave()
             else:
-                self._ungroup(group, cursor, number)
-        self._store_separately(match, number, group.key)
+                self._ungroup(group, cursor, length)
+        self._store_separately(match, length, group.key)
 
-    def _ungroup(self, group: RunGroup, cursor: RunCursor, number: int) -> None:
+    def _ungroup(self, group: RunGroup, cursor: RunCursor, length: int) -> None:
         """Remove a sequence from a group and store it separately, with the age that it had in the group."""
-        match = group.match_of(cursor, number)
+        match = group.match_of(cursor, length)
         cursor.leave()
         # The sequence is as old as its last repetition.
-        self._store_separately(match, number, group.key, group.order - number + 1)
+        self._store_separately(match, length, group.key, group.order - length + 1)
 
     def _store_separately(
-        self, match: PartialMatch, number: int, key: Hashable, order: Optional[int] = None
+        self, match: PartialMatch, length: int, key: Hashable, order: Optional[int] = None
     ) -> None:
-        buffer = self._buffer(number)
+        buffer = self._buffer(length)
         buffer.add(match, key, order)
         # The lengths are cleared lazily, when a key is used. Keys that are never used again would accumulate.
         if key not in self._separate and len(self._separate) > 2 * self.rule.waiting + 1000:
             self._separate = {}
-            for length, other_buffer in self._buffers.items():
+            for other_length, other_buffer in self._buffers.items():
                 for other_key in other_buffer.newest:
-                    self._separate.setdefault(other_key, {})[length] = None
-        self._separate.setdefault(key, {})[number] = None
+                    self._separate.setdefault(other_key, {})[other_length] = None
+        self._separate.setdefault(key, {})[length] = None
 
-    def _buffer(self, number: int) -> MatchBuffer:
-        buffer = self._buffers.get(number)
+    def _buffer(self, length: int) -> MatchBuffer:
+        buffer = self._buffers.get(length)
         if buffer is None:
-            shared = self._kept if number == 1 else tuple(range(len(self._kept)))
-            buffer = self._buffers[number] = MatchBuffer(self.rule, shared)
+            shared = self._kept if length == 1 else tuple(range(len(self._kept)))
+            buffer = self._buffers[length] = MatchBuffer(self.rule, shared)
             buffer.retention = self.limit
             buffer.is_negated = self.is_negated
-            self._set_up(buffer, number)
+            self._set_up(buffer, length)
         return buffer
 
-    def _set_up(self, buffer: MatchBuffer, number: int) -> None:
+    def _set_up(self, buffer: MatchBuffer, length: int) -> None:
         buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
         # Matches of one key have the same values, so these do not belong to the identity of longer sequences.
-        name = self._names[0] if number == 1 else identity
+        name = self._names[0] if length == 1 else identity
         buffer.set_identity_function(name if self._mode.policy.replacing else None)
 
     # ---- retracted events ----------------------------------------------------------------------------
 
     def _register_dependency(self, group: RunGroup, match: PartialMatch) -> None:
         """Register the group with the events of a repetition."""
-        number = group.repetition_count - 1
+        repetition_number = group.repetition_count - 1
         for occurrence in lineage_nodes_of(match):
             if occurrence.retracted:
-                self.remove_retracted(group, number)
+                self.remove_retracted(group, repetition_number)
                 return
-            occurrence.dependents.append((self, group, number))
+            occurrence.dependents.append((self, group, repetition_number))
 
-    def remove_retracted(self, group: RunGroup, number: int) -> bool:
+    def remove_retracted(self, group: RunGroup, repetition_number: int) -> bool:
         """Remove all sequences that contain a repetition whose event was retracted; nothing follows from that."""
-        for _, cursor in list(group.numbered_cursors()):
-            if cursor.first_number <= number:
+        for _, cursor in list(group.cursors_by_length()):
+            if cursor.first_number <= repetition_number:
                 cursor.leave()
         return False
 
@@ -386,28 +388,28 @@ class RepeatNode(NetworkNode):
         """Switch to join nodes, and move all sequences to their buffers."""
         for group in sorted(self.groups.values(), key=lambda stored: stored.order):
             # Oldest group first, longest sequence first: the order in which they were stored.
-            for number, cursor in list(group.numbered_cursors()):
-                self._ungroup(group, cursor, number)
+            for length, cursor in list(group.cursors_by_length()):
+                self._ungroup(group, cursor, length)
         self._separate = {}
         self._is_grouped = False
-        for number, buffer in self._buffers.items():
-            for stored in buffer.all() if number > 1 else ():
-                set_join_parts(stored, number)
+        for length, buffer in self._buffers.items():
+            for stored in buffer.all() if length > 1 else ():
+                set_join_parts(stored, length)
         if not self._join_nodes:
             shared = frozenset(self.vars)
             self._relays = [_Relay(self.child, shared) for _ in range(self.times)]
             left: Any = self._relays[0]
-            for number, relay in enumerate(self._relays[1:], 1):
-                left = JoinNode(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(number))
-                left.left_buffer = self._buffer(number)
+            for length, relay in enumerate(self._relays[1:], 1):
+                left = JoinNode(self.rule, _SEQ, left, relay, shared, None, (), True, self._names_at(length))
+                left.left_buffer = self._buffer(length)
                 left.right_buffer.is_negated = self.is_negated
                 left.set_span(self.span, self.limit)
                 self._join_nodes.append(left)
         self._join_nodes[-1].bind(self._emit_slices if self._mode.policy.replacing else self._out, self._mode)
 
-    def _names_at(self, number: int) -> Tuple[IdentityFunction, IdentityFunction]:
+    def _names_at(self, length: int) -> Tuple[IdentityFunction, IdentityFunction]:
         single_name, longer_name = self._names
-        return (single_name if number == 1 else longer_name), single_name
+        return (single_name if length == 1 else longer_name), single_name
 
     def _emit_slices(self, match: PartialMatch, after: Frame) -> Frame:
         """Emit a match of all repetitions with the parts that a run group gives it; it may replace one of those."""
@@ -420,8 +422,8 @@ class RepeatNode(NetworkNode):
         Relays whose join node has no stored partner are skipped, unless the match may be stored there.
         """
         relays, late = self._relays, self._mode.out_of_order
-        for number in range(self.times - 1, 0, -1):
-            if late or self._buffers[number].newest:
+        for length in range(self.times - 1, 0, -1):
+            if late or self._buffers[length].newest:
                 self.visits += 1
-                yield relays[number]
+                yield relays[length]
         yield relays[0]

@@ -106,9 +106,9 @@ class RuleCompiler(StreamCompiler):
     def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
         super().__init__(rule)
         self.pattern = pattern
-        self.keep = shared_variables(head, pattern)
+        self.shared_vars = shared_variables(head, pattern)
         self._counts = occurrences(head, pattern)
-        self._match_keys = MatchKeys(self.keep)
+        self._match_keys = MatchKeys(self.shared_vars)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
         self.stream_nodes: List[StreamNode] = []
         self.copies: List[Tuple[BuiltPattern, BuiltPattern]] = []
@@ -172,7 +172,7 @@ class RuleCompiler(StreamCompiler):
             built = BuiltPattern(leaf, [], [], [leaf])
         elif isinstance(core, OrPattern):
             branches = [self._build(branch, context, inner) for branch in core.branches]
-            node: NetworkNode = OrNode([branch.node for branch in branches], self.keep)
+            node: NetworkNode = OrNode([branch.node for branch in branches], self.shared_vars)
             deferred = [condition for branch in branches for condition in branch.deferred]
             joined = [leaf for branch in branches for leaf in branch.joined]
             single = [leaf for branch in branches for leaf in branch.single]
@@ -186,7 +186,7 @@ class RuleCompiler(StreamCompiler):
             assert isinstance(core, ActionPattern)
             below = self._build(core.pattern, context, inner)
             node = ActionNode(
-                below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.keep
+                below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.shared_vars
             )
             built = below._replace(node=self._add(node, None, inner))
         return self._add_filter(built, wrapping, context)
@@ -200,7 +200,9 @@ class RuleCompiler(StreamCompiler):
             built = self._build(core.pattern, context | self._bound(core.pattern), limit)
             if not built.deferred:
                 identity_functions = partial(self._match_keys.identity_function, pattern=core.pattern)
-                repeating = RepeatNode(self.rule, built.node, core.times, self.keep, identity_functions)
+                repeating = RepeatNode(
+                    self.rule, built.node, core.times, self.shared_vars, identity_functions
+                )
                 node = self._add(repeating, None, limit)
                 return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[before:]
@@ -240,7 +242,7 @@ class RuleCompiler(StreamCompiler):
                 tests.append(tested[0])
                 names = tested[1]
         if tests or wrapping.span is not None:
-            node = self._add(FilterNode(node, names, tests, self.keep), wrapping.span, UNLIMITED)
+            node = self._add(FilterNode(node, names, tests, self.shared_vars), wrapping.span, UNLIMITED)
         return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
 
     def _split(
@@ -256,15 +258,15 @@ class RuleCompiler(StreamCompiler):
         assigned: List[TestedCondition] = []
         # A variable that only some branches bind counts as unbound: the condition must then wait for the left
         # operand.
-        known = always_bound_by(core, False, True)
+        known_vars = always_bound_by(core, False, True)
         for condition in conditions:
             mentioned = set(variables(condition.goal))
-            needs = (mentioned & context) - known
+            needs = (mentioned & context) - known_vars
             if needs:
                 assigned.append(self._deferred(condition.goal, condition.timed, None, needs))
             else:
                 assigned.append(condition)
-                known |= mentioned
+                known_vars |= mentioned
         return assigned, [part for part in assigned if isinstance(part, DeferredConditions)]
 
     def _test(
@@ -287,11 +289,11 @@ class RuleCompiler(StreamCompiler):
         needs: Set[Var],
     ) -> DeferredConditions:
         start, end = Var(), Var()
-        self.keep |= {start, end}
+        self.shared_vars |= {start, end}
         # Matches may differ in the node that binds these variables.
         if goal is not None:
             mentioned = variables(goal)
-            self.keep.update(mentioned)
+            self.shared_vars.update(mentioned)
             self._match_keys.carried.update(mentioned)
         return DeferredConditions(needs, goal, timed, absent, start, end)
 
@@ -334,16 +336,16 @@ class RuleCompiler(StreamCompiler):
         if wrapping.absent is not None:
             inner = inner_context | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
             negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
-            known = set(left.node.vars) | set(right.node.vars)
-            needs = negated.needs(inner, known) | negated.needs(context, always_bound)
+            known_vars = set(left.node.vars) | set(right.node.vars)
+            needs = negated.needs(inner, known_vars) | negated.needs(context, always_bound)
         gap = (Var(), Var()) if needs else None
-        self.keep |= set(gap or ())
+        self.shared_vars |= set(gap or ())
         node = JoinNode(
             self.rule,
             OPERATORS[core.operator],
             left.node,
             right.node,
-            self.keep,
+            self.shared_vars,
             gap,
             [(condition.start, condition.end) for condition in newly_deferred],
             may_share_event(left, right),
@@ -445,7 +447,7 @@ class RuleCompiler(StreamCompiler):
             repeated.node,
             may_share_event(first, repeated),
             identity_functions,
-            self.keep,
+            self.shared_vars,
         )
         node.can_be_revived = (may_be_revived(core.first), may_be_revived(pattern))
         self._add(node, wrapping.span, limit)
@@ -463,7 +465,7 @@ class RuleCompiler(StreamCompiler):
             node.step_tests.append(test)
         deferred = [*first.deferred, *(pending.of_each(items) for pending in further)]
         carried = items if further else None
-        self.keep.add(items.var)
+        self.shared_vars.add(items.var)
         if isinstance(core, AggregatePattern):
             node.finish(outside, self._sequence_aggregate(core, node.step_vars), core.result, carried)
         else:

@@ -472,15 +472,15 @@ class StreamNode(NetworkNode):
         reentrancy = self._reentrancy
 
         def arrive(match: PartialMatch, after: Frame) -> Frame:
-            taken = match if with_match else None
+            element_match = match if with_match else None
             if reentrancy is None:
-                outputs = process(taken, match.values, match.start, match.end)
+                outputs = process(element_match, match.values, match.start, match.end)
             elif reentrancy.is_running:
                 reentrancy.defer(lambda frame: self._arrivals[channel](match, frame))
                 return after
             else:
                 outputs = reentrancy.run_operator(
-                    lambda: process(taken, match.values, match.start, match.end)
+                    lambda: process(element_match, match.values, match.start, match.end)
                 )
                 after = reentrancy.before(after)
             if not outputs:

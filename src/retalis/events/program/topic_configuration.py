@@ -97,15 +97,15 @@ class Topics(NamedTuple):
     latched: FrozenSet[str] = frozenset()
     events: Tuple[TopicEvent, ...] = ()
 
-    def event_of(self, topic: str, plain: Callable[[str], str] = str) -> str:
+    def event_of(self, topic: str, canonical_name: Callable[[str], str] = str) -> str:
         """Return the name of the events of a topic, or "" if they are named by the message type.
 
         Args:
             topic: name of the topic.
-            plain: returns the canonical form of a topic name.
+            canonical_name: returns the canonical form of a topic name.
         """
-        canonical = plain(topic)
-        return next((event for name, event in self.events if plain(name) == canonical), "")
+        canonical = canonical_name(topic)
+        return next((event for name, event in self.events if canonical_name(name) == canonical), "")
 
 
 def read_text(path: Union[str, Path]) -> str:
@@ -166,20 +166,20 @@ def read_direct(value: object) -> DirectTopics:
 
 
 def direct_topics(
-    direct: DirectTopics, topics: Topics, plain: Callable[[str], str] = str
+    direct: DirectTopics, topics: Topics, canonical_name: Callable[[str], str] = str
 ) -> Tuple[TopicType, ...]:
     """Return the topics that node retalis subscribes to directly, both live and offline.
 
     Args:
         direct: value of ``~direct``.
         topics: topics of the program.
-        plain: returns the canonical form of a topic name.
+        canonical_name: returns the canonical form of a topic name.
     """
     if direct is True:
         return DIRECT
     if direct == AUTO:
-        subscribed_names = {plain(topic) for topic, _ in topics.subscribed}
-        return tuple(topic for topic in DIRECT if plain(topic.topic) not in subscribed_names)
+        subscribed_names = {canonical_name(topic) for topic, _ in topics.subscribed}
+        return tuple(topic for topic in DIRECT if canonical_name(topic.topic) not in subscribed_names)
     return direct if isinstance(direct, tuple) else ()
 
 
@@ -211,7 +211,7 @@ class _TopicReader:
         self.parser.StartDoctypeDeclHandler = self.doctype
         self.open: List[Tuple[str, int]] = []
         self.inside = False
-        self.found: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
+        self.topics_by_tag: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
         self.latched: Set[str] = set()
         self.events: List[TopicEvent] = []
         self.errors = Errors()
@@ -234,67 +234,67 @@ class _TopicReader:
             self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
-        subscribed, published = (tuple(self.found[tag]) for tag in ("subscribe_to", "publish_to"))
+        subscribed, published = (tuple(self.topics_by_tag[tag]) for tag in ("subscribe_to", "publish_to"))
         return Topics(subscribed, published, frozenset(self.latched), tuple(self.events))
 
     def place(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
         return place_in(self.source, line, offset + 1, text)
 
-    def here(self) -> Place:
+    def current_place(self) -> Place:
         """Return the position of the parser."""
         return self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
 
     def doctype(self, *declared: object) -> None:
         """Refuse a document type: its entities could expand a small text to a huge one, or read other files."""
-        raise SyntaxFault("a document type (<!DOCTYPE ...>) is not allowed", self.here())
+        raise SyntaxFault("a document type (<!DOCTYPE ...>) is not allowed", self.current_place())
 
     def element(self, tag: str, attributes: Dict[str, str]) -> None:
-        place = self.here()
+        place = self.current_place()
         if len(self.open) >= MAX_XML_DEPTH:
             raise SyntaxFault(f"elements are nested more than {MAX_XML_DEPTH} deep", place)
-        tag = tag if tag in self.found else tag[:MAX_SHOWN_CHARACTERS]
+        tag = tag if tag in self.topics_by_tag else tag[:MAX_SHOWN_CHARACTERS]
         self.open.append((tag, place.line))
         if not self.inside:
             self.inside = True
             if tag != "publish_subscribe":
-                self.wrong(f"the root must be <publish_subscribe>, found <{tag}>", place)
+                self.add_error(f"the root must be <publish_subscribe>, found <{tag}>", place)
             return
-        if tag not in self.found:
+        if tag not in self.topics_by_tag:
             # Elements with other names only group their contents.
             if "msg_type" in attributes:
-                self.wrong(f"expected <subscribe_to> or <publish_to>, found <{tag}>", place)
+                self.add_error(f"expected <subscribe_to> or <publish_to>, found <{tag}>", place)
             return
         for name in ("name", "msg_type"):
             if not attributes.get(name, "").strip():
-                self.wrong(f'<{tag}> needs {name}="..."', place)
+                self.add_error(f'<{tag}> needs {name}="..."', place)
                 return
         try:
             topic = topic_type(attributes["name"].strip(), attributes["msg_type"].strip())
         except UsageError as error:
-            self.wrong(f"<{tag}>: {error.message}", place)
+            self.add_error(f"<{tag}>: {error.message}", place)
             return
         if tag == "publish_to":
             self.latch(topic.topic, attributes.get("latch", "false").strip(), place)
         else:
             self.name(topic.topic, attributes.get("event"), place)
-        self.found[tag].append(topic)
+        self.topics_by_tag[tag].append(topic)
 
     def name(self, topic: str, event: Optional[str], place: Place) -> None:
-        if event is None or any(entry.topic == topic for entry in self.found["subscribe_to"]):
+        if event is None or any(entry.topic == topic for entry in self.topics_by_tag["subscribe_to"]):
             # Of several entries for a topic the first one counts.
             return
         fault = event_name_error(event.strip())
         if fault is None:
             self.events.append(TopicEvent(topic, event.strip()))
         else:
-            self.wrong(f"<subscribe_to>: {fault}", place)
+            self.add_error(f"<subscribe_to>: {fault}", place)
 
     def latch(self, topic: str, value: str, place: Place) -> None:
         if value == "true":
             self.latched.add(topic)
         elif value != "false":
-            self.wrong(f'<publish_to>: latch is "true" or "false", found "{beginning(value)}"', place)
+            self.add_error(f'<publish_to>: latch is "true" or "false", found "{beginning(value)}"', place)
 
-    def wrong(self, message: str, place: Place) -> None:
+    def add_error(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))

@@ -246,24 +246,26 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
         return _describe_stream(pattern, parts, show)
     first = describe(pattern.first, parts[0], show)
     # Repetitions are recorded only while lineage is tracked; otherwise the match shows its first event only.
-    held = [part for part in parts if part.__class__ is TrackedMatch]
-    taken = list(held[0].matches) if held else []
+    tracked_matches = [part for part in parts if part.__class__ is TrackedMatch]
+    repetition_parts = list(tracked_matches[0].matches) if tracked_matches else []
     if isinstance(pattern, KleenePattern):
-        repeated = [describe(pattern.repeated, repetition, show) for repetition in taken]
+        repeated = [describe(pattern.repeated, repetition, show) for repetition in repetition_parts]
         return functor("seqf", 2)(first, functor("star_timesf", 1)(make_list(repeated)))
     kind = atom(pattern.kind) if pattern.value is None else functor(pattern.kind, 1)(copy(pattern.value))
-    if not taken:
+    if not repetition_parts:
         return functor("aggregate", 2)(kind, first)
     # The original system lists aggregated events from the newest to the oldest.
-    newest_first = [describe(pattern.collected, repetition, show) for repetition in reversed(taken)]
+    newest_first = [
+        describe(pattern.collected, repetition, show) for repetition in reversed(repetition_parts)
+    ]
     return functor("aggregate", 2 + len(newest_first))(kind, *newest_first, first)
 
 
 def _describe_stream(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
     if isinstance(pattern, WindowPattern):
-        held: List[Any] = [part for part in parts if part.__class__ is TrackedMatch]
-        taken = held[0].match.parts if held else ()
-        shown = [describe(pattern.collected, part, show) for part in taken]
+        tracked_matches: List[Any] = [part for part in parts if part.__class__ is TrackedMatch]
+        repetition_parts = tracked_matches[0].match.parts if tracked_matches else ()
+        shown = [describe(pattern.collected, part, show) for part in repetition_parts]
         return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))
     first = describe(pattern.pattern, parts[0], show)
     if isinstance(pattern, RatePattern):

@@ -58,7 +58,7 @@ class _ForbiddenElements:
             rising = first.start <= middle.start <= item.start and first.end <= middle.end <= item.end
             # Three elements with rising starts and ends, within one span: every pending element that the middle one
             # cancels is also cancelled by the first or the last one.
-            if rising and item.end - first.start < span and not (first.gone or middle.gone):
+            if rising and item.end - first.start < span and not (first.is_removed or middle.is_removed):
                 items[-1] = item
                 return [middle]
         items.append(item)
@@ -69,7 +69,7 @@ class _ForbiddenElements:
         """Count an element that was dropped; long lists are compacted only if half of them was dropped."""
         self.number -= 1
         if self.number < _SMALL_QUEUE or len(self.items) > 2 * self.number:
-            self.items = [item for item in self.items if not item.gone]
+            self.items = [item for item in self.items if not item.is_removed]
 
 
 class AbsenceTimeout(KeyedOperator):
@@ -112,7 +112,7 @@ class AbsenceTimeout(KeyedOperator):
             self._drop_pending(self._deadlines[0][2])
             self._update_deadline()
         else:
-            while self._by_start[0][2].gone:
+            while self._by_start[0][2].is_removed:
                 heapq.heappop(self._by_start)
             self._drop_forbidden_before(self._by_start[0][0])
         return []
@@ -153,8 +153,8 @@ class AbsenceTimeout(KeyedOperator):
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
-        pending = [item for _, _, item in self._deadlines if not item.gone]
-        forbidden = [item for _, _, item in self._by_start if not item.gone]
+        pending = [item for _, _, item in self._deadlines if not item.is_removed]
+        forbidden = [item for _, _, item in self._by_start if not item.is_removed]
         return (self._order, self._latest_now, sorted(pending, key=_order), sorted(forbidden, key=_order))
 
     def restore(self, saved: OperatorState) -> None:
@@ -187,7 +187,7 @@ class AbsenceTimeout(KeyedOperator):
         _push(self._deadlines, item.end + self.span, item, self._number)
 
     def _drop_pending(self, item: StreamElement) -> None:
-        item.gone = True
+        item.is_removed = True
         key: Any = item.key
         pending = self._pending[key[0]]
         del pending[key[1]]
@@ -197,7 +197,7 @@ class AbsenceTimeout(KeyedOperator):
 
     def _update_deadline(self) -> None:
         """Remove dropped elements from the top of the heap, and set the next deadline."""
-        while self._deadlines and self._deadlines[0][2].gone:
+        while self._deadlines and self._deadlines[0][2].is_removed:
             heapq.heappop(self._deadlines)
         self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 
@@ -229,7 +229,7 @@ class AbsenceTimeout(KeyedOperator):
             for group in forbidden_groups
             if group.newest > item.end
             for forbidden in group.items
-            if not forbidden.gone
+            if not forbidden.is_removed
         )
 
     def _lies_after(self, forbidden: StreamElement, item: StreamElement) -> bool:
@@ -248,7 +248,7 @@ class AbsenceTimeout(KeyedOperator):
         may_thin = self.correlation.key_is_sufficient and key is not None
         self._number += 1
         for redundant in group.add(item, self.span, may_thin):
-            redundant.gone = True
+            redundant.is_removed = True
             self._number -= 1
         _push(self._by_start, item.start, item, self._number)
 
@@ -256,8 +256,8 @@ class AbsenceTimeout(KeyedOperator):
         """Drop the forbidden elements that started too long ago to cancel a pending one."""
         while self._by_start and self._by_start[0][0] <= limit:
             item = heapq.heappop(self._by_start)[2]
-            if not item.gone:
-                item.gone = True
+            if not item.is_removed:
+                item.is_removed = True
                 self._number -= 1
                 group = self._forbidden[item.key]
                 group.count_removal()
@@ -273,5 +273,5 @@ def _push(heap: List[Tuple[int, int, StreamElement]], instant: int, item: Stream
     """Push an element on a heap, and compact the heap if more than half of it was dropped."""
     heapq.heappush(heap, (instant, item.order, item))
     if len(heap) > 2 * number + 64:
-        heap[:] = [entry for entry in heap if not entry[2].gone]
+        heap[:] = [entry for entry in heap if not entry[2].is_removed]
         heapq.heapify(heap)

@@ -153,12 +153,12 @@ COMPARABLE_NUMBER = ValueRule(check_ordered)
 Setting = Any
 """Setting of an aggregate: a number, or a function that calls predicates of the program; None for most of them."""
 Members = Deque[StreamElement]
-"""Elements of a window in order of arrival; elements marked as gone may remain for a while."""
+"""Elements of a window in order of arrival; elements marked as removed may remain for a while."""
 
 
 def present_elements(members: Members) -> Iterator[StreamElement]:
     """Yield the elements that are in the window, the oldest first."""
-    return (item for item in members if not item.gone)
+    return (item for item in members if not item.is_removed)
 
 
 class Accumulator:
@@ -204,14 +204,14 @@ class Accumulator:
         return None
 
     def remove(self, item: StreamElement) -> None:
-        """Remove an element that is marked as gone."""
+        """Remove an element that is marked as removed."""
 
     def result(self, members: Members, count: int) -> Optional[Term]:
         """Return the result, or None if there is none.
 
         Args:
             members: the elements.
-            count: number of elements that are not gone; at least 1 unless `accepts_empty`.
+            count: number of elements that were not removed; at least 1 unless `accepts_empty`.
         """
         raise NotImplementedError
 
@@ -450,7 +450,7 @@ class _FirstAccumulator(Accumulator):
 
 class _LastAccumulator(Accumulator):
     def result(self, members: Members, count: int) -> Optional[Term]:
-        value: Term = next(item for item in reversed(members) if not item.gone).values[self.index]
+        value: Term = next(item for item in reversed(members) if not item.is_removed).values[self.index]
         return value
 
 
@@ -485,7 +485,7 @@ class _CountDistinctAccumulator(Accumulator):
 
 
 class _EqualValues:
-    """Elements with one value in order of arrival; the first that is not gone has the index ``first_index``."""
+    """Elements with one value in order of arrival; the first that was not removed has the index ``first_index``."""
 
     __slots__ = ("items", "first_index", "count")
 
@@ -499,14 +499,14 @@ class _EqualValues:
         self.count += 1
 
     def count_removal(self) -> None:
-        """Count an element that is gone."""
+        """Count an element that was removed."""
         self.count -= 1
         items = self.items
         # Elements leave mostly in order, so the index advances; compaction is for those that leave in between.
         if len(items) > 2 * self.count + 16:
-            self.items = items = [entry for entry in items if not entry[1].gone]
+            self.items = items = [entry for entry in items if not entry[1].is_removed]
             self.first_index = 0
-        while self.first_index < len(items) and items[self.first_index][1].gone:
+        while self.first_index < len(items) and items[self.first_index][1].is_removed:
             self.first_index += 1
 
     def first(self) -> Tuple[int, StreamElement]:

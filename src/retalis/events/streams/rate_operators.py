@@ -214,11 +214,11 @@ class Debounce(KeyedOperator):
         self._number += 1
         heapq.heappush(self._deadlines, (item.end + self.span, item.order, item))
         if len(self._deadlines) > 2 * self._number + 64:
-            self._deadlines = [entry for entry in self._deadlines if not entry[2].gone]
+            self._deadlines = [entry for entry in self._deadlines if not entry[2].is_removed]
             heapq.heapify(self._deadlines)
 
     def _drop_pending(self, item: StreamElement) -> None:
-        item.gone = True
+        item.is_removed = True
         self._number -= 1
         pending = self.pending[item.key]
         pending.remove(item)
@@ -227,7 +227,7 @@ class Debounce(KeyedOperator):
 
     def _update_deadline(self) -> None:
         """Remove dropped elements from the top of the heap, and set the next deadline."""
-        while self._deadlines and self._deadlines[0][2].gone:
+        while self._deadlines and self._deadlines[0][2].is_removed:
             heapq.heappop(self._deadlines)
         self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 

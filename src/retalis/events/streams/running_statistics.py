@@ -119,17 +119,17 @@ class LazyMinHeap:
         heapq.heappush(self.heap, (value, item.order, item))
 
     def remove(self) -> None:
-        """Count a removal; the element itself must be marked with `StreamElement.gone`."""
+        """Count a removal; the element itself must be marked with `StreamElement.is_removed`."""
         self.count -= 1
         # Compacting after half of the entries were removed costs amortised constant time per removal.
         if len(self.heap) > 2 * self.count + 64:
-            self.heap = [entry for entry in self.heap if not entry[2].gone]
+            self.heap = [entry for entry in self.heap if not entry[2].is_removed]
             heapq.heapify(self.heap)
 
     def top(self) -> Optional[HeapEntry]:
         """Return the lowest entry, or None."""
         heap = self.heap
-        while heap and heap[0][2].gone:
+        while heap and heap[0][2].is_removed:
             heapq.heappop(heap)
         return heap[0] if heap else None
 
@@ -167,7 +167,7 @@ class QuantileHeaps:
         self._balance()
 
     def remove(self, item: Any) -> None:
-        """Remove an element that is marked as gone."""
+        """Remove an element that is marked as removed."""
         (self.below if self._is_below.pop(item.order) else self.above).remove()
         self._balance()
 

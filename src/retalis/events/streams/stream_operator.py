@@ -25,10 +25,10 @@ class StreamElement:
         key: hashable form of ``by``.
         values: processed values: one per measure of a window, or the value that may change.
         order: number in the order of arrival.
-        gone: whether the element has left its operator; containers with lazy deletion skip it.
+        is_removed: whether the element has left its operator; containers with lazy deletion skip it.
     """
 
-    __slots__ = ("match", "start", "end", "by", "key", "values", "order", "gone")
+    __slots__ = ("match", "start", "end", "by", "key", "values", "order", "is_removed")
 
     def __init__(self, match: Any, start: int, end: int, by: Values, values: Tuple[Any, ...]):
         self.match = match
@@ -37,7 +37,7 @@ class StreamElement:
         self.by = by
         self.values = values
         self.order = 0
-        self.gone = False
+        self.is_removed = False
         if len(by) == 1:
             # Plain terms are their own keys, which saves a call for the most frequent case, one key term.
             single = by[0]
@@ -47,7 +47,7 @@ class StreamElement:
 
     def restore_key(self) -> None:
         """Mark the element as present, and compute its key from its values."""
-        self.gone = False
+        self.is_removed = False
         by = self.by
         self.key = term_key(by[0]) if len(by) == 1 else tuple([term_key(value) for value in by])
 

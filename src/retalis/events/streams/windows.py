@@ -9,8 +9,8 @@ they leave, and when a result is emitted:
 * `EagerTumblingWindow` and `HoppingWindow` are aligned to multiples of a time since 1970; the first one emits at each
   element, the second one when the clock reaches the end of a window.
 
-Elements leave through lazy deletion: `StreamElement.gone` is set, and queues and heaps that file the element skip it.
-`Window._compact` compacts them when more than half of their entries are gone.
+Elements leave through lazy deletion: `StreamElement.is_removed` is set, and queues and heaps that file the element
+skip it. `Window._compact` compacts them when more than half of their entries were removed.
 
 An interrupt may stop a method between two statements. Counts are changed before or after a loop such that the next
 call repairs what was not finished.
@@ -44,8 +44,8 @@ class KeyedWindow:
     """Elements of one key in a window, with their accumulators.
 
     Attributes:
-        members: the elements in order of arrival; those that are gone may remain between others.
-        holes: number of members that are gone; 0 as long as elements arrive in order.
+        members: the elements in order of arrival; those that were removed may remain between others.
+        holes: number of members that were removed; 0 as long as elements arrive in order.
         since: instant from which its time counts: the clock at the last element, or the end of the first element for
             windows that start with an element.
         starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
@@ -79,14 +79,14 @@ class KeyedWindow:
         # In order, the interval of the window is given by its first and last element. The heaps are needed only from
         # the first element out of order on.
         elif members and (item.start < members[-1].start or item.end < members[-1].end):
-            self._file_elements([member for member in members if not member.gone] + [item])
+            self._file_elements([member for member in members if not member.is_removed] + [item])
         members.append(item)
         for measure in self.measures:
             if measure.add(item):
                 self.has_arrays = True
                 # The fused window, which knows numbers only, leaves windows with heaps to this path.
                 if self.starts is None:
-                    self._file_elements([member for member in members if not member.gone])
+                    self._file_elements([member for member in members if not member.is_removed])
 
     def _file_elements(self, elements: Sequence[StreamElement]) -> None:
         """Create the heaps of starts and ends."""
@@ -97,18 +97,18 @@ class KeyedWindow:
 
     def remove(self, item: StreamElement) -> None:
         """Remove an element."""
-        item.gone = True
+        item.is_removed = True
         members = self.members
         self.holes += 1
         # Both ends are kept clean, so that the interval and `first` and `last` can be read off in constant time.
-        while members and members[0].gone:
+        while members and members[0].is_removed:
             members.popleft()
             self.holes -= 1
-        while members and members[-1].gone:
+        while members and members[-1].is_removed:
             members.pop()
             self.holes -= 1
         if len(members) > 2 * self.number + 64:
-            self.members = deque([member for member in members if not member.gone])
+            self.members = deque([member for member in members if not member.is_removed])
             self.holes = 0
         if self.starts is not None and self.ends is not None:
             self.starts.remove()
@@ -145,7 +145,7 @@ class KeyedWindow:
         """Return the newest elements in order of arrival."""
         newest: List[StreamElement] = []
         for item in reversed(self.members):
-            if not item.gone:
+            if not item.is_removed:
                 newest.append(item)
                 if len(newest) == MAX_TRACKED_ITEMS:
                     break
@@ -190,12 +190,12 @@ class Window(KeyedOperator):
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; drops an element of the least recently used key."""
         group = next(iter(self.states.values()))
-        self.remove(next(member for member in group.members if not member.gone))
+        self.remove(next(member for member in group.members if not member.is_removed))
         self._compact()
         return []
 
     def _compact(self) -> None:
-        """Compact the containers that file elements by time, if most of their entries are gone."""
+        """Compact the containers that file elements by time, if most of their entries were removed."""
 
     def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -204,7 +204,7 @@ class Window(KeyedOperator):
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         groups = [
-            (group.since, [member for member in group.members if not member.gone])
+            (group.since, [member for member in group.members if not member.is_removed])
             for group in self.states.values()
         ]
         return (self.clock, self.next_deadline, self.late_count, self.last_order, groups)
@@ -284,7 +284,7 @@ class Window(KeyedOperator):
         # The key is removed and the count adjusted first: an interrupt in this loop then leaves unmarked elements of
         # a window that nothing refers to.
         for item in group.members:
-            item.gone = True
+            item.is_removed = True
 
     def _emit(
         self, group: KeyedWindow, start: Optional[int] = None, end: Optional[int] = None
@@ -335,18 +335,18 @@ class SlidingTimeWindow(Window):
 
     def _compact(self) -> None:
         if len(self.queue) + len(self.disordered) > 2 * self.number + 64:
-            self.queue = deque([element for element in self.queue if not element.gone])
+            self.queue = deque([element for element in self.queue if not element.is_removed])
             self.disordered = compacted_heap(self.disordered)
 
     def _remove_before(self, limit: int) -> None:
         queue, heap = self.queue, self.disordered
         while queue and queue[0].start <= limit:
             item = queue.popleft()
-            if not item.gone:
+            if not item.is_removed:
                 self.remove(item)
         while heap and heap[0][0] <= limit:
             item = heapq.heappop(heap)[2]
-            if not item.gone:
+            if not item.is_removed:
                 self.remove(item)
 
 
@@ -393,8 +393,8 @@ class TumblingCountWindow(Window):
 
 
 def compacted_heap(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int, int, StreamElement]]:
-    """Return a heap without the elements that are gone."""
-    present_entries = [entry for entry in heap if not entry[2].gone]
+    """Return a heap without the elements that were removed."""
+    present_entries = [entry for entry in heap if not entry[2].is_removed]
     heapq.heapify(present_entries)
     return present_entries
 
@@ -607,5 +607,5 @@ class HoppingWindow(Window):
     def _remove_before(self, limit: int) -> None:
         while self._by_end and self._by_end[0][0] < limit:
             item = heapq.heappop(self._by_end)[2]
-            if not item.gone:
+            if not item.is_removed:
                 self.remove(item)
