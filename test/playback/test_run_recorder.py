@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from retalis import Engine, atom
-from retalis.playback.run_records import MAX_RECORDED_QUERIES, RunRecorder
+from retalis.playback.run_recorder import MAX_RECORDED_QUERIES, RunRecorder
 
 
 class Waiting:

@@ -15,7 +15,7 @@ from ..playback.bag_locations import MergedBag
 from ..playback.decompression import MAX_CHUNK_MEGABYTES
 from ..playback.playback import Output, Playback
 from ..playback.rosbag1 import BagWriter
-from ..playback.run_records import RunRecord, RunRecorder, output_record
+from ..playback.run_recorder import RunRecord, RunRecorder, output_record
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps

@@ -31,7 +31,7 @@ from ..playback.bag_locations import (
     remove_incomplete_results,
     result_file,
 )
-from ..playback.run_records import RunTable
+from ..playback.run_recorder import RunTable
 from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
 from .bag_run import RecordHandler, play, print_record
 from .option_values import positive_integer

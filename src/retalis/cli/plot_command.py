@@ -6,7 +6,7 @@ from typing import Callable
 
 from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..foundation.errors import UsageError
-from ..playback.run_records import RunRecorder
+from ..playback.run_recorder import RunRecorder
 from ..visualization.timeline import (
     PICTURE_FORMATS,
     Timeline,

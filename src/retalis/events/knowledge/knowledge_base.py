@@ -15,11 +15,11 @@ from ...prolog.terms.types import Frame, Term, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
 from .event_states import StateRegistry
-from .interpolation import MemoryGaps, TransformChains
 from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_registry import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
 from .pending_queries import GIVEN_UP, MissingMemories, PendingQueries
-from .record_lookup import define_matching
+from .record_index import define_matching
+from .record_interpolation import MemoryGaps, TransformChains
 from .subscriptions import Deliver, Subscriptions
 from .timeouts import AlarmClock
 from .transform_buffer import TransformBuffer

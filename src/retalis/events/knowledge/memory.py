@@ -187,7 +187,7 @@ class Memory:
         ends: ends of the records as plain integers, which compare faster than other forms of instants; read-only
             outside of this package.
         records: the records, at the same positions.
-        indices: positions of the records by the value of an argument, by argument; see `record_lookup`.
+        indices: positions of the records by the value of an argument, by argument; see `record_index`.
         first_moved: position of the first record that an insertion out of order has moved, counted from the first
             record ever; `NEVER` if all records have arrived in order since this was set.
         on_wide_gap: called with both ends if a look-up falls between records that may be unusually far apart.

@@ -48,7 +48,7 @@ from .file_directives import Directives
 from .file_kind import apply_reader_settings, is_event_file
 from .prolog_file_loader import Consultation, Consulted
 from .source_files import LIBRARY, SourceFiles, require_library
-from .term_expansion import ConditionalCompilation, TermExpansion
+from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase

@@ -27,7 +27,7 @@ from .event_file_checker import (
 )
 from .file_directives import Directives, Goals
 from .source_files import SourceFiles, declare_operators
-from .term_expansion import ConditionalCompilation, TermExpansion
+from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
     from ..rules.rule_base import RuleBase

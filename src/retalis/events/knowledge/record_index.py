@@ -1,4 +1,4 @@
-"""Record look-ups by pattern: the newest or next record that unifies with a term.
+"""Index of records by argument, and look-ups by pattern: the newest or next record that unifies with a term.
 
 ``prev/5`` and ``next_inf/5`` return the record nearest to an instant, whatever it contains. The ``*_matching``
 predicates continue to the first record that unifies with a pattern. If an argument of the pattern is an atom or
