@@ -233,7 +233,7 @@ def _check_array_arguments(
             value = f"{_variable_name(argument, names)} is {occurrence.text} ({occurrence.slot})"
             if expected is None and occurrence.text in _NO_ARRAYS:
                 text = f"{value}, not an array: {subterm.key} takes a list of numbers"
-            elif expected is not None and occurrence.value_type.of_message != functor_name(expected):
+            elif expected is not None and occurrence.value_type.message_name != functor_name(expected):
                 text = f"{value}, not a whole message: {subterm.key} takes a {expected}"
         elif expected is not None:
             definition = program.message_of(argument)
