@@ -7,6 +7,12 @@ clock of the rule may have advanced.
 
 A generated function performs these steps: compute the join key, advance the clock and expire matches, look up the
 partner, compare intervals, run conditions and absences, then emit the pair or store the match.
+
+Names in the generated source: ``term`` is the event with the interval from ``event_start`` to ``event_end``,
+``match`` its match, ``partner`` the stored match of the other operand, and ``pair_values`` the values of both with
+the interval from ``start`` to ``end``. ``own_newest`` and ``other_newest`` map a join key to the newest stored match
+of this operand and of the other one; the matches of a key form a ring (see `MatchBuffer`), so ``newest.newer`` is the
+oldest one, and a match is the only one of its key if it is its own ``older``.
 """
 
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
@@ -24,7 +30,7 @@ from .fused_single_event import Continuation
 SPARE = 1000
 """Number of removed matches in the list of arrivals of a rule above which the list is compacted."""
 
-_SET_ORDER = "rule.order = match.order = e if e > rule.order else rule.order + 1"
+_SET_ORDER = "rule.order = match.order = event_end if event_end > rule.order else rule.order + 1"
 _RETURN_AFTER = "return after"
 _RETURN_COMPLETE = "return complete(None, pair_values, start, end, after)"
 
@@ -86,15 +92,15 @@ def fused_side(
     Args:
         side: the operand.
         pair: the node.
-        choice: selection of partners; None for an operand that only waits.
+        choice: selection of partners; None for an operand whose matches are only stored.
         rule: the rule.
-        general_path: the general path.
+        general_path: action of the general path, for any event.
         emit: receives pairs as matches, if these are not complete.
     """
     names = {
         **_common_names(rule, side.own_buffer, general_path),
-        "other": side.other_buffer,
-        "partners": side.other_buffer.newest,
+        "other_buffer": side.other_buffer,
+        "other_newest": side.other_buffer.newest,
         "emit": emit,
         "complete": None if pair.complete is None else pair.complete.action,
         "computed_values": pair.computed_values,
@@ -109,7 +115,7 @@ def fused_side(
 def fused_absence(
     absence: NegationBuffer, rule: Any, values_are_arguments: bool, general_path: EventAction
 ) -> EventAction:
-    """Return the action for a negated event, used if no other negated event waits under its key; see `fused_side`.
+    """Return the action for a negated event, used if no negated event is stored under its key; see `fused_side`.
 
     Args:
         absence: the buffer of the negated events.
@@ -122,9 +128,9 @@ def fused_absence(
     return generator.compile_action(
         [
             *generator.key_statements([index for index, _ in absence.shared]),
-            # A waiting event without a key may be a duplicate of this one or may dominate it; the general path
+            # A stored event without a key may be a duplicate of this one or may dominate it; the general path
             # compares them.
-            Block("if key in waiting or None in waiting:", [generator.general_path]),
+            Block("if key in own_newest or None in own_newest:", [generator.general_path]),
             Block("if absence.frontiers:", ["absence.frontiers.pop(key, None)"]),
             *generator.clock_statements(True),
             *generator.store_statements(False),
@@ -140,12 +146,12 @@ def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> 
     return {
         "rule": rule,
         "network": rule.network,
-        "own": buffer,
-        "waiting": buffer.newest,
+        "own_buffer": buffer,
+        "own_newest": buffer.newest,
         "arrivals": rule.arrivals,
         "expiries": rule.expiries,
-        "queue": rule.expiries.queue,
-        "late": rule.expiries.late,
+        "expiration_queue": rule.expiries.queue,
+        "late_heap": rule.expiries.late,
         "general_path": general_path,
         "new": object.__new__,
         "EventMatch": EventMatch,
@@ -162,7 +168,7 @@ class _ActionGenerator:
     The generated source contains time limits and sizes of the program, but none of its names and texts.
 
     Args:
-        own_buffer: the buffer in which the event waits.
+        own_buffer: the buffer in which the event is stored.
         rule: the rule.
         values_are_arguments: whether the values are the arguments of the event.
     """
@@ -172,12 +178,12 @@ class _ActionGenerator:
         self.rule = rule
         self.values_are_arguments = values_are_arguments
         self.values = "term[1:]" if values_are_arguments else "values"
-        self.general_path = f"return general_path(term, {self.values}, s, e, after)"
-        self.queue = "queue" if own_buffer.retention == rule.expiries.span else "retention_queue"
+        self.general_path = f"return general_path(term, {self.values}, event_start, event_end, after)"
+        self.queue = "expiration_queue" if own_buffer.retention == rule.expiries.span else "retention_queue"
 
     def compile_action(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
         """Return the compiled action."""
-        source = source_of([Block("def generated(term, values, s, e, after):", body)])
+        source = source_of([Block("def generated(term, values, event_start, event_end, after):", body)])
         action: EventAction = shared_function(source, names, title)
         return action
 
@@ -198,15 +204,20 @@ class _ActionGenerator:
         long_event_test: List[Statement] = []
         if stores_event and span is not None:
             # An event longer than the retention time expires at once, which the general path handles.
-            long_event_test = [Block(f"if s is not e and s + {span} < e:", [self.general_path])]
+            long_event_test = [
+                Block(
+                    f"if event_start is not event_end and event_start + {span} < event_end:",
+                    [self.general_path],
+                )
+            ]
         statements: List[Statement] = []
         if self.rule.timed:
-            statements.append(Block("if e > rule.clock:", [*self._advance_clock(), *long_event_test]))
+            statements.append(Block("if event_end > rule.clock:", [*self._advance_clock(), *long_event_test]))
         if long_event_test:
             statements += [
-                Block(f"elif s + {span} < rule.clock:", [self.general_path]),
-                *([] if queue == "queue" else [f"{queue} = expiries.queue_for({span})"]),
-                Block(f"if {queue} and {queue}[-1].start > s:", [self.general_path]),
+                Block(f"elif event_start + {span} < rule.clock:", [self.general_path]),
+                *([] if queue == "expiration_queue" else [f"{queue} = expiries.queue_for({span})"]),
+                Block(f"if {queue} and {queue}[-1].start > event_start:", [self.general_path]),
             ]
         return statements
 
@@ -214,21 +225,24 @@ class _ActionGenerator:
         """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
             # `tick` rejects timestamps too far in the future; ``allowed`` is its last limit.
-            Block("if e > rule.allowed:", ["rule.tick(e)"]),
+            Block("if event_end > rule.allowed:", ["rule.tick(event_end)"]),
             Block(
                 "else:",
                 [
-                    "rule.clock = e",
-                    f"before = e - {self.rule.expiries.span or 0}",
+                    "rule.clock = event_end",
+                    f"oldest_start = event_end - {self.rule.expiries.span or 0}",
                     Block(
-                        "while queue and queue[0].start < before:",
+                        "while expiration_queue and expiration_queue[0].start < oldest_start:",
                         [
-                            "expired = queue.popleft()",
+                            "expired = expiration_queue.popleft()",
                             "holder = expired.buffer",
                             Block("if holder is not None:", ["holder.remove(expired)"]),
                         ],
                     ),
-                    Block("if late.heap or late.unmoved or expiries.others:", ["expiries.expire(e)"]),
+                    Block(
+                        "if late_heap.heap or late_heap.unmoved or expiries.others:",
+                        ["expiries.expire(event_end)"],
+                    ),
                 ],
             ),
         ]
@@ -241,59 +255,60 @@ class _ActionGenerator:
             has_key: whether the match has a key.
         """
         buffer = self.own_buffer
-        field_settings = [] if self.values_are_arguments else ["match.values = values"]
-        # Without a key, waiting matches are compared by identity, so its fields must be set.
+        field_assignments = [] if self.values_are_arguments else ["match.values = values"]
+        # Without a key, stored matches are compared by identity, so its fields must be set.
         if buffer.identity_of is not None and not has_key:
-            field_settings.append("match.identity = match.parts = None")
-        full: List[Statement] = [
+            field_assignments.append("match.identity = match.parts = None")
+        full_creation: List[Statement] = [
             "match = new(Match)",
-            *field_settings,
-            "match.start = s",
-            "match.end = e",
+            *field_assignments,
+            "match.start = event_start",
+            "match.end = event_end",
             _SET_ORDER,
         ]
-        creation = full
-        if not field_settings:
+        creation = full_creation
+        if not field_assignments:
             # The short classes save memory and time. A match that is compared with others of its key stores its
-            # identity; most keys have one waiting match, which is compared with nothing.
+            # identity; most keys have one stored match, which is compared with nothing.
+            only_match_test = "" if buffer.identity_of is None else "is_only_match and "
             creation = [
                 Block(
-                    f"if {'' if buffer.identity_of is None else 'alone and '}s is e and e > rule.order:",
-                    ["match = new(EventMatch)", "match.start = rule.order = e"],
+                    f"if {only_match_test}event_start is event_end and event_end > rule.order:",
+                    ["match = new(EventMatch)", "match.start = rule.order = event_end"],
                 ),
                 Block(
                     "else:",
                     [
                         "match = new(OrderedEventMatch)"
                         if buffer.identity_of is None
-                        else "match = new(OrderedEventMatch if alone else Match)",
-                        *full[1:],
+                        else "match = new(OrderedEventMatch if is_only_match else Match)",
+                        *full_creation[1:],
                     ],
                 ),
             ]
-        expiry_settings = []
+        expiration_statements = []
         if buffer.retention is not None:
-            expiry_settings = [
-                f"expiries.add({buffer.retention}, match, number)"
+            expiration_statements = [
+                f"expiries.add({buffer.retention}, match, stored_count)"
                 if conditions_ran
                 else f"{self.queue}.append(match)"
             ]
-        sweep_test = "number > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
+        sweep_test = "stored_count > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
         return [
-            "alone = key not in waiting",
+            "is_only_match = key not in own_newest",
             *creation,
             "match.term = term",
             "match.key = key",
             Block(
-                "if alone:",
-                ["match.buffer = own", "match.older = match.newer = waiting[key] = match"],
+                "if is_only_match:",
+                ["match.buffer = own_buffer", "match.older = match.newer = own_newest[key] = match"],
             ),
-            Block("else:", ["own.link(match)"]),
-            "rule.waiting = number = rule.waiting + 1",
+            Block("else:", ["own_buffer.link(match)"]),
+            "rule.waiting = stored_count = rule.waiting + 1",
             "arrivals.append(match)",
-            *expiry_settings,
+            *expiration_statements,
             Block(
-                f"if {sweep_test}number > network.cap or len(arrivals) > 2 * number + SPARE:",
+                f"if {sweep_test}stored_count > network.cap or len(arrivals) > 2 * stored_count + SPARE:",
                 ["rule.remove_excess()"],
             ),
         ]
@@ -320,7 +335,7 @@ class _OperandGenerator(_ActionGenerator):
         prologue = self.key_statements([index for index, _ in side.shared])
         if choice is not None:
             # Partners under the key None have variables in their keys, and may unify with any key.
-            prologue.append(Block("if None in partners:", [self.general_path]))
+            prologue.append(Block("if None in other_newest:", [self.general_path]))
         prologue += self.clock_statements(side.stores_unmatched or side.stores_matched)
         storing = self.store_statements(choice is not None and self.has_tests, bool(side.shared))
         if choice is None:
@@ -333,10 +348,10 @@ class _OperandGenerator(_ActionGenerator):
 
     def _consume_partner(self, storing: List[Statement], newest: bool) -> List[Statement]:
         """Return statements that consume the newest or the oldest partner."""
-        candidate = "partner" if newest else "last"
+        candidate = "partner" if newest else "newest"
         emission_statements = [
             # The partner leaves before the pair is emitted: an event that the pair causes must not find it again.
-            "other.remove(partner)",
+            "other_buffer.remove(partner)",
             *(storing if self.side.stores_matched else []),
             *self._emit_statements(),
         ]
@@ -349,15 +364,18 @@ class _OperandGenerator(_ActionGenerator):
         retry = [
             Block(
                 f"if {candidate}.older is not {candidate}:",
-                [f"return join_other(Match({self.values}, s, e, None, term, None), key, partner, after)"],
+                [
+                    f"match = Match({self.values}, event_start, event_end, None, term, None)",
+                    "return join_other(match, key, partner, after)",
+                ],
             )
         ]
         return [
-            f"{candidate} = partners.get(key)",
+            f"{candidate} = other_newest.get(key)",
             Block(
                 f"if {candidate} is not None:",
                 [
-                    *([] if newest else ["partner = last.newer"]),
+                    *([] if newest else ["partner = newest.newer"]),
                     *self._interval_assignments(),
                     Block(
                         f"if {self._interval_condition()}:",
@@ -378,7 +396,7 @@ class _OperandGenerator(_ActionGenerator):
         """Return statements that take all partners, if there is at most one."""
         emission_statements = self._emit_statements()
         return [
-            "partner = partners.get(key)",
+            "partner = other_newest.get(key)",
             Block("if partner is not None and partner.older is not partner:", [self.general_path]),
             *(storing if self.side.stores_unmatched else []),
             Block("if partner is None or partner.buffer is None:", [_RETURN_AFTER]),
@@ -421,8 +439,8 @@ class _OperandGenerator(_ActionGenerator):
         """Return the source of an operator, with its instants replaced by those of the event and its partner."""
         this_side, other_side = ("1", "2") if self.side.is_left else ("2", "1")
         times = {
-            f"s{this_side}": "s",
-            f"e{this_side}": "e",
+            f"s{this_side}": "event_start",
+            f"e{this_side}": "event_end",
             f"s{other_side}": "partner.start",
             f"e{other_side}": "partner.end",
         }
@@ -445,7 +463,9 @@ class _OperandGenerator(_ActionGenerator):
 
     def _test_statements(self) -> List[Statement]:
         """Return statements for absences and conditions; they set ``pair_values`` to None if one of them fails."""
-        end_of_first, start_of_second = ("e", "partner.start") if self.side.is_left else ("partner.end", "s")
+        end_of_first, start_of_second = (
+            ("event_end", "partner.start") if self.side.is_left else ("partner.end", "event_start")
+        )
         steps: List[Statement] = [
             Block(
                 f"if absence{index}(pair_values, {end_of_first}, {start_of_second}):", ["pair_values = None"]
@@ -466,10 +486,15 @@ class _OperandGenerator(_ActionGenerator):
             return [_RETURN_COMPLETE]
         operands = ["match", "partner"] if self.side.is_left else ["partner", "match"]
         operands += ["ComputedValues(computed_values(pair_values))"] if self.pair.condition_vars else []
-        creation = [f"match = Match({self.values}, s, e, None, term, None)"]
+        creation = [f"match = Match({self.values}, event_start, event_end, None, term, None)"]
         if self.values_are_arguments:
-            creation = ["match = new(EventMatch if s is e else OrderedEventMatch)"]
-            creation += ["match.start = s", "match.end = e", "match.term = term", "match.buffer = None"]
+            creation = ["match = new(EventMatch if event_start is event_end else OrderedEventMatch)"]
+            creation += [
+                "match.start = event_start",
+                "match.end = event_end",
+                "match.term = term",
+                "match.buffer = None",
+            ]
         return [
             *creation,
             f"return emit(Match(pair_values, start, end, None, None, {tuple_source(operands)}), after)",
