@@ -158,7 +158,7 @@ _SAMPLE_INTERVALS = list(combinations_with_replacement(range(5), 2))
 
 
 def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield joins whose operands can never have the required intervals, because one of them is always an instant."""
+    """Yield joins whose operands can never have the required intervals, because one operand is always an instant."""
     instants = _Instants(program)
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):

@@ -462,7 +462,7 @@ class _OperandGenerator(_ActionGenerator):
         )
 
     def _test_statements(self) -> List[Statement]:
-        """Return statements for absences and conditions; they set ``pair_values`` to None if one of them fails."""
+        """Return statements for absences and conditions; they set ``pair_values`` to None if one fails."""
         end_of_first, start_of_second = (
             ("event_end", "partner.start") if self.side.is_left else ("partner.end", "event_start")
         )

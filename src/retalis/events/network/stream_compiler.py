@@ -435,7 +435,7 @@ class StreamCompiler:
         # be deferred.
         if below.deferred:
             what = "what is measured" if isinstance(core, WindowPattern) else f"the pattern of {core.shape}"
-            raise RuleError(f"a condition in {what} looks at a pattern to the left of it", self.rule.place)
+            raise RuleError(f"a condition in {what} uses a pattern to the left of it", self.rule.place)
         names = below.node.vars
         if isinstance(core, RatePattern):
             node = StreamNode(self.rule, [below.node], names, rate_node_spec(core, names), core)
