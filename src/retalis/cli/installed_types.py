@@ -4,7 +4,6 @@ from typing import Any, Optional, Sequence
 
 from ..foundation.errors import UsageError
 from ..messages.type_registry import Definitions, GeneratedClass, Installed
-from .node_commands import import_ros_module
 
 
 def installed_definitions(extra_folders: Sequence[str] = ()) -> Definitions:
@@ -21,6 +20,8 @@ def _inspect_class(name: str) -> Optional[GeneratedClass]:
 
     ROS is imported when the first module of such a class has been found, so that other commands start fast.
     """
+    from .node_commands import import_ros_module  # noqa: PLC0415 - commands do not import each other at start
+
     try:
         module: Any = import_ros_module("generated_classes")
     except UsageError:

@@ -20,7 +20,7 @@ class Rule:
     order = 0
     waiting = 0
 
-    def keep(self, match, span):
+    def count_stored(self, match, span):
         """Count it."""
         self.waiting += 1
 
