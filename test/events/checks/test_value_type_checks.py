@@ -124,4 +124,4 @@ def test_windows_take_arrays(definitions, pattern, told):
     engine = Engine()
     engine.load(rules=f"a(D) <- {pattern}.")
     program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS)
-    assert [one.message for one in kinds(program)] == told
+    assert [one.message for one in find_type_conflicts(program)] == told

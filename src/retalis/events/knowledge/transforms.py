@@ -29,8 +29,8 @@ from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import Atom, Frame, Functor, String, Term, Var, atom, deref, functor
 from ..dispatch.dispatcher import Dispatcher
 from ..language.rule_head_parser import SYNCHRONIZED
-from .interpolation import UNLIMITED_GAP, MemoryGaps
 from .memory import PendingQuery, Warn
+from .record_interpolation import UNLIMITED_GAP, MemoryGaps
 from .transform_buffer import REPEATED, CoordinateFrame, Numbers, Transform, TransformBuffer
 
 TF: Functor = functor("tf", 2)
@@ -181,7 +181,7 @@ class Transforms:
         if reached:
             machine = self._logic.machine
             # The queries do not depend on the present event, if there is one.
-            self._dispatcher.apart(lambda: machine.run(self.on_reached(reached, machine.done)))
+            self._dispatcher.run_without_context(lambda: machine.run(self.on_reached(reached, machine.done)))
 
     def _store(self, transforms: Iterable[Transform], is_static: bool) -> Reached:
         """Store transforms; return those that queries wait for and that are available now."""
