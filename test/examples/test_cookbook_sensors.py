@@ -13,7 +13,7 @@ numpy = pytest.importorskip("numpy")
 from rosbags.rosbag1 import Reader  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
-from retalis import BagReader, Playback, to_python  # noqa: E402
+from retalis import BagReader, Engine, Playback, to_python  # noqa: E402
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "cookbook"
 STORE = get_typestore(Stores.ROS1_NOETIC)
@@ -161,3 +161,20 @@ def test_the_mean_efforts_of_two_seconds(play):
         found = [[state] for name, state in named(events, "joint_is") if name == f'"{joint}"']
         assert found == states[joint]
     assert list(map(len, states.values())) == [1, 3, 2]
+
+
+@pytest.mark.parametrize("name", ["dark_image", "cloud_zone", "map_cell", "obstacle", "joint_effort"])
+def test_messages_as_text_give_the_same(name, recipes, definitions, tmp_path):
+    """The interface sends messages as text if it is a process of its own."""
+    path = tmp_path / "recipe.bag"
+    recipes.make_bag(FOLDER / name, path, definitions)
+    engine, outputs = Engine(), []
+    engine.load_program(FOLDER / name)
+    engine.on_output(lambda term, topic, _: outputs.append(f"output({engine.show(term)},{topic}).\n"))
+    recipe = recipes.Recipe(FOLDER / name)
+    for time, topic, slots in recipe.messages():
+        definition = definitions.find(recipe.topics[topic])
+        data = definitions.encoder(definition).encode(recipes.to_term(definition, slots, time))
+        message = engine.show(definitions.decoder(definition).decode(data))
+        engine.post_text(f"event({message},[{time / 1e9!r},{time / 1e9!r}])")
+    assert "".join(outputs) == (FOLDER / name / "expected.txt").read_text(encoding="utf-8")
