@@ -30,6 +30,7 @@ from ..foundation import codegen
 from ..foundation.errors import MessageError, beginning, place_at, shortened
 from ..foundation.ros_names import plain_type
 from .type_definition import (
+    EXPECTED_CONSTANT_TYPE,
     HEADER,
     PRIMITIVES,
     TIMES,
@@ -200,7 +201,7 @@ class _Ros2DefinitionReader:
             return ""
         type_name = _ROS1_TYPES.get(match["type"], match["type"])
         if type_name not in PRIMITIVES and type_name != "string":
-            return f"a constant cannot be of type {shortened(type_name)}"
+            return f"a constant cannot be of type {shortened(type_name)}: {EXPECTED_CONSTANT_TYPE}"
         self._add_constant(type_name, match["name"], rest[1:])
         return ""
 

@@ -566,13 +566,15 @@ class _DefinitionReader:
             )
         if type_name not in PRIMITIVES and type_name != "string":
             raise self._error(
-                f"a constant cannot be of type {type_name[:MAX_SHOWN_CHARACTERS]}", offset + match.start()
+                f"a constant cannot be of type {type_name[:MAX_SHOWN_CHARACTERS]}: {EXPECTED_CONSTANT_TYPE}",
+                offset + match.start(),
             )
         try:
             value = constant_value(type_name, text)
         except ValueError:
             position = offset + match.start("value")
-            raise self._error(f"{shortened(text)} is not a value of type {type_name}", position) from None
+            problem = f"{shortened(text)} is not a value of type {type_name}: {_expected_value(type_name)}"
+            raise self._error(problem, position) from None
         self.constants[match["name"]] = Constant(type_name, match["name"], text, value)
 
     def _add_field(self, match: "re.Match[str]", offset: int) -> None:
@@ -650,6 +652,19 @@ def constant_value(type_name: str, text: str) -> ConstantValue:
     if not low <= value <= high:
         raise ValueError(text)
     return value
+
+
+EXPECTED_CONSTANT_TYPE = "expected bool, string, or a type of integers or floats"
+"""End of the error for a constant of another type."""
+
+
+def _expected_value(type_name: str) -> str:
+    if type_name == "bool":
+        return "expected True, False, 1 or 0"
+    if type_name in ("float32", "float64"):
+        return "expected a number"
+    low, high = integer_range(PRIMITIVES[type_name])
+    return f"expected an integer from {low} to {high}"
 
 
 def integer_range(code: str) -> Tuple[int, int]:
