@@ -36,7 +36,6 @@ from typing import (
 from ...foundation.errors import RuleError, UsageError, beginning, counted
 from ...prolog.builtins.argument_checks import array_of
 from ...prolog.machine.arithmetic import EVALUABLE
-from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms import timestamps
 from ...prolog.terms.array_terms import array_term, element_count, list_array
@@ -189,8 +188,8 @@ class Accumulator:
         """True if `check` rejects some values."""
         return self.value_rule.check is not None
 
-    def check(self, item: StreamElement) -> None:
-        """Reject the value of an element.
+    def check(self, item: StreamElement) -> Optional[bool]:
+        """Reject the value of an element; return True if it is an array.
 
         Raises:
             RuleError: if the aggregate cannot process the value.
@@ -198,6 +197,7 @@ class Accumulator:
         check = self.value_rule.check
         if check is not None:
             check(item.values[self.index], self.name)
+        return None
 
     def add(self, item: StreamElement) -> Optional[bool]:
         """Add an element; return True if its value is an array."""
@@ -236,8 +236,8 @@ class _ElementwiseAccumulator(Accumulator):
         self.arrays = 0
         self.length = 0
 
-    def check_array(self, value: Term) -> None:
-        """Reject the value of an element unless it is an array like those of the window, if any.
+    def check_array(self, value: Term) -> bool:
+        """Return True if the value of an element is an array like those of the window, if any; else reject it.
 
         Raises:
             RuleError: if the aggregate cannot process the value.
@@ -247,6 +247,7 @@ class _ElementwiseAccumulator(Accumulator):
             raise unsuitable_value(self.name, value, f"an array of {counted(self.length, 'element')}")
         if length is None:
             raise unsuitable_value(self.name, value)
+        return True
 
     def add_array(self, value: Term) -> bool:
         """Add an array."""
@@ -257,10 +258,12 @@ class _ElementwiseAccumulator(Accumulator):
     def result(self, members: Members, count: int) -> Optional[Term]:
         if not self.arrays:
             return self.result_of_numbers(count)
-        try:
-            arrays = [array_of(item.values[self.index]) for item in present_elements(members)]
-        except PrologError:
-            raise RuleError(f"aggregate {self.name}: a window has both numbers and arrays") from None
+        values = [item.values[self.index] for item in present_elements(members)]
+        # A row pattern checks its elements one by one, and only here finds those that do not go together.
+        if len(values) > self.arrays:
+            array = next(value for value in values if value.__class__ not in _NUMBER_CLASSES)
+            raise unsuitable_value(self.name, array)
+        arrays = list(map(array_of, values))
         if len({len(array) for array in arrays}) > 1:
             raise RuleError(f"aggregate {self.name}: a window has arrays of different lengths")
         import numpy as np  # noqa: PLC0415 - see `array_terms`
@@ -307,12 +310,12 @@ class _SumAccumulator(_ElementwiseAccumulator):
         super().__init__(index, name, setting)
         self.sum = ExactSum()
 
-    def check(self, item: StreamElement) -> None:
+    def check(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
         if self.arrays or value.__class__ not in _NUMBER_CLASSES:
-            self.check_array(value)
-        else:
-            check_finite(value, self.name)
+            return self.check_array(value)
+        check_finite(value, self.name)
+        return None
 
     def add(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
@@ -379,12 +382,12 @@ class _MinimumAccumulator(_ElementwiseAccumulator):
         super().__init__(index, name, setting)
         self.lowest = LazyMinHeap()
 
-    def check(self, item: StreamElement) -> None:
+    def check(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
         if self.arrays or value.__class__ not in _NUMBER_CLASSES:
-            self.check_array(value)
-        else:
-            check_ordered(value, self.name)
+            return self.check_array(value)
+        check_ordered(value, self.name)
+        return None
 
     def add(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]

@@ -198,7 +198,7 @@ def ends(tests: Sequence[StepTest], targets: NavigationTargets, item: StreamElem
 MAX_STATES_PER_START = 100
 """Maximum number of states with the same start; the preferred ones are kept."""
 
-_ValueCheck = Callable[[StreamElement], None]
+_ValueCheck = Callable[[StreamElement], Optional[bool]]
 """Rejects an element whose value a measure cannot process."""
 _StepAssignments = Tuple[Tuple[StreamElement, int], ...]
 """Elements with the steps that accepted them."""

@@ -22,7 +22,7 @@ from typing import Callable, Deque, Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
-from .aggregates import Accumulator
+from .aggregates import Accumulator, unsuitable_value
 from .running_statistics import LazyMinHeap
 from .stream_operator import KeyedOperator, OperatorState, StreamElement, StreamOutput
 
@@ -87,6 +87,11 @@ class KeyedWindow:
                 # The fused window, which knows numbers only, leaves windows with heaps to this path.
                 if self.starts is None:
                     self._file_elements([member for member in members if not member.is_removed])
+
+    def array_refusal(self, item: StreamElement) -> RuleError:
+        """Return the error for an element with an array, if the elements before it have numbers."""
+        measure = next(measure for measure in self.measures if measure.check(item))
+        return unsuitable_value(measure.name, item.values[measure.index])
 
     def _file_elements(self, elements: Sequence[StreamElement]) -> None:
         """Create the heaps of starts and ends."""
@@ -232,7 +237,8 @@ class Window(KeyedOperator):
             group = KeyedWindow(self.make())
         # All checks run before the element is added to any accumulator.
         for check in group.checks:
-            check(item)
+            if check(item) and group.number and not group.has_arrays:
+                raise group.array_refusal(item)
         return group
 
     def _number_element(self, item: StreamElement) -> None:
