@@ -1,14 +1,16 @@
 import struct
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from messages.wire import messages, serialize
-from retalis import Decoder, Definitions, Encoder, MessageError, String, Var, atom, functor, make_list
+from retalis import Decoder, Definitions, Encoder, MessageError, String, Var, atom, deref, functor, make_list
 from retalis.messages.type_registry import Installed
 from retalis.messages.validating_encoder import ValidatingEncoder
 from retalis.prolog.terms import timestamps
+from retalis.prolog.terms.array_terms import array_term
 from retalis.prolog.terms.term_traversal import copy
 from retalis.prolog.terms.types import CONS, NIL, Lazy
 
@@ -401,3 +403,37 @@ def test_undecoded_parts_go_out_as_they_came_in():
     term = registry.decoder(definition).decode(data)
     assert registry.encoder(definition).encode(term) == data
     assert all(part.made is None for part in term[1:])
+
+
+ARRAYS = Definitions(Installed([], [], rosbags=False)).add(
+    "pkg/Arrays", "float32[] a\nint16[6] b\nuint8[] c\n"
+)
+
+
+def fields(array, dtype):
+    """Return an array term and its list."""
+    numbers = np.array(array, dtype)
+    return [array_term(numbers), make_list(numbers.tolist())]
+
+
+@pytest.mark.parametrize("encode", [Encoder(ARRAYS).encode, ValidatingEncoder(ARRAYS).encode])
+@pytest.mark.parametrize("build", [False, True])
+def test_array_terms_are_published_like_their_lists(encode, build):
+    head = functor("pkg__0__Arrays", 3)
+    row, short, data = fields(range(1080), "<f4"), fields(range(6), "<i2"), fields(range(9), "|u1")
+    other = fields(range(1080), "<f8"), fields(range(6), "<i8"), fields(range(9), "<i4")
+    expected = encode(head(row[1], short[1], data[1]))
+    assert expected == struct.pack("<I1080f6hI9B", 1080, *range(1080), *range(6), 9, *range(9))
+    for arrays in ((row, short, data), other):
+        term = head(*[array for array, _ in arrays])
+        if build:
+            deref(term[1])
+        assert encode(term) == expected
+    assert row[0].made is None or build
+
+
+def test_an_array_term_of_another_length_is_refused():
+    term = functor("pkg__0__Arrays", 3)(NIL, array_term(np.arange(7, dtype="<i2")), NIL)
+    for encode in (Encoder(ARRAYS).encode, ValidatingEncoder(ARRAYS).encode):
+        with pytest.raises(MessageError, match="expected 6 elements"):
+            encode(term)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any, Iterator, List
 
+import numpy
 import pytest
 
 from retalis import (
@@ -18,11 +19,14 @@ from retalis import (
     Settings,
     Term,
     UsageError,
+    Var,
     atom,
     foreign,
     functor,
 )
 from retalis.prolog.syntax.term_writer import writeq
+from retalis.prolog.system.value_conversion import to_term
+from retalis.prolog.terms.array_terms import array_term
 
 
 @foreign
@@ -372,3 +376,58 @@ def test_a_result_without_end_is_given_up(forms):
     forms.logic.limits = Limits(inferences=20_000)
     with pytest.raises(PrologError, match="Not enough resources"):
         forms.call("numbers_without_end(X)")
+
+
+def test_a_parameter_of_type_ndarray_gets_an_array():
+    seen = []
+
+    @foreign
+    def doubled(values: numpy.ndarray) -> numpy.ndarray:
+        seen.append(values)
+        return values * 2
+
+    @foreign
+    def total(values: numpy.ndarray) -> float:
+        return float(values.sum())
+
+    @foreign
+    def as_before(values) -> str:
+        return type(values).__name__
+
+    engine = Engine()
+    engine.add_foreign(doubled, total, as_before)
+    ranges = array_term(numpy.arange(9, dtype="f4"))
+    result = Var()
+    for _ in engine.logic.solutions((functor("doubled", 2), ranges, result)):
+        shown = writeq(result)
+    assert seen[0].dtype == numpy.dtype("f4") and not seen[0].flags.writeable
+    assert ranges.made is None
+    assert shown == "[0.0,2.0,4.0,6.0,8.0,10.0,12.0,14.0,16.0]"
+    (found,) = engine.query("doubled([1,2,3], L), total(L, T), as_before(L, K), total('\"ab\"', B)")
+    assert [engine.show(found[name]) for name in "LTKB"] == ["[2,4,6]", "12.0", "list", "195.0"]
+
+
+@pytest.mark.parametrize("term", ["X", "foo", "[a]", "[1|_]"])
+def test_other_terms_are_no_arrays(term):
+    @foreign
+    def count(values: numpy.ndarray) -> int:
+        return len(values)
+
+    engine = Engine()
+    engine.add_foreign(count)
+    with pytest.raises(PrologError, match="instantiated|expected"):
+        engine.query(f"count({term}, _)")
+
+
+@pytest.mark.parametrize(
+    ("array", "text"),
+    [
+        (numpy.array([[1, 2], [3, 4]]), "[[1,2],[3,4]]"),
+        (numpy.arange(6, dtype=">i2"), "[0,1,2,3,4,5]"),
+        (numpy.arange(6)[::2], "[0,2,4]"),
+        (numpy.zeros(0), "[]"),
+        (numpy.arange(5, dtype="f2"), "[0.0,1.0,2.0,3.0,4.0]"),
+    ],
+)
+def test_arrays_become_lists(array, text):
+    assert writeq(to_term(array)) == text

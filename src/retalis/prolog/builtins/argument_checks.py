@@ -185,7 +185,8 @@ def array_of(term: Term) -> "Array":
         values = [_item(item, position) for position, item in enumerate(watched(values))]
     check_limits(size=8 * len(values))
     if all(item.__class__ is int for item in values):
-        for dtype in ("i8", "u8"):
+        # numpy 1 converts a negative number to an unsigned one without an error.
+        for dtype in ("i8", "u8") if min(values, default=0) >= 0 else ("i8",):  # type: ignore[type-var, operator]
             try:
                 return np.array(values, dtype)
             except OverflowError:

@@ -15,7 +15,7 @@ but no result of arithmetic, as in ``is/2``.
 import operator
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Union
 
-from ...foundation.cancellation import check_limits
+from ...foundation.cancellation import BULK, check_limits
 from ..machine.arithmetic import Number, evaluate
 from ..machine.errors import domain_error, evaluation_error, instantiation_error
 from ..machine.machine import Machine
@@ -32,17 +32,20 @@ if TYPE_CHECKING:
 _ELEMENTS_PER_INFERENCE = 64
 """Elements that numpy processes in about the time of an inference."""
 
+_CHECKED_ELEMENTS = _ELEMENTS_PER_INFERENCE * len(BULK)
+"""Number of elements from which the limits are checked."""
+
 _LEAST_INTEGER, _GREATEST_INTEGER = -(1 << 63), (1 << 63) - 1
 
 
 def _numbers(term: Term) -> "Array":
-    """Return an array, and count the work on its elements.
+    """Return an array, and count the work on its elements if there are many.
 
     Raises:
         PrologError: an instantiation or type error for a term that is not an array.
     """
     array = array_of(term)
-    if len(array) > _ELEMENTS_PER_INFERENCE:
+    if len(array) >= _CHECKED_ELEMENTS:
         check_limits(len(array) // _ELEMENTS_PER_INFERENCE)
     return array
 

@@ -564,7 +564,9 @@ def _fold_predicate(
     def run(machine: Machine, list_term: Term, result: Term) -> bool:
         array = None if list_term.__class__ is tuple else list_array(list_term)
         if array is not None:
-            check_limits(element_count(array) // _ELEMENTS_PER_INFERENCE)
+            count = element_count(array)
+            if count >= _CHECKED_ELEMENTS:
+                check_limits(count // _ELEMENTS_PER_INFERENCE)
             folded = fold_array(view(array))
             if folded is not None:
                 return unify(result, folded, machine.trail)
@@ -587,6 +589,9 @@ def _extremum(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
 
 _ELEMENTS_PER_INFERENCE = 64
 """Elements of an array that are folded in about the time of an inference."""
+
+_CHECKED_ELEMENTS = _ELEMENTS_PER_INFERENCE * len(BULK)
+"""Number of elements from which the limits are checked."""
 
 
 def _array_sum(values: "Array") -> Optional[Number]:
