@@ -9,16 +9,25 @@ figure is the median of the parts, in microseconds of CPU time.
 
     clauses        ``transform_marker/3`` of the NAO's program: look-ups, interpolations, their product
     pose_chain     the predicate for the whole chain
+    tf_transform   the predicate that reads the tree of transforms, by tf2_py if it is installed
+    in python      the same, computed in Python as in playback
+    tf_lookup      the predicate for the pose of the last frame, by tf2_py if it is installed
+    tf2 look-up    ``lookup_transform_core`` alone
     tf2            ``lookup_transform_core`` and the product with the last pose, by tf2_py
     message        storage of a transform from a message, split by the NAO's rules
     event          storage of a transform from an event ``tf(Parent, Child, V, Q)``
+    /tf            storage of a transform from the bytes of a message, of a frame that no look-up has needed
+    /tf, used      the same of a frame that look-ups need, and that is copied to tf2_py if it is installed
+    /tf python     the same in the buffer in Python
     set_transform  storage of a transform from a message in tf2's buffer
 """
 
 import argparse
+import importlib.util
 import math
 import random
 import statistics
+import struct
 import sys
 import time
 from pathlib import Path
@@ -30,7 +39,9 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 import workload as work  # noqa: E402
 from arguments import positive  # noqa: E402
 
-from retalis import Engine, functor, limit_gc_pauses, make_list  # noqa: E402
+from retalis import Engine, Settings, functor, limit_gc_pauses, make_list  # noqa: E402
+from retalis.events.knowledge.transform_buffer import TransformBuffer  # noqa: E402
+from retalis.messages.transform_messages import TransformReader  # noqa: E402
 
 SAMPLES, QUESTIONS, PART = 2500, 10_000, 200
 LAST = ((1.0, 0.5, 0.2), (0.0, 0.0, math.sin(0.2), math.cos(0.2)))
@@ -42,6 +53,15 @@ clauses([T|Ts]) :- last(P), transform_marker(P, T, _), clauses(Ts).
 chains([]).
 chains([T|Ts]) :- last(P), pose_chain([{NAMES}, P], T, _), chains(Ts).
 """
+TREE_RULES = f"""
+last([{list(LAST[0])}, {list(LAST[1])}]).
+trees([]).
+trees([T|Ts]) :- last(P), tf_transform(P, 'CameraTop_frame', odom, T, _), trees(Ts).
+lookups([]).
+lookups([T|Ts]) :- tf_lookup(odom, 'CameraTop_frame', T, _), lookups(Ts).
+"""
+CACHE = 1_000_000.0
+"""History of transforms in seconds: all samples."""
 
 
 class Sample(NamedTuple):
@@ -127,8 +147,52 @@ def ours(found: List[Sample], asked: List[int]) -> Iterator[Way]:
     def post(into: Engine) -> Callable[[Any], object]:
         return lambda part: [into.post(term, instant) for term, instant in part]
 
-    yield "message", post(by_message), list(parts([(message(sample), None) for sample in found]))
+    yield "message", post(by_message), list(parts([(message(sample), sample.instant) for sample in found]))
     yield "event", post(by_event), list(parts([(event(sample), sample.instant) for sample in found]))
+
+
+def serialized(sample: Sample) -> bytes:
+    """Return a message on /tf with one transform."""
+    parent, child = sample.parent.encode(), sample.child.encode()
+    return b"".join(
+        (
+            struct.pack("<5I", 1, 0, *divmod(sample.instant, 10**9), len(parent)),
+            parent,
+            struct.pack("<I", len(child)),
+            child,
+            struct.pack("<7d", *sample.position, *sample.rotation),
+        )
+    )
+
+
+def trees(found: List[Sample], asked: List[int]) -> Iterator[Way]:
+    """Yield the engine's implementations that read the tree of transforms."""
+    buffers = [("in python", "/tf python", TransformBuffer)]
+    if importlib.util.find_spec("tf2_py") is not None:
+        from retalis.ros.tf2_buffer import Tf2Buffer
+
+        buffers.insert(0, ("tf_transform", "/tf", Tf2Buffer))
+    messages = [serialized(sample) for sample in found]
+    times = [make_list([make_list(divmod(instant, 10**9)) for instant in part]) for part in parts(asked)]
+    for ask_name, store_name, buffer in buffers:
+        full, filling, used = (
+            Engine(settings=Settings(tf_cache=CACHE, transform_buffer=buffer)) for _ in range(3)
+        )
+        full.load(rules=TREE_RULES)
+
+        def store(into: Engine) -> Callable[[Any], object]:
+            read, take = TransformReader(is_static=False).read, into.event_input.take_input
+            return lambda part: into.executor.post_each(take, ((read(data), None) for data in part))
+
+        store(full)(messages)
+        yield ask_name, lambda part, full=full: full.call(functor("trees", 1)(part)), times  # type: ignore[misc]
+        yield store_name, store(filling), list(parts(messages))
+        if store_name == "/tf":
+            calls = functor("lookups", 1)
+            yield "tf_lookup", lambda part, full=full, calls=calls: full.call(calls(part)), times  # type: ignore[misc]
+            store(used)(messages[:PART])
+            used.knowledge.transforms.buffer.lookup("odom", "CameraTop_frame", asked[0])
+            yield "/tf, used", store(used), list(parts(messages[PART:]))
 
 
 def theirs(found: List[Sample], asked: List[int]) -> Iterator[Way]:
@@ -161,6 +225,11 @@ def theirs(found: List[Sample], asked: List[int]) -> Iterator[Way]:
             t, r = found.translation, found.rotation
             product(((t.x, t.y, t.z), (r.x, r.y, r.z, r.w)), LAST)
 
+    def look_up(part: Sequence[Any]) -> None:
+        for at in part:
+            full.lookup_transform_core(top, bottom, at)
+
+    yield "tf2 look-up", look_up, list(parts([Time(*divmod(instant, 10**9)) for instant in asked]))
     yield "tf2", ask, list(parts([Time(*divmod(instant, 10**9)) for instant in asked]))
     yield (
         "set_transform",
@@ -187,7 +256,7 @@ def main() -> int:
     parser.add_argument("--samples", type=positive, default=SAMPLES, help="of each transform")
     options = parser.parse_args()
     stored, asked = samples(options.samples), questions(options.samples)
-    ways = [*ours(stored, asked), *theirs(stored, asked)]
+    ways = [*ours(stored, asked), *trees(stored, asked), *theirs(stored, asked)]
     limit_gc_pauses()
     taken: Dict[str, List[float]] = {name: [] for name, _, _ in ways}
     for at in range(max(len(each) for _, _, each in ways)):

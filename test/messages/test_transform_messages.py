@@ -10,14 +10,14 @@ from retalis.prolog.syntax.term_reader import read_term
 
 TERM = (
     "tf2_msgs__0__TFMessage([geometry_msgs__0__TransformStamped(std_msgs__0__Header(7,[5,6],'\"map\"'),"
-    "'\"base link\"',geometry_msgs__0__Transform(geometry_msgs__0__Vector3(1.5,2.0,3.0),"
+    "'\"//base link\"',geometry_msgs__0__Transform(geometry_msgs__0__Vector3(1.5,2.0,3.0),"
     "geometry_msgs__0__Quaternion(0.0,0.0,0.6,0.8))),"
     "geometry_msgs__0__TransformStamped(std_msgs__0__Header(0,[0,0],'\"\"'),"
     "'\"Jürgen\"',geometry_msgs__0__Transform(geometry_msgs__0__Vector3(0.0,0.0,0.0),"
     "geometry_msgs__0__Quaternion(0.0,0.0,0.0,1.0)))])"
 )
 TRANSFORMS = [
-    ("map", "base link", 5_000_000_006, (1.5, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8)),
+    ("map", "/base link", 5_000_000_006, (1.5, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8)),
     ("", "Jürgen", 0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)),
 ]
 

@@ -26,7 +26,8 @@ class TransformMessage(NamedTuple):
     """The transforms of a message.
 
     Attributes:
-        transforms: parent, child, instant in nanoseconds, and position and rotation of the child in the parent.
+        transforms: parent and child without a leading slash, instant in nanoseconds, and position and rotation of the
+            child in the parent.
         is_static: whether they hold at every instant.
     """
 
@@ -92,7 +93,8 @@ class TransformReader:
         if len(text) != length:
             raise StructError
         try:
-            name = text.decode("utf-8")
+            # tf2 removes one leading slash.
+            name = text[text[:1] == b"/" :].decode("utf-8")
         except UnicodeDecodeError:
             raise MessageError("the name of a frame is not UTF-8") from None
         if len(text) <= _MAX_CACHED_LENGTH:

@@ -13,6 +13,7 @@ import rospy
 
 from ..events.knowledge.transform_buffer import (
     END_OF_TIME,
+    IDENTITY,
     CoordinateFrame,
     Numbers,
     TransformBuffer,
@@ -35,6 +36,10 @@ class _Seconds(float):
     __slots__ = ()
 
     to_sec = float.__float__
+
+
+_LATEST = _Seconds(0.0)
+"""The newest common time."""
 
 
 class _HeaderSlots:
@@ -68,9 +73,13 @@ class _TransformStamped:
 
 
 class Tf2Buffer(TransformBuffer):
-    """A transform buffer whose poses are in a ``BufferCore``.
+    """A transform buffer that lets a ``BufferCore`` compute the poses.
 
-    tf2 is imported for the first transform: most programs read none.
+    A frame is copied to the ``BufferCore`` from the first look-up that needs it: robots have many frames, and
+    programs use few of them. With a frame, all frames above it are copied, and each with all its samples, so the
+    ``BufferCore`` gives the answers that it would give with the whole tree.
+
+    tf2 is imported for the first look-up, because most programs have none.
 
     Args:
         cache_seconds: history of each frame in seconds.
@@ -79,25 +88,18 @@ class Tf2Buffer(TransformBuffer):
     def __init__(self, cache_seconds: float):
         super().__init__(cache_seconds)
         self._core: Any = None
-        self._error: Any = None
+        self._lookup_core: Callable[..., Any] = _raise_unknown
+        self._error: Any = _NotCopied
         self._origin: Optional[int] = None
+        self._offset = 0
         self._message: Any = None
-
-    def _create_core(self) -> None:
-        import tf2_py  # noqa: PLC0415 - an optional package, which takes time to import
-
-        seconds = min(self.cache / SECOND, _MAX_CACHE_SECONDS)
-        self._core = tf2_py.BufferCore(rospy.Duration.from_sec(seconds))
-        self._error = tf2_py.TransformException
-        # One object, which is filled for every transform.
-        self._message = _TransformStamped()
 
     def clear(self) -> None:
         """Drop all samples except those of static transforms, because the clock went back."""
         super().clear()
         if self._core is not None:
             self._core.clear()
-        self._origin = None
+        self._set_origin(None)
 
     def repair(self) -> None:
         """Repair the samples after an interrupt."""
@@ -106,31 +108,96 @@ class Tf2Buffer(TransformBuffer):
             self._core.clear()
             self._fill(self._origin)
 
-    def _fill(self, origin: Optional[int]) -> None:
-        """Store all samples again, with times relative to an origin."""
-        self._origin = origin
-        for frame in self.frames():
-            for position in range(frame.first, len(frame.stamps)):
-                parent, instant = frame.parents[position].name, frame.stamps[position]
-                self._store_pose(frame, parent, instant, frame.poses[position])
+    def lookup(self, target: str, source: str, instant: int) -> Optional[Pose]:
+        """Return the pose of the source frame in the target frame at an instant; None if there is none."""
+        if target == source:
+            return IDENTITY
+        if instant:
+            relative = instant - self._offset
+            # Only static transforms hold at instants that are not after the origin, or after the end of ROS time.
+            if not 0 < relative < END_OF_TIME:
+                relative = 1 if relative < 1 else END_OF_TIME - 1
+            time = _Seconds(relative / 1e9)
+        else:
+            time = _LATEST
+        try:
+            transform = self._lookup_core(target, source, time).transform
+        except self._error:
+            return self.lookup(target, source, instant) if self._copy(target, source) else None
+        translation, rotation = transform.translation, transform.rotation
+        return (
+            (translation.x, translation.y, translation.z),
+            (rotation.x, rotation.y, rotation.z, rotation.w),
+        )
 
-    def _store_pose(self, frame: CoordinateFrame, parent: str, instant: int, numbers: Numbers) -> None:
+    def _copy(self, *names: str) -> bool:
+        """Copy frames from now on, with those above them; return whether any was not copied before."""
+        frames = [self._frames[name] for name in names if name in self._frames]
+        if all(frame.is_copied for frame in frames):
+            return False
         if self._core is None:
             self._create_core()
+        for frame in frames:
+            self._copy_way(frame)
+        return True
+
+    def _copy_way(self, frame: CoordinateFrame) -> None:
+        """Copy a frame and those above it."""
+        pending = [frame]
+        while pending:
+            frame = pending.pop()
+            if not frame.is_copied:
+                frame.is_copied = True
+                pending += frame.parents
+                self._copy_frame(frame)
+
+    def _create_core(self) -> None:
+        import tf2_py  # noqa: PLC0415 - an optional package, which takes time to import
+
+        seconds = min(self.cache / SECOND, _MAX_CACHE_SECONDS)
+        self._core = tf2_py.BufferCore(rospy.Duration.from_sec(seconds))
+        self._lookup_core = self._core.lookup_transform_core
+        self._error = tf2_py.TransformException
+        # One object, which is filled for every transform.
+        self._message = _TransformStamped()
+
+    def _set_origin(self, origin: Optional[int]) -> None:
+        self._origin = origin
+        self._offset = origin or 0
+
+    def _fill(self, origin: Optional[int]) -> None:
+        """Copy all frames again, with times relative to an origin."""
+        self._set_origin(origin)
+        for frame in self.frames():
+            if frame.is_copied:
+                self._copy_frame(frame)
+
+    def _copy_frame(self, frame: CoordinateFrame) -> None:
+        for position in range(frame.first, len(frame.stamps)):
+            self._set_transform(
+                frame, frame.parents[position].name, frame.stamps[position], frame.poses[position]
+            )
+
+    def _copy_sample(
+        self, frame: CoordinateFrame, parent: CoordinateFrame, instant: int, numbers: Numbers
+    ) -> None:
+        if not parent.is_copied:
+            self._copy_way(parent)
+        self._set_transform(frame, parent.name, instant, numbers)
+
+    def _set_transform(self, frame: CoordinateFrame, parent: str, instant: int, numbers: Numbers) -> None:
         seconds = 0.0
         if not frame.is_static:
-            origin = self._origin
-            if origin is None:
-                origin = self._origin = max(0, instant // SECOND * SECOND - _MAX_LATE)
-            elif instant <= origin and origin:
+            if self._origin is None:
+                self._set_origin(max(0, instant // SECOND * SECOND - _MAX_LATE))
+            elif instant <= self._origin and self._origin:
                 self._core.clear()
                 self._fill(0)
-                origin = 0
-            seconds = (instant - origin) / 1e9
+            seconds = (instant - self._offset) / 1e9
         message = self._message
         header, transform = message.header, message.transform
         header.stamp = _Seconds(seconds)
-        # tf2 removes one leading slash, as `store` has done.
+        # tf2 removes one leading slash.
         header.frame_id = f"/{parent}" if parent[:1] == "/" else parent
         child = frame.name
         message.child_frame_id = f"/{child}" if child[:1] == "/" else child
@@ -141,21 +208,13 @@ class Tf2Buffer(TransformBuffer):
         else:
             self._core.set_transform(message, _AUTHORITY)
 
-    def _find_pose(self, target: str, source: str, instant: int) -> Optional[Pose]:
-        if self._core is None:
-            return None
-        if instant:
-            # Only static transforms hold at instants that are not after the origin, or after the end of ROS time.
-            instant = min(max(instant - (self._origin or 0), 1), END_OF_TIME - 1)
-        try:
-            transform = self._core.lookup_transform_core(target, source, _Seconds(instant / 1e9)).transform
-        except self._error:
-            return None
-        translation, rotation = transform.translation, transform.rotation
-        return (
-            (translation.x, translation.y, translation.z),
-            (rotation.x, rotation.y, rotation.z, rotation.w),
-        )
+
+class _NotCopied(Exception):
+    """Raised by the look-up before the first frame is copied."""
+
+
+def _raise_unknown(target: str, source: str, time: float) -> Any:
+    raise _NotCopied
 
 
 def choose_buffer() -> Callable[[float], TransformBuffer]:

@@ -35,8 +35,7 @@ def scenario(seed, epochs=EPOCHS):
                 parents[name] = rnd.choice([*names, "root", "other"])
             stamp = max(0, now - late)
             stamps.append(stamp)
-            slash = rnd.choice(("", "", "", "/"))
-            yield "store", slash + parents[name], slash + name, stamp, numbers(rnd), name in static
+            yield "store", parents[name], name, stamp, numbers(rnd), name in static
         else:
             yield "ask", *question(rnd, names, stamps, step)
     for _ in range(6):

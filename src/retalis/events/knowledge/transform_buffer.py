@@ -7,8 +7,9 @@ Before the first and after the last sample there is no transform. If the two sam
 earlier one holds until the later one. Static transforms hold at every instant. The instant 0 stands for the newest
 instant at which all frames of the path have transforms.
 
-`TransformBuffer` computes in Python. A subclass may let other code compute the poses (`_store_pose`, `_find_pose`);
-the samples are stored here in any case, for errors, gaps, counts, and waiting queries.
+`TransformBuffer` computes in Python. A subclass may override `lookup` to let other code compute the poses. All
+samples are stored here in any case, for errors, gaps, counts, and waiting queries; those of frames with the attribute
+`CoordinateFrame.is_copied` are passed to `_copy_sample`, too.
 
 A query that waits for a transform is registered with the frame of the path that is behind (`find_blocking`). Each
 `CoordinateFrame` therefore is a queue of the queries that need its next samples, like a memory is one. Queries about
@@ -72,15 +73,17 @@ class CoordinateFrame(QueryQueue):
         stamps: stamps of the samples in nanoseconds.
         parents: the parent frames of the samples.
         poses: their poses in the parents.
+        is_copied: whether samples are passed on to other code.
     """
 
-    __slots__ = ("name", "is_child", "is_static", "first", "stamps", "parents", "poses")
+    __slots__ = ("name", "is_child", "is_static", "first", "stamps", "parents", "poses", "is_copied")
 
     def __init__(self, name: str):
         super().__init__()
         self.name = name
         self.is_child = False
         self.is_static = False
+        self.is_copied = False
         self.first = 0
         self.stamps: List[int] = []
         self.parents: List[CoordinateFrame] = []
@@ -149,31 +152,20 @@ class CoordinateFrame(QueryQueue):
         return self.stamps[bisect_left(self.stamps, instant, self.first)] == instant
 
     def insert(self, instant: int, parent: "CoordinateFrame", pose: Numbers) -> None:
-        """Insert a sample of an instant that has none."""
-        stamps = self.stamps
-        # The pose and the parent are stored first: other threads read the stamps first.
-        if len(stamps) <= self.first or instant > stamps[-1]:
-            self.poses.append(pose)
-            self.parents.append(parent)
-            stamps.append(instant)
-        else:
-            position = bisect_left(stamps, instant, self.first)
-            self.poses.insert(position, pose)
-            self.parents.insert(position, parent)
-            stamps.insert(position, instant)
+        """Insert a sample before the last one, of an instant that has none."""
+        position = bisect_left(self.stamps, instant, self.first)
+        self.poses.insert(position, pose)
+        self.parents.insert(position, parent)
+        self.stamps.insert(position, instant)
 
     def replace(self, instant: int, parent: "CoordinateFrame", pose: Numbers) -> None:
         """Set the only sample of a static transform."""
         self.poses, self.parents, self.stamps = [pose], [parent], [instant]
 
-    def trim(self, cache: int) -> int:
-        """Drop the samples that are older than a history of ``cache`` nanoseconds; return their number."""
+    def trim(self, oldest: int) -> int:
+        """Drop the samples before an instant, up to the last one; return their number."""
         stamps = self.stamps
-        oldest = stamps[-1] - cache
-        first = self.first
-        if stamps[first] >= oldest:
-            return 0
-        first = bisect_left(stamps, oldest, first)
+        first = bisect_left(stamps, oldest, self.first)
         dropped = first - self.first
         self.first = first
         if first >= _TRIM_LENGTH and 2 * first >= len(stamps):
@@ -291,16 +283,12 @@ class TransformBuffer:
         Whether a frame is static is decided by its first transform, as in tf2.
 
         Args:
-            parent: name of the parent frame; one leading slash is ignored.
-            child: name of the child frame; one leading slash is ignored.
+            parent: name of the parent frame, without the slash that tf2 removes.
+            child: name of the child frame, without the slash that tf2 removes.
             instant: the instant in nanoseconds.
             numbers: pose of the child in the frame of the parent.
             is_static: whether the transform holds at every instant.
         """
-        if child[:1] == "/":
-            child = child[1:]
-        if parent[:1] == "/":
-            parent = parent[1:]
         x, y, z, i, j, k, w = numbers
         # Comparisons with nan are false.
         if (
@@ -315,7 +303,8 @@ class TransformBuffer:
             if not child or not parent or self._is_name_refused(child):
                 return self._refuse(child, parent, instant, numbers)
             frame = CoordinateFrame(child)
-        has_samples = len(frame.stamps) > frame.first
+        stamps = frame.stamps
+        has_samples = len(stamps) > frame.first
         if has_samples and frame.parents[-1].name == parent:
             parent_frame: Any = frame.parents[-1]
         else:
@@ -328,11 +317,13 @@ class TransformBuffer:
             frame.is_child, frame.is_static = True, is_static
         if frame.is_static:
             self.sample_count += not has_samples
-            self._store_pose(frame, parent, instant, numbers)
+            if frame.is_copied:
+                self._copy_sample(frame, parent_frame, instant, numbers)
             frame.replace(instant, parent_frame, numbers)
         else:
-            if has_samples and instant <= frame.stamps[-1]:
-                if instant < frame.stamps[-1] - self.cache:
+            is_newest = not has_samples or instant > stamps[-1]
+            if not is_newest:
+                if instant < stamps[-1] - self.cache:
                     self.refused += 1
                     return f"it is older than the history of {self.cache / SECOND:g} s"
                 if frame.has(instant):
@@ -340,9 +331,18 @@ class TransformBuffer:
             if self.sample_count >= MAX_SAMPLES and not self._make_room(frame, instant):
                 self.refused += 1
                 return f"there are {MAX_SAMPLES} transforms already"
-            self._store_pose(frame, parent, instant, numbers)
-            frame.insert(instant, parent_frame, numbers)
-            self.sample_count += 1 - frame.trim(self.cache)
+            if frame.is_copied:
+                self._copy_sample(frame, parent_frame, instant, numbers)
+            self.sample_count += 1
+            if is_newest:
+                # Other threads read the stamps first, so these come last.
+                frame.poses.append(numbers)
+                frame.parents.append(parent_frame)
+                stamps.append(instant)
+                if stamps[frame.first] < instant - self.cache:
+                    self.sample_count -= frame.trim(instant - self.cache)
+            else:
+                frame.insert(instant, parent_frame, numbers)
         self.version += 1
         return frame
 
@@ -540,8 +540,10 @@ class TransformBuffer:
 
     # Computation of poses
 
-    def _store_pose(self, frame: CoordinateFrame, parent: str, instant: int, numbers: Numbers) -> None:
-        """Store a transform for the computation of poses, before it is inserted into its frame."""
+    def _copy_sample(
+        self, frame: CoordinateFrame, parent: CoordinateFrame, instant: int, numbers: Numbers
+    ) -> None:
+        """Pass a sample to other code, before it is inserted into its frame."""
 
     def _find_pose(self, target: str, source: str, instant: int) -> Optional[Pose]:
         """Return the pose of a frame in another one; None if there is none."""
