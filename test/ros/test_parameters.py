@@ -66,6 +66,10 @@ def test_any_gap_may_be_interpolated_over_where_no_limit_is_given(read):
     assert read().settings.max_gap is None
     assert read(max_gap=0).settings.max_gap is None
     assert read(max_gap=0.5).settings.max_gap == 0.5
+    assert read().settings.tf_cache == 10.0
+    assert read(tf_cache=30).settings.tf_cache == 30.0
+    with pytest.raises(UsageError, match="~tf_cache"):
+        read(tf_cache=0)
     with pytest.raises(UsageError, match="~max_gap"):
         read(max_gap=-1)
 
