@@ -510,13 +510,8 @@ def _list_queries(
 
     def convert(query: Any) -> WaitingStatus:
         _, definition, values, _, end, missing = query
-        awaited = [
-            AwaitedMemory(
-                _name_awaited(instance, instant, show), int(instant), _compute_lag(instance, instant)
-            )
-            for instance, instant in tuple(missing)
-            if not instance.has_reached(instant)
-        ]
+        statuses = [_awaited_status(instance, instant, show) for instance, instant in tuple(missing)]
+        awaited = [status for status in statuses if status is not None]
         listed = tuple(awaited[:MAX_AWAITED_LISTED])
         return WaitingStatus(show(definition.event(values)), int(end), listed, len(awaited) - len(listed))
 
@@ -528,6 +523,21 @@ def _count_transforms(transforms: Transforms) -> Optional[TransformStatus]:
     if not transforms.is_required:
         return None
     return TransformStatus(len(buffer), buffer.sample_count, buffer.refused)
+
+
+def _awaited_status(
+    instance: AwaitedSource, instant: int, show: Callable[[Term], str]
+) -> Optional[AwaitedMemory]:
+    """Return the status of a memory or transform; None if it has reached the instant."""
+    try:
+        if instance.has_reached(instant):
+            return None
+        return AwaitedMemory(
+            _name_awaited(instance, instant, show), int(instant), _compute_lag(instance, instant)
+        )
+    except IndexError:
+        # The engine, which runs in another thread, has just cut the history of a frame.
+        return AwaitedMemory(show(instance.id), int(instant), None)
 
 
 def _name_awaited(instance: AwaitedSource, instant: int, show: Callable[[Term], str]) -> str:
