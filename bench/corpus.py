@@ -154,7 +154,7 @@ def load(path: Path, seconds: float) -> Loaded:
         errors.append(str(error))
     clauses: Dict[str, int] = Counter()
     for predicate in engine.logic.database.predicates.values():
-        for clause in predicate.live() if predicate.kind == "user" else ():
+        for clause in predicate.active_clauses() if predicate.kind == "user" else ():
             if clause.place is not None and clause.place.source == str(path):
                 clauses[f"{predicate.functor.name}/{predicate.functor.arity}"] += 1
     return Loaded(errors, omitted, dict(clauses))

@@ -79,7 +79,7 @@ class Program:
         return (
             [(rule.name, rule.waiting, rule.active) for rule in engine.rules.rules],
             {
-                str(one): [engine.show(clause.head) for clause in one.live()]
+                str(one): [engine.show(clause.head) for clause in one.active_clauses()]
                 for one in predicates
                 if not one.library
             },

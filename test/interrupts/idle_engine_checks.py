@@ -28,7 +28,9 @@ def faults(engine):
     check(machine.idle == (0, 0), "the idle state is another")
     check(not budget.running, "the budget runs")
     check(not budget.alarms and not budget.ceilings, "a limit of a call is left")
-    check(not budget.used and not budget.closed and budget.goal is None, "the budget of an entry is left")
+    check(
+        not budget.used and not budget.needs_check and budget.goal is None, "the budget of an entry is left"
+    )
     check(WATCH.ask is None, "somebody is asked about long work")
     check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")
     check(executor.thread is None and executor.running_callback is None, "the executor is at work")
@@ -117,7 +119,7 @@ def _of_predicates(logic):
     for key, predicate in logic.database.predicates.items():
         if predicate.library:
             continue
-        live = list(predicate.live())
+        live = list(predicate.active_clauses())
         if len(predicate) != len(live):
             yield f"{key}: {len(live)} clauses live and {len(predicate)} are counted"
         if predicate.ground and not all(clause.ground for clause in live):

@@ -121,7 +121,7 @@ def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: Knowledg
     ]
     return Deployment(
         rules.rules,
-        {predicate: list(predicate.live()) for predicate in own_predicates},
+        {predicate: list(predicate.active_clauses()) for predicate in own_predicates},
         dict(knowledge.memories.instances),
         dict(knowledge.subscriptions.items()),
         rules.all_properties(),
@@ -177,7 +177,9 @@ def save_deployments(
     rules = {id(rule): position for position, rule in enumerate(named_rules)}
     predicates = program_predicates(logic)
     clauses = {
-        id(clause): position for predicate in predicates for position, clause in enumerate(predicate.live())
+        id(clause): position
+        for predicate in predicates
+        for position, clause in enumerate(predicate.active_clauses())
     }
     memories = {id(memory): position for position, memory in enumerate(knowledge.memories)}
     subscriptions = {
@@ -275,7 +277,7 @@ def _restore_clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predica
     clauses: Dict[Predicate, List[Clause]] = {}
     for predicate_functor, positions in saved["clauses"]:
         predicate = _find_predicate(logic, predicate_functor)
-        live_clauses = list(predicate.live())
+        live_clauses = list(predicate.active_clauses())
         clauses[predicate] = [live_clauses[position] for position in positions]
     for predicate_functor, retracted_clauses in saved["retracted"]:
         predicate = _find_predicate(logic, predicate_functor)

@@ -166,7 +166,7 @@ class EventInput:
             clock.ringing = instant
             try:
                 # Each alarm has its own limits: one that exceeds them must not prevent the others.
-                self._logic.machine.budget.apart(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
+                self._logic.machine.budget.run_as_entry(("an alarm", instant), lambda: alarm(instant))  # noqa: B023
             finally:
                 clock.ringing = None
 

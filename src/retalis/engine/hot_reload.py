@@ -378,7 +378,7 @@ class ReloadTransaction:
             self._deactivate_old()
             # The program without the folder. The difference to it after the load is the new deployment.
             program_without_folder = program_items(self._engine)
-            budget.apart((_LOADING_WORK,), load)
+            budget.run_as_entry((_LOADING_WORK,), load)
             # Answers of tabled predicates may depend on clauses that were replaced.
             self._engine.logic.once(_ABOLISH_TABLES_GOAL)
             self.deployment = program_items(self._engine).added_since(program_without_folder)
@@ -506,7 +506,7 @@ class ReloadTransaction:
 
         If the load itself has changed the clauses, they are left as the load has made them.
         """
-        live = set(predicate.live())
+        live = set(predicate.active_clauses())
         if not predicate.dynamic or not live.issuperset(base_clauses):
             return
         remaining = set(self._old_deployment.clauses.get(predicate, ()))
@@ -548,7 +548,7 @@ class ReloadTransaction:
         """
         try:
             # The restoration has limits of its own: the failed load may have used up those of the request.
-            self._engine.logic.machine.budget.apart((_ROLLBACK_WORK,), self._undo)
+            self._engine.logic.machine.budget.run_as_entry((_ROLLBACK_WORK,), self._undo)
         except Exception as undo_error:
             raise UsageError(
                 f"the program does not load ({error}), "
@@ -579,7 +579,7 @@ class ReloadTransaction:
                 self._remove_clauses(predicate, clauses)
         copies: Dict[Clause, Clause] = {}
         for predicate, clauses in self._before.clauses.items():
-            if list(predicate.live()) == clauses:
+            if list(predicate.active_clauses()) == clauses:
                 continue
             # A removed clause is marked as dead for running goals (logical update view), and this cannot be undone.
             predicate.clear()

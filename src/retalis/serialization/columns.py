@@ -15,7 +15,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
-from .schema import Decoded, anything, each, fixed, functor, instant, items, term, wrong
+from .schema import Decoded, anything, each, fixed, functor, instant, invalid_value, items, term
 
 _MIN_COLUMN_TERMS, _MAX_COLUMN_DEPTH, _MAX_COLUMNS = 50, 4, 64
 """Minimum number of terms that are encoded in columns; maximum nesting and total number of columns."""
@@ -151,7 +151,7 @@ def decode_terms(value: Decoded, count: int, depth: int = 0) -> Sequence[Term]:
         terms = each(term)(rest[0])
         if len(terms) == count:
             return terms
-    raise wrong(form, f"{count} terms")
+    raise invalid_value(form, f"{count} terms")
 
 
 def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
@@ -159,11 +159,11 @@ def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
     positions: Sequence[int] = packed
     if len(distinct) > _MAX_BYTE_POSITIONS:
         if len(packed) % 2:
-            raise wrong(len(packed), "positions of 2 bytes")
+            raise invalid_value(len(packed), "positions of 2 bytes")
         positions = unpack(f"{len(packed) // 2}H", packed)
     # The file is not trusted: a position out of range must be refused with a clear error.
     if positions and max(positions) >= len(distinct):
-        raise wrong(max(positions), f"a position among {len(distinct)} terms")
+        raise invalid_value(max(positions), f"a position among {len(distinct)} terms")
     return list(map(distinct.__getitem__, positions))
 
 
@@ -209,15 +209,15 @@ def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
     """
     numbers, forms, stamps = _instant_column(value)
     if forms.__class__ is not bytes or forms.translate(None, b"\0\1\2") or forms.count(2) != len(stamps):
-        raise wrong(forms, "the forms of instants")
+        raise invalid_value(forms, "the forms of instants")
     if count not in (None, len(forms)):
-        raise wrong(len(forms), f"{count} instants")
+        raise invalid_value(len(forms), f"{count} instants")
     if numbers.__class__ is bytes:
         if len(numbers) != 8 * len(forms):
-            raise wrong(len(numbers), f"{len(forms)} instants")
+            raise invalid_value(len(numbers), f"{len(forms)} instants")
         numbers = unpack(f"{len(forms)}q", numbers)
     elif len(each(instant)(numbers)) != len(forms):
-        raise wrong(numbers, f"{len(forms)} instants")
+        raise invalid_value(numbers, f"{len(forms)} instants")
     if not any(forms):
         return list(numbers)
     if forms.count(1) == len(forms):

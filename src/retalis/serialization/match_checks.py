@@ -22,7 +22,7 @@ from ..events.provenance.event_log import Occurrence, Suppressed
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Var
 from .match_graph import GraphReader
-from .schema import wrong
+from .schema import invalid_value
 
 
 class MatchShape(NamedTuple):
@@ -174,7 +174,7 @@ def check_arrivals(rule: EventRule, state: RuleState, shapes: Sequence[Any]) -> 
     """
     matches, buffer_numbers, orders = state.arrivals
     if not len(matches) == len(buffer_numbers) == len(orders):
-        raise wrong(len(matches), f"{len(orders)} partial matches")
+        raise invalid_value(len(matches), f"{len(orders)} partial matches")
     # Sequence numbers reproduce the order in which partial matches arrived.
     if len(set(orders)) != len(orders):
         raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
@@ -187,7 +187,7 @@ def check_arrivals(rule: EventRule, state: RuleState, shapes: Sequence[Any]) -> 
                 raise UsageError(f"{rule.name}: a run does not belong to a group")
         elif not shapes[buffer_number].fits(match):
             width = shapes[buffer_number].width
-            raise wrong(
+            raise invalid_value(
                 match.values, f"{rule.name}: a match with {width} values and the event of its pattern"
             )
 

@@ -46,6 +46,7 @@ from .schema import (
     fixed,
     integer,
     integers,
+    invalid_value,
     items,
     key,
     match_orders,
@@ -54,7 +55,6 @@ from .schema import (
     term,
     value_of_match,
     variable,
-    wrong,
 )
 
 
@@ -378,7 +378,7 @@ class GraphReader:
         """Put the objects in the order of their numbers; return the numbers by kind."""
         for code in set(self._kinds):
             if _KINDS[code] not in objects_by_kind:
-                raise wrong(_KINDS[code], "a kind with columns")
+                raise invalid_value(_KINDS[code], "a kind with columns")
         numbers_by_kind: Dict[str, List[int]] = {kind: [] for kind in objects_by_kind}
         # By the code of the kind.
         arranged = [(iter(objects_by_kind.get(kind, ())), numbers_by_kind.get(kind, [])) for kind in _KINDS]
@@ -398,7 +398,7 @@ class GraphReader:
     ) -> None:
         """Check the columns of a kind and set the attributes of its objects."""
         if len(columns) != len(checks):
-            raise wrong(len(columns), f"{len(checks)} columns of kind {kind}")
+            raise invalid_value(len(columns), f"{len(checks)} columns of kind {kind}")
         if kind in MATCH_KINDS:
             for item in objects:
                 item.buffer = None
@@ -410,7 +410,7 @@ class GraphReader:
                 if column is not None or field != "end" or "start" not in fields:
                     values = check(column, numbers)
                 if len(values) != len(objects):
-                    raise wrong(len(values), f"{len(objects)} values")
+                    raise invalid_value(len(values), f"{len(objects)} values")
             except UsageError as error:
                 raise UsageError(f"kind {kind}: {field}: {error.message}") from None
             for item, value in zip(objects, values):
@@ -426,7 +426,7 @@ class GraphReader:
                 or value.number >= len(self._kinds)
                 or self._kinds[value.number] not in codes
             ):
-                raise wrong(value, f"a reference to {' or '.join(kinds)}")
+                raise invalid_value(value, f"a reference to {' or '.join(kinds)}")
             return self._objects[value.number]
 
         return check
@@ -439,7 +439,7 @@ class GraphReader:
             numbers = integers()(value)
             is_in_range = max(numbers, default=-1) < len(self._kinds)
             if not is_in_range or not codes.issuperset(map(self._kinds.__getitem__, numbers)):
-                raise wrong(numbers, f"references to {' or '.join(kinds)}")
+                raise invalid_value(numbers, f"references to {' or '.join(kinds)}")
             return list(map(self._objects.__getitem__, numbers))
 
         return check
@@ -466,7 +466,7 @@ class GraphReader:
             if len(present) == len(column):
                 return list(objects)
             if not is_optional:
-                raise wrong(None, f"a reference to {' or '.join(kinds)}")
+                raise invalid_value(None, f"a reference to {' or '.join(kinds)}")
             return [None if number is None else next(objects) for number in column]
 
         return check
@@ -549,7 +549,7 @@ class GraphReader:
                 isinstance(node, KleeneNode) and owner.__class__ is Run
             )
             if not by_number and not (by_match and isinstance(entry, EventMatch)):
-                raise wrong(value, "a buffer entry of a node")
+                raise invalid_value(value, "a buffer entry of a node")
             return node, owner, entry
 
         tried = fixed(match_ref, match_ref)
@@ -694,7 +694,7 @@ _FINISH: Dict[str, Callable[[Any], None]] = {
 def _kind_codes(value: Decoded) -> bytes:
     """Check the codes of the kinds of all objects."""
     if value.__class__ is not bytes or (value and max(value) >= len(_KINDS)):
-        raise wrong(value, "codes of kinds")
+        raise invalid_value(value, "codes of kinds")
     return value
 
 
@@ -719,7 +719,7 @@ _match_values = each(value_of_match, tuple)
 def _compound(value: Decoded) -> Decoded:
     """Check the term of an event whose arguments are the values of a match."""
     if value.__class__ is not tuple:
-        raise wrong(value, "a compound term")
+        raise invalid_value(value, "a compound term")
     return value
 
 
@@ -731,7 +731,7 @@ def _state(value: Decoded) -> Decoded:
         value = value[0]
     if value.__class__ is list:
         if value:
-            raise wrong(value, "the state of an aggregate")
+            raise invalid_value(value, "the state of an aggregate")
         value = ()
     elif value is not None:
         term(value)

@@ -52,6 +52,7 @@ from .schema import (
     instant,
     integer,
     integers,
+    invalid_value,
     items,
     key,
     match_order,
@@ -62,7 +63,6 @@ from .schema import (
     record,
     term,
     text,
-    wrong,
 )
 
 
@@ -107,7 +107,7 @@ class StreamCheck:
         key_width, value_width = self._widths
         if len(element.by) != key_width or len(element.values) != value_width:
             expected = f"an element with {key_width} key values and {value_width} measured values"
-            raise wrong((element.by, element.values), expected)
+            raise invalid_value((element.by, element.values), expected)
         if element.match is None:
             is_valid = not self._needs
         elif self._of_terms:
@@ -115,9 +115,9 @@ class StreamCheck:
         else:
             is_valid = self._shapes[channel].fits(element.match)
         if not is_valid or element.start > element.end:
-            raise wrong(element.match, "an element of the right type")
+            raise invalid_value(element.match, "an element of the right type")
         if not self._of_terms and any(item_value is None for item_value in element.values):
-            raise wrong(element.values, "values")
+            raise invalid_value(element.values, "values")
         for check in self._checks:
             check(element)
         element.restore_key()
@@ -127,7 +127,9 @@ class StreamCheck:
         """Check that elements are distinct and have distinct sequence numbers."""
         orders = {item.order for item in elements}
         if len(orders) != len(elements) or not all(1 <= number <= order for number in orders):
-            raise wrong(sorted(item.order for item in elements), "elements with distinct sequence numbers")
+            raise invalid_value(
+                sorted(item.order for item in elements), "elements with distinct sequence numbers"
+            )
 
     def operator_state(self, value: Decoded) -> Decoded:
         """Check the complete state of the operator; see `StreamOperator.snapshot`."""
@@ -140,7 +142,7 @@ class StreamCheck:
         if isinstance(stream, DistinctUntilChanged):
             state = fixed(each(instant), elements)(value)
             if len(state[0]) != len(state[1]):
-                raise wrong(len(state[0]), f"{len(state[1])} instants")
+                raise invalid_value(len(state[0]), f"{len(state[1])} instants")
             return state
         if isinstance(stream, Debounce):
             state = fixed(count, instant, elements)(value)
@@ -175,7 +177,7 @@ class StreamCheck:
         self._check_distinct([item for members in groups for item in members] + future_elements, order)
         keys = [{item.key for item in members} for members in groups]
         if any(len(group_keys) != 1 for group_keys in keys) or len(set().union(*keys)) != len(keys):
-            raise wrong(len(keys), "distinct partitions, each with one key")
+            raise invalid_value(len(keys), "distinct partitions, each with one key")
 
     def _row_pattern_state(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
         step = integer(0, len(stream.nfa.steps) - 1)
@@ -215,7 +217,7 @@ class StreamCheck:
                 # Without either, a partition could lose its last state, and have none to continue with.
                 or not any(entry[0] == SCANNING or _is_certain(stream.nfa, entry) for entry in states)
             ):
-                raise wrong(states, "valid computation states of a row pattern")
+                raise invalid_value(states, "valid computation states of a row pattern")
         return state
 
 
@@ -230,7 +232,7 @@ def _check_next_window(stream: HoppingWindow, state: Decoded) -> None:
     else:
         is_valid = not ahead or min(element.end for element in ahead) < due
     if not is_valid or (due is not None and due % stream.every):
-        raise wrong(due, "the end of the next window")
+        raise invalid_value(due, "the end of the next window")
 
 
 def _is_certain(nfa: RowPatternNFA, entry: Decoded) -> bool:
@@ -292,7 +294,9 @@ def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
     def check(value: Decoded) -> Decoded:
         match = graph.match(value)
         if not shape.fits(match):
-            raise wrong(match.values, f"a match with {shape.width} values and the event of its pattern")
+            raise invalid_value(
+                match.values, f"a match with {shape.width} values and the event of its pattern"
+            )
         return match
 
     return check
@@ -306,7 +310,7 @@ def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     def own_group(value: Decoded) -> Decoded:
         group = train(value)
         if not group_fits(node, group):
-            raise wrong(value, "runs of this node")
+            raise invalid_value(value, "runs of this node")
         return group
 
     return fixed(boolean, each(number), each(own_group), each(fixed(key, each(number))))
@@ -326,7 +330,7 @@ def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     def contributors(value: Decoded) -> Decoded:
         # The last element identifies an output when the operator runs again.
         if not items(value):
-            raise wrong(value, "the elements of an output")
+            raise invalid_value(value, "the elements of an output")
         return each(stream.item)(value)
 
     channel = integer(0, len(node.children) - 1)
@@ -376,7 +380,7 @@ def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
     # Rules are kept in the order of their serials.
     serials = [serial for _, _, _, _, serial, _, active in kept["rules"] if active]
     if serials != sorted(set(serials)):
-        raise wrong(serials, "rules with increasing serials")
+        raise invalid_value(serials, "rules with increasing serials")
     # Flags first: they determine how rules are compiled.
     for name, value in kept["flags"].items():
         rules.flags.set(name, value)
@@ -487,7 +491,7 @@ class _CheckedState:
         self._graph = graph = GraphReader(data["objects"], restored)
         active = rules.rules
         if len(items(data["states"])) != len(active):
-            raise wrong(len(data["states"]), f"the states of {len(active)} rules")
+            raise invalid_value(len(data["states"]), f"the states of {len(active)} rules")
         self.states = [rule_state(graph, rule, state) for rule, state in zip(restored, data["states"])]
         check_stored_once(restored, self.states)
         check_lineage(graph)
@@ -523,7 +527,7 @@ class _CheckedState:
                 return entry
             # A query whose memory has already reached the time would never be run.
             if memory is None or memory.has_reached(until):
-                raise wrong(value, "a memory that has not reached an instant")
+                raise invalid_value(value, "a memory that has not reached an instant")
             return entry
 
         awaited = each(lagging_memory)
@@ -532,7 +536,7 @@ class _CheckedState:
         def query(value: Decoded) -> Decoded:
             entry = check(value)
             if not entry[5]:
-                raise wrong(value, "a query that waits for a memory")
+                raise invalid_value(value, "a query that waits for a memory")
             return entry
 
         return query
@@ -547,20 +551,20 @@ class _CheckedState:
         )
         holding = each(check)(value)
         if len(holding) != len(list(knowledge.states)):
-            raise wrong(len(holding), "the intervals of each declared state")
+            raise invalid_value(len(holding), "the intervals of each declared state")
         for declared, states in zip(knowledge.states, holding):
             for own_key, state, _, opened in states[0]:
                 # The key is stored redundantly; a different one would make the state unreachable.
                 if not opened or own_key != term_key(state) or not may_unify(declared.form.state, state):
-                    raise wrong(state, "a declared state that has begun")
+                    raise invalid_value(state, "a declared state that has begun")
             if len({one[0] for one in states[0]}) != len(states[0]):
-                raise wrong(len(states[0]), "distinct states")
+                raise invalid_value(len(states[0]), "distinct states")
         return holding  # type: ignore[no-any-return]
 
     def _rates(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
         subscriptions = [subscription for _, subscription in knowledge.subscriptions.items()]
         if len(items(value)) != len(subscriptions):
-            raise wrong(len(value), f"the output rates of {len(subscriptions)} subscriptions")
+            raise invalid_value(len(value), f"the output rates of {len(subscriptions)} subscriptions")
         states: List[Any] = []
         for subscription, rate_state in zip(subscriptions, value):
             if subscription.rate is None:
@@ -578,6 +582,6 @@ class _CheckedState:
         orders = [entry[1] for entry in self.alarms] + [entry[4] for entry in self.timers[0]]
         queries = [entry[0] for entry in self.waiting]
         if len(set(orders)) != len(orders):
-            raise wrong(orders, "alarms with distinct sequence numbers")
+            raise invalid_value(orders, "alarms with distinct sequence numbers")
         if queries != sorted(set(queries)) or any(entry >= self.order for entry in queries):
-            raise wrong(queries, "queries with increasing sequence numbers")
+            raise invalid_value(queries, "queries with increasing sequence numbers")

@@ -41,7 +41,7 @@ _FORMS = frozenset((FloatSeconds, Stamp))
 _KEYS = frozenset((int, Atom, String, Functor))
 
 
-def wrong(value: object, expected: str) -> UsageError:
+def invalid_value(value: object, expected: str) -> UsageError:
     """Return the error for an invalid value."""
     try:
         text_of_value = value if isinstance(value, str) else repr(value)
@@ -58,7 +58,7 @@ def anything(value: Decoded) -> Decoded:
 def nothing(value: Decoded) -> None:
     """Check that a value is None."""
     if value is not None:
-        raise wrong(value, "nothing")
+        raise invalid_value(value, "nothing")
 
 
 def instance_of(kind: type, expected: str) -> ValueCheck:
@@ -66,7 +66,7 @@ def instance_of(kind: type, expected: str) -> ValueCheck:
 
     def check(value: Decoded) -> Decoded:
         if value.__class__ is not kind:
-            raise wrong(value, expected)
+            raise invalid_value(value, expected)
         return value
 
     return check
@@ -84,7 +84,7 @@ def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
 
     def check(value: Decoded) -> int:
         if value.__class__ is not int or not least <= value <= most:
-            raise wrong(value, f"an integer from {least} to {most}")
+            raise invalid_value(value, f"an integer from {least} to {most}")
         return value
 
     return check
@@ -101,28 +101,28 @@ match_order = integer(0, 2 * MAX_INSTANT)
 def instant(value: Decoded) -> int:
     """Check an instant in nanoseconds, in any of its forms."""
     if value.__class__ not in _INSTANTS or not -MAX_INSTANT <= value <= MAX_INSTANT:
-        raise wrong(value, "an instant")
+        raise invalid_value(value, "an instant")
     return value
 
 
 def seconds(value: Decoded) -> float:
     """Check a finite number of seconds."""
     if value.__class__ not in (int, float) or not isfinite(value):
-        raise wrong(value, "a number of seconds")
+        raise invalid_value(value, "a number of seconds")
     return value
 
 
 def path(value: Decoded) -> str:
     """Check a file path."""
     if value.__class__ is not str or "\0" in value:
-        raise wrong(value, "a path")
+        raise invalid_value(value, "a path")
     return value
 
 
 def term(value: Decoded) -> Term:
     """Check a term. Its arguments were checked when it was decoded."""
     if value.__class__ not in _TERMS:
-        raise wrong(value, "a term")
+        raise invalid_value(value, "a term")
     return cast(Term, value)
 
 
@@ -134,7 +134,7 @@ def value_of_match(value: Decoded) -> Term:
 def callable_term(value: Decoded) -> Term:
     """Check a term that can be an event or a goal."""
     if value.__class__ is not tuple and value.__class__ is not Atom:
-        raise wrong(value, "an atom or a compound term")
+        raise invalid_value(value, "an atom or a compound term")
     return value
 
 
@@ -148,7 +148,7 @@ def key(value: Decoded, depth: int = MAX_KEY_DEPTH) -> Decoded:
             return value
     elif value_class is list and depth:
         return tuple([key(item, depth - 1) for item in value])
-    raise wrong(value, "a key")
+    raise invalid_value(value, "a key")
 
 
 def optional(check: ValueCheck) -> ValueCheck:
@@ -164,7 +164,7 @@ def one_of(*values: Decoded) -> ValueCheck:
         for allowed in values:
             if value.__class__ is allowed.__class__ and value == allowed:
                 return allowed
-        raise wrong(value, f"one of {', '.join(map(str, values))}")
+        raise invalid_value(value, f"one of {', '.join(map(str, values))}")
 
     return check
 
@@ -172,7 +172,7 @@ def one_of(*values: Decoded) -> ValueCheck:
 def items(value: Decoded) -> Sequence[Decoded]:
     """Return the items of a sequence."""
     if value.__class__ not in _SEQUENCES:
-        raise wrong(value, "a sequence")
+        raise invalid_value(value, "a sequence")
     return value
 
 
@@ -194,7 +194,7 @@ def each(
 
     def check_each(value: Decoded) -> Decoded:
         if most is not None and len(items(value)) > most:
-            raise wrong(value, f"at most {most} items")
+            raise invalid_value(value, f"at most {most} items")
         checked: List[Decoded] = []
         # Columns have thousands of terms: their classes are compared by functions that are implemented in C.
         if classes.issuperset(map(type, items(value))):
@@ -232,7 +232,7 @@ def fixed(*checks: ValueCheck) -> ValueCheck:
 
     def check(value: Decoded) -> Tuple[Decoded, ...]:
         if len(items(value)) != length:
-            raise wrong(value, f"{length} items")
+            raise invalid_value(value, f"{length} items")
         return tuple([check(item) for check, item in zip(checks, value)])
 
     return check
@@ -246,7 +246,7 @@ def fields(**checks: ValueCheck) -> ValueCheck:
     def check(value: Decoded) -> Dict[str, Decoded]:
         found = mapping(value)
         if list(found) != list(checks):
-            raise wrong(list(found), f"the fields {', '.join(checks)}")
+            raise invalid_value(list(found), f"the fields {', '.join(checks)}")
         return {name: check(found[name]) for name, check in named_checks.items()}
 
     return check
@@ -278,7 +278,7 @@ def dict_of(key_check: ValueCheck, value_check: ValueCheck) -> ValueCheck:
         items_found = pairs(value)
         result = dict(items_found)
         if len(result) != len(items_found):
-            raise wrong(value, "each key once")
+            raise invalid_value(value, "each key once")
         return result
 
     return check

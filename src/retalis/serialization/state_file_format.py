@@ -38,6 +38,7 @@ from .schema import (
     functor,
     instant,
     integer,
+    invalid_value,
     items,
     key,
     named,
@@ -49,7 +50,6 @@ from .schema import (
     term,
     text,
     variable,
-    wrong,
 )
 
 MAGIC = b"retalis state\n"
@@ -171,7 +171,7 @@ def _definition(expected: Functor) -> ValueCheck:
 
     def check(value: Decoded) -> Decoded:
         if value.__class__ is not tuple or value[0] is not expected:
-            raise wrong(value, f"a term of {expected}")
+            raise invalid_value(value, f"a term of {expected}")
         return value
 
     return check
@@ -180,7 +180,7 @@ def _definition(expected: Functor) -> ValueCheck:
 def _known_property(value: Decoded) -> Property:
     label_property: Property = _property(value)
     if label_property.label.__class__ is not Atom or label_property.problem is not None:
-        raise wrong(value, label_property.problem or "a property of a label")
+        raise invalid_value(value, label_property.problem or "a property of a label")
     return label_property
 
 
@@ -193,9 +193,9 @@ def _clauses(value: Decoded) -> Decoded:
         arity = len(head) - 1 if head.__class__ is tuple else 0
         # A clause in the wrong predicate would be called with missing arguments.
         if arity != predicate.arity:
-            raise wrong(head, f"a clause of {predicate}")
+            raise invalid_value(head, f"a clause of {predicate}")
         if body.__class__ in (int, float):
-            raise wrong(body, "the body of a clause")
+            raise invalid_value(body, "the body of a clause")
     return predicate, properties, clauses
 
 
@@ -238,7 +238,7 @@ def _builtin_state(value: Decoded) -> Dict[str, Decoded]:
     values = dict_of(text, anything)(value)
     for name in values:
         if name not in _BUILTIN_STATE:
-            raise wrong(name, "a kind of state of built-in predicates")
+            raise invalid_value(name, "a kind of state of built-in predicates")
     return {name: named(name, _BUILTIN_STATE[name])(state) for name, state in values.items()}
 
 
@@ -252,7 +252,7 @@ _MAX_CLOCK_INSTANT = MAX_TIMESTAMP + (1 << 60)
 def _clock_instant(value: Decoded) -> Decoded:
     # A clock nearer to the largest instant of the format would leave no room for the events after a restore.
     if abs(instant(value)) > _MAX_CLOCK_INSTANT:
-        raise wrong(value, "an instant that a clock can reach")
+        raise invalid_value(value, "an instant that a clock can reach")
     return value
 
 

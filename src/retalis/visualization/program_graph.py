@@ -243,7 +243,7 @@ class _GraphBuilder:
                 seen.add(key)
                 predicate = predicates.get(key)
                 if predicate is not None and not predicate.library:
-                    pending += [clause.body for clause in predicate.live() if not clause.fact]
+                    pending += [clause.body for clause in predicate.active_clauses() if not clause.fact]
             if term.__class__ is tuple:
                 yield term
                 pending += term[1:]

@@ -56,23 +56,23 @@ def test_what_came_meanwhile_is_not_taken_for_what_was_there(turn, watched):
             turn.thread = None
             watched.sample(instant + 0.5)
     assert watched.warned == []
-    assert not watched.budget.closed
+    assert not watched.budget.needs_check
 
 
 def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(turn, watched):
     turn.begin("a")
     watched.sample(0.0)
     watched.sample(9.9)
-    assert not watched.budget.closed
+    assert not watched.budget.needs_check
     watched.sample(10.0)
     with pytest.raises(LimitError, match="seconds") as caught:
-        watched.budget.admit()
+        watched.budget.check_entry()
     assert not caught.value.final
     watched.sample(15.0)
-    watched.budget.admit()
+    watched.budget.check_entry()
     watched.sample(20.0)
     with pytest.raises(LimitError, match="seconds") as caught:
-        watched.budget.admit()
+        watched.budget.check_entry()
     assert caught.value.final
 
 
@@ -81,8 +81,8 @@ def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(turn, w
     watched.sample(0.0)
     watched.sample(10.1)
     turn.begin("b")
-    watched.budget.admit()
-    assert not watched.budget.closed
+    watched.budget.check_entry()
+    assert not watched.budget.needs_check
 
 
 def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
@@ -140,7 +140,7 @@ def test_no_limit_and_no_patience_is_none(turn):
     turn.begin("a")
     for instant in (0.0, 1e3, 1e6):
         dog.sample(instant)
-    assert not budget.closed
+    assert not budget.needs_check
 
 
 def test_short_goals_that_add_up_are_ended_by_the_watchdog(caplog):
@@ -220,7 +220,7 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     dog, budget = engine.watchdog, engine.logic.machine.budget
 
     def changed_meanwhile(*_):
-        assert budget.closed
+        assert budget.needs_check
         raise RuntimeError("changed size during iteration")
 
     monkeypatch.setattr(_watchdog, "_slow_work_warning", changed_meanwhile)
@@ -228,7 +228,7 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
     def hold(machine):
         dog.sample(0.0)
         dog.sample(1.5)
-        return budget.closed
+        return budget.needs_check
 
     engine.logic.define("hold", 0, hold)
     assert engine.call("hold")
@@ -265,7 +265,7 @@ def test_the_thread_ends_what_no_goal_counts():
     budget = engine.logic.machine.budget
 
     def wait(machine):
-        while not budget.closed:
+        while not budget.needs_check:
             going.wait(0.01)
         return True
 

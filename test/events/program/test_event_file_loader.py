@@ -246,8 +246,8 @@ def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(
     program = Program("\n".join(f"f({at}). c <- a({at}) and b." for at in range(50)))
     engine = program.engine
     looked = []
-    live = Predicate.live
-    monkeypatch.setattr(Predicate, "live", lambda one: looked.append(one) or live(one))
+    active_clauses = Predicate.active_clauses
+    monkeypatch.setattr(Predicate, "active_clauses", lambda one: looked.append(one) or active_clauses(one))
     monkeypatch.setattr(type(engine.rules), "rules", property(lambda rules: looked.append(rules) or []))
     assert engine.call("ins_event_rule(r([property(window,5)]) : (d(X) <- e(X) and f(X)))")
     assert program.feed("e(1)@1 f(1)@2") == "d(1)@1-2"

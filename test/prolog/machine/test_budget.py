@@ -119,9 +119,9 @@ def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_o
     saved = budget.enter()
     budget.close(caught.value)
     with pytest.raises(LimitError):
-        budget.admit()
+        budget.check_entry()
     budget.leave(saved)
-    budget.admit()
+    budget.check_entry()
 
 
 @pytest.fixture
@@ -156,7 +156,7 @@ def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
         budget.check_limits(900)
         return budget.left()
 
-    assert budget.apart(("inner",), inner) == Left(None, 100, None)
+    assert budget.run_as_entry(("inner",), inner) == Left(None, 100, None)
     assert turn.entry == ("outer",) and budget.goal is outer
     assert budget.left() == Left(None, 100, None)
 
@@ -196,7 +196,7 @@ def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
 
 STEPS = st.one_of(
     st.tuples(st.sampled_from(["check_limits", "count_last_steps"]), st.integers(0, 1500)),
-    st.tuples(st.sampled_from(["count_slice", "count_loops", "admit", "left", "end", "inner"])),
+    st.tuples(st.sampled_from(["count_slice", "count_loops", "check_entry", "left", "end", "inner"])),
     st.tuples(st.just("wait"), st.integers(0, 8)),
     st.tuples(st.just("write"), st.integers(0, 600_000)),
 )
@@ -264,7 +264,7 @@ class Model:
         if self.pending >= len(SLICE):
             self.count(0)
 
-    def admit(self):
+    def check_entry(self):
         pending, self.pending = self.pending, 0  # steps are counted when the next ones are
         error = self.check_limits(0)
         self.pending = pending
@@ -287,7 +287,7 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
     budget.allow(Model.LIMITS)
     budget.count_for(turn)
     budget.goal = object()
-    budget.inner = lambda: budget.apart(("inner",), lambda: budget.check_limits(0))
+    budget.inner = lambda: budget.run_as_entry(("inner",), lambda: budget.check_limits(0))
     budget.write = budget.count_output
     try:
         with patch.object(_budget, "monotonic", lambda: model.now):
@@ -300,7 +300,7 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
                     found = getattr(budget, name)(*number)
                 except LimitError as error:
                     assert (error.what, error.final) == wanted
-                    assert error.budget is budget and not error.refused and not budget.closed
+                    assert error.budget is budget and not error.refused and not budget.needs_check
                 else:
                     assert wanted is None
                     if name == "left":

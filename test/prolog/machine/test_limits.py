@@ -209,7 +209,7 @@ def test_goals_do_not_look_at_limits_before_any_has_run_out():
     for limits in (Limits(), Limits(seconds=1.0)):
         budget = Engine(settings=Settings(limits=limits)).logic.machine.budget
         assert not budget.limited
-        assert not budget.closed
+        assert not budget.needs_check
 
 
 @pytest.mark.parametrize(

@@ -561,7 +561,7 @@ def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[SourceTerm]:
     for predicate in list(logic.database.predicates.values()):
         # Predicates of libraries are not part of the program.
         if predicate.kind == "user" and not predicate.library:
-            for clause in predicate.live():
+            for clause in predicate.active_clauses():
                 if clause.place is None or clause.place.source not in sources:
                     clauses.append(clause_at(clause.head, clause.body, clause.place))
     return clauses

@@ -169,14 +169,14 @@ class Dispatcher(ListenerIndex):
         if depth > self._max_chain_length:
             raise UsageError(f"more than {self.max_depth} events were derived one from another")
         # Deep chains check the limits of the input event; shallow ones are bounded by their depth.
-        if self._budget.closed:
+        if self._budget.needs_check:
             self._check_input_limits()
         return frame
 
     def _check_input_limits(self) -> None:
         """Raise an error if the input event has used up its resource limits."""
         try:
-            self._budget.admit()
+            self._budget.check_entry()
         except PrologError as error:
             keep_back(error)
             raise UsageError(f"no more events are derived from it ({error.message})") from error

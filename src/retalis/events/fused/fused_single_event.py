@@ -160,7 +160,7 @@ def _goal_source(inputs: int) -> str:
     body: List[Statement] = [
         "context = dispatcher.current",
         Block(
-            f"if not code.steady or not context[{GROUND}] or context[{DEPTH}] > {MAX_RECURSIVE_DEPTH}:",
+            f"if not code.keeps_choice_points or not context[{GROUND}] or context[{DEPTH}] > {MAX_RECURSIVE_DEPTH}:",
             ["return general_path(term, term[1:] if values is None else values, start, end, after)"],
         ),
         Block("if values is None:", [f"_, {values} = term"]),
@@ -173,10 +173,10 @@ def _goal_source(inputs: int) -> str:
         Block(
             "try:",
             [
-                Block("if budget.closed:", ["budget.admit()"]),
+                Block("if budget.needs_check:", ["budget.check_entry()"]),
                 "budget.goal = goal",
                 "last = code.run(frame)",
-                "solved_goal = (last is done and len(trail) == mark) or machine.settle(last, mark)",
+                "solved_goal = (last is done and len(trail) == mark) or machine.finish_step(last, mark)",
             ],
         ),
         Block(

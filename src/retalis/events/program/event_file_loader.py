@@ -82,7 +82,7 @@ class LoadRollback:
         predicates = list(rules.logic.database.predicates.values())
         self._library = [predicate for predicate in predicates if predicate.library]
         self._clauses = {
-            predicate: set(predicate.live()) for predicate in predicates if predicate.kind == "user"
+            predicate: set(predicate.active_clauses()) for predicate in predicates if predicate.kind == "user"
         }
         self._properties = rules.all_properties()
         self._operators = rules.logic.operators.copy()
@@ -100,7 +100,7 @@ class LoadRollback:
         for predicate in list(rules.logic.database.predicates.values()):
             if predicate.kind == "user":
                 previous_clauses = self._clauses.get(predicate, ())
-                for clause in list(predicate.live()):
+                for clause in list(predicate.active_clauses()):
                     if clause not in previous_clauses:
                         predicate.remove(clause)
                 # A predicate that the load has created and that has no clauses left is unknown again, so calls raise

@@ -306,7 +306,7 @@ class EventLog:
         if predicate is None or predicate.kind != "user":
             return False
         # Facts may be added and removed at any time, so they are read for each event.
-        heads = (clause.head for clause in predicate.live())
+        heads = (clause.head for clause in predicate.active_clauses())
         return any(_selects(deref(head[1]), term) for head in heads if head.__class__ is tuple)
 
 

@@ -63,7 +63,7 @@ class EventTypes:
         predicate = self._logic.database.predicates.get(_DECLARED)
         # The new dictionary keeps only clauses that still exist.
         previous, self._read = self._read, {}
-        for clause in () if predicate is None else predicate.live():
+        for clause in () if predicate is None else predicate.active_clauses():
             declarations = previous.get(clause)
             if declarations is None:
                 declarations = _read(clause)

@@ -344,7 +344,10 @@ class RuleBase:
             predicate for predicate in self.logic.database.predicates.values() if predicate.kind == "user"
         ]
         bodies = [
-            clause.body for predicate in predicates if not predicate.library for clause in predicate.live()
+            clause.body
+            for predicate in predicates
+            if not predicate.library
+            for clause in predicate.active_clauses()
         ]
         return [*(rule.definition.term for rule in self.rules), *bodies]
 

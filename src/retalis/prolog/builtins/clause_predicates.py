@@ -467,7 +467,7 @@ def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     predicate = database.writable(key, "modify")
     # The name contains a space, so that a program does not define the hidden predicate by accident.
     hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
-    for clause in list(predicate.live()):
+    for clause in list(predicate.active_clauses()):
         hidden.add(clause)
     hidden.dynamic, hidden.discontiguous, hidden.multifile = (
         predicate.dynamic,

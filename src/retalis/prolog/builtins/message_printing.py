@@ -256,7 +256,7 @@ def _list_predicate(machine: Machine, predicate: Predicate) -> None:
         if displayed_predicate.dynamic if declaration == "dynamic" else displayed_predicate is not predicate:
             incremental = " as incremental" if source.incremental else ""
             logic.write(f":- {declaration} {logic.show(indicator(key))}{incremental}.\n\n")
-    for clause in displayed_predicate.live():
+    for clause in displayed_predicate.active_clauses():
         logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
     logic.write("\n")
 
@@ -326,7 +326,7 @@ def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> S
     clauses: Iterable[Clause] = ()
     if predicate is not None:
         predicate.with_clauses.note_read()
-        clauses = predicate.with_clauses.live()
+        clauses = predicate.with_clauses.active_clauses()
     for position, clause in enumerate(clauses, 1):
         # A known number selects a single clause, and leaves no choice point.
         if clause_number.__class__ is int and position != clause_number:

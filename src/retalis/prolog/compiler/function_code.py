@@ -118,7 +118,7 @@ def clause_parts(predicate: "Predicate") -> List[ClauseParts]:
     """Return the clauses of a predicate for the generator."""
     return [
         ClauseParts(clause.head[1:] if clause.head.__class__ is tuple else (), clause.body, clause.place)
-        for clause in predicate.live()
+        for clause in predicate.active_clauses()
     ]
 
 
@@ -141,7 +141,7 @@ def call_cost(database: PredicateResolver, key: Functor, path: Tuple[Functor, ..
     if predicate.dynamic or not 0 < len(predicate) <= _MAX_FUNCTION_CLAUSES:
         return None
     cost = 0
-    for clause in predicate.live():
+    for clause in predicate.active_clauses():
         if clause.is_large:
             return None
         entry = Height("height")

@@ -156,7 +156,8 @@ class GoalGenerator:
         return self._finish(unit)
 
     def enter(self, delivers_outputs: bool) -> Tuple[Step, bool]:
-        """Return the function of the goal's frame, and whether it is steady (see `Code.steady`).
+        """Return the function of the goal's frame, and whether it keeps the choice points (see
+        `Code.keeps_choice_points`).
 
         Args:
             delivers_outputs: whether the frame passes its outputs to a collector instead of returning to a frame.

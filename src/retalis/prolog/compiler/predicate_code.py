@@ -319,13 +319,13 @@ class PredicateGenerator:
         self._unbound = unbound
         self.position = _selective_position(clauses, key.arity, unbound)
         self._retries: Dict[Tuple[int, ...], Code] = {}
-        self.steady = False
+        self.keeps_choice_points = False
 
     def main(self) -> Step:
-        """Return the function of the predicate, and set `steady` (see `Code.steady`)."""
+        """Return the function of the predicate, and set `keeps_choice_points` (see `Code.keeps_choice_points`)."""
         unit = Unit(self.database.machine, self.database)
         body = self._write_switch(unit)
-        self.steady = not body.pushes
+        self.keeps_choice_points = not body.pushes
         head = self._unpacking("")
         # LOOP bounds the turns. When it is exhausted the budget is charged, and a new frame continues the call.
         if body.looped:

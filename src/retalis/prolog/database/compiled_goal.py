@@ -81,7 +81,7 @@ class CompiledGoal:
         code: Any = self.code
         # Frames and compiled clauses may hold the code object, so it is reset and not replaced.
         if code.__class__ is Code:
-            code.run, code.steady = self._generate_code, False
+            code.run, code.keeps_choice_points = self._generate_code, False
         else:
             self.code = self._generator.call() or Code(self.name, self._generate_code)
 
@@ -112,9 +112,9 @@ class CompiledGoal:
         return self._output_code.run(frame)
 
     def _generate_code(self, frame: Frame) -> Optional[Frame]:
-        run, steady = self._generator.enter(False)
+        run, keeps_choice_points = self._generator.enter(False)
         code: Any = self.code  # not a predicate here: those run themselves
-        code.run, code.steady = run, steady
+        code.run, code.keeps_choice_points = run, keeps_choice_points
         return self.code.run(frame)
 
     def enter(self, values: Values, collector: Frame) -> Frame:
@@ -137,8 +137,8 @@ class CompiledGoal:
             PrologError: if the goal raises it.
         """
         budget = self._machine.budget
-        if budget.closed:
-            budget.admit()
+        if budget.needs_check:
+            budget.check_entry()
         # The budget names the goal in errors about limits; a nested goal must not stay named after it has ended.
         outer_goal = budget.goal
         budget.goal = self
@@ -157,8 +157,8 @@ class CompiledGoal:
         mark = len(machine.trail)
         if not self._outputs:
             frame = (self.code, *values, machine.done)
-            # A steady step pushes no choice point, so it may run without setting up a run of the machine.
-            if self.code.steady:
+            # A step that keeps the choice points pushes none, so it may run without setting up a run of the machine.
+            if self.code.keeps_choice_points:
                 return () if machine.check(frame, self) else None
             succeeded = machine.run(frame)
             undo(machine.trail, mark)

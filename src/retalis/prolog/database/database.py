@@ -132,7 +132,7 @@ class Database:
             if predicate is not None and predicate.is_fixed and term[0] not in visited:
                 visited.add(term[0])
                 predicate.prepare()
-                stack += [clause.body for clause in predicate.live()]
+                stack += [clause.body for clause in predicate.active_clauses()]
 
     def direct(self, key: Functor) -> FunctionCode:
         """Return the functions of a predicate, creating them if there are none."""
@@ -167,7 +167,7 @@ class Database:
         predicate.bound_form = None
         predicate.make_filter = None
         predicate.run = run
-        predicate.steady = False
+        predicate.keeps_choice_points = False
         predicate.library = True
         predicate.clauses = []
         return predicate

@@ -55,7 +55,8 @@ class Predicate:
         database: the database that it belongs to.
         functor: name and arity.
         run: step that runs a call; replaced when the predicate changes.
-        steady: whether that step leaves the choice point stack unchanged; see `Code.steady`.
+        keeps_choice_points: whether that step leaves the choice point stack unchanged; see
+            `Code.keeps_choice_points`.
         kind: "user", "builtin" (deterministic Python), "control" (other Python), or "undefined".
         function: Python function that compiled clauses call inline, for a built-in.
         direct: its functions, if it is called as a function.
@@ -107,7 +108,7 @@ class Predicate:
         self.compile_after = database.compile_after
         self.indexes = Indexes(functor.arity)
         self.run: Step = self._run_interpreted
-        self.steady = False
+        self.keeps_choice_points = False
         self._retry = Code(str(functor), self._retry_call)
         self._retry.functor = functor
 
@@ -134,7 +135,7 @@ class Predicate:
         """The predicate that owns the clauses: for a tabled predicate the hidden one that evaluates its tables."""
         return self if self.tabled is None else self.tabled
 
-    def live(self) -> Iterator[Clause]:
+    def active_clauses(self) -> Iterator[Clause]:
         """Yield the clauses that have not been retracted, in order."""
         return (clause for clause in list(self.clauses) if clause.died == NEVER)
 
@@ -178,12 +179,12 @@ class Predicate:
 
     def _sweep(self) -> None:
         """Drop retracted clauses from the list; indexes keep them."""
-        self.clauses = list(self.live())
+        self.clauses = list(self.active_clauses())
         self.dead = 0
 
     def clear(self) -> None:
         """Retract all clauses."""
-        for clause in list(self.live()):
+        for clause in list(self.active_clauses()):
             self.remove(clause)
 
     def abolish(self) -> None:
@@ -200,7 +201,7 @@ class Predicate:
         self.database.changes += 1
         self._revision += 1
         if self.compiled:
-            self.compiled = self.steady = False
+            self.compiled = self.keeps_choice_points = False
             self._set_step(self._run_interpreted)
             # A predicate that alternates between calls and changes is compiled ever more rarely.
             self.compile_after *= 2
@@ -225,14 +226,14 @@ class Predicate:
         self.clauses = []
         self.indexes.clear()
         self.run = run
-        self.steady = False
+        self.keeps_choice_points = False
 
     def forget(self) -> None:
         """Drop compiled code, whose references to other predicates are out of date."""
         if self.direct is not None:
             self.direct.reset(None)
         if self.kind == "user":
-            self.compiled = self.steady = False
+            self.compiled = self.keeps_choice_points = False
             self._set_step(self._run_interpreted)
             self.calls = 0
             for clause in self.clauses:
@@ -413,7 +414,7 @@ class Predicate:
     def _compile(self) -> bool:
         """Compile the predicate as a whole, or let calls go through its indexes; return whether either was done."""
         self.calls = 0
-        clauses = list(self.live())
+        clauses = list(self.active_clauses())
         count = len(clauses)
         is_facts = all(clause.fact for clause in clauses)
         too_many = count > (_MAX_COMPILED_FACTS if is_facts else _MAX_COMPILED_CLAUSES)
@@ -425,7 +426,7 @@ class Predicate:
         parts = [ClauseParts(_arguments_of(clause.head), clause.body, clause.place) for clause in clauses]
         generator = PredicateGenerator(self._resolver(), self.functor, parts, self)
         self._set_step(generator.main())
-        self.steady = generator.steady
+        self.keeps_choice_points = generator.keeps_choice_points
         self.compiled = True
         return True
 

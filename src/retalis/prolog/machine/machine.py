@@ -73,22 +73,22 @@ class Code:
         name: the name in error messages.
         run: executes the step.
         functor: the functor of the executed goal, for error messages.
-        steady: whether the step leaves the choice points unchanged, so that it can be executed outside of a run; see
-            `Machine.check`.
+        keeps_choice_points: whether the step leaves the choice points unchanged, so that it can be executed outside
+            of a run; see `Machine.check`.
         closes: whether a choice point with this code closes the goal above it, because its solutions are collected or
             only the first one is used. A call inside the goal cannot continue after that.
         dropped: called with a choice point that is cut, on interpreters that do not finalise its contents
             immediately.
     """
 
-    __slots__ = ("name", "run", "functor", "steady", "closes", "dropped")
+    __slots__ = ("name", "run", "functor", "keeps_choice_points", "closes", "dropped")
 
     def __init__(self, name: str, run: Step, closes: bool = False):
         self.name = name
         self.closes = closes
         self.run = run
         self.functor: Optional[Functor] = None
-        self.steady = False
+        self.keeps_choice_points = False
         self.dropped: Optional[Callable[[Frame], None]] = None
 
     def __repr__(self) -> str:
@@ -262,7 +262,7 @@ class Machine:
                 budget.reset()
 
     def check(self, frame: Frame, goal: RunnableGoal) -> bool:
-        """Return whether a steady `CompiledGoal` has a solution; keep no bindings.
+        """Return whether a `CompiledGoal` that keeps the choice points has a solution; keep no bindings.
 
         Unlike `run`, it executes the first step without pushing a choice point; most goals finish in that step.
 
@@ -271,15 +271,15 @@ class Machine:
             goal: the goal, to which the use of resources is attributed.
         """
         budget = self.budget
-        if budget.closed:
-            budget.admit()
+        if budget.needs_check:
+            budget.check_entry()
         previous_goal = budget.goal
         budget.goal = goal
         limited = budget.limited
         saved = budget.enter() if limited else None
         mark = len(self.trail)
         try:
-            return self.settle(frame[0].run(frame), mark)
+            return self.finish_step(frame[0].run(frame), mark)
         except Exception as exc:
             error = self.error(exc, frame, mark)
             if error is exc:
@@ -292,7 +292,7 @@ class Machine:
             if limited:
                 budget.leave(saved)
 
-    def settle(self, frame: Optional[Frame], mark: int) -> bool:
+    def finish_step(self, frame: Optional[Frame], mark: int) -> bool:
         """Run the rest after a step outside of a run, and undo the bindings above ``mark``."""
         is_solved = frame is self.done or (frame is not None and self.run(frame))
         if len(self.trail) > mark:
@@ -515,7 +515,7 @@ class Machine:
             on_error: called with an error of the goal.
         """
         straight = goal.straight
-        if straight is not None and not self.budget.closed:
+        if straight is not None and not self.budget.needs_check:
             mark = len(self.trail)
             try:
                 outputs = straight(*values)
@@ -540,8 +540,8 @@ class Machine:
         height = len(choices)
         budget = self.budget
         choices.append((self._attempt_code, budget.goal, otherwise, on_error, len(self.trail)))
-        if budget.closed:
-            budget.admit()
+        if budget.needs_check:
+            budget.check_entry()
         budget.goal = goal
         return goal.enter(values, (self._exit_code, height, then))
 

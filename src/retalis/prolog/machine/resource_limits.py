@@ -13,7 +13,7 @@ If an entry exceeds a limit:
 1. The goal throws `LimitError`. A program may catch the first one; its handler gets a tenth more inferences, and the
    other limits once again, to clean up.
 2. The next one is *final*: no program can catch it.
-3. Further goals of the entry are refused (`Budget.admit`), counted, and reported together at the end.
+3. Further goals of the entry are refused (`Budget.check_entry`), counted, and reported together at the end.
 4. Pattern matching is not interrupted by an exception, which would leave a partial match half joined. It stops at the
    points where it counts its work (`Budget.meter`).
 
@@ -204,7 +204,7 @@ def keep_back(error: Exception) -> bool:
     The limit of an outer call ends that call later. If the entry has exceeded a limit, its further goals are refused.
 
     Returns:
-        Whether to report the error; false for a refused goal, see `Budget.admit`.
+        Whether to report the error; false for a refused goal, see `Budget.check_entry`.
     """
     if isinstance(error, LimitPassed):
         error.was_caught = error.open
@@ -254,7 +254,7 @@ class Budget:
     Attributes:
         limits: the limits of each entry.
         limited: whether the machine must `enter` each run: limits are set, and no engine announces entries.
-        closed: whether goals must call `admit` before they start.
+        needs_check: whether goals must call `check_entry` before they start.
         turn: announces entries. Its ``thread`` processes one, or is None; its ``entry`` identifies it.
         goal: the running goal, a `CompiledGoal` or a term; None while only patterns are matched.
         inferences: inferences since the start.
@@ -393,7 +393,7 @@ class Budget:
         self.rounds = 1
         self.refused = 0
         self._out: Optional[str] = None  # the exceeded limit because of which goals are refused
-        self.closed = False
+        self.needs_check = False
         self.stopped: Optional[Tuple[object, str]] = None
         self.left_out = 0
         if self.pattern_steps[0] < 0:
@@ -411,7 +411,7 @@ class Budget:
         if self.stopped is not None:
             self.on_stopped(*self.stopped, self.left_out, self._entry)
 
-    def apart(self, entry: object, work: Callable[[], T]) -> T:
+    def run_as_entry(self, entry: object, work: Callable[[], T]) -> T:
         """Run ``work`` as an entry of its own in the middle of another entry of a turn; return its result."""
         turn = self.turn
         assert turn is not None
@@ -452,7 +452,7 @@ class Budget:
 
     # Goals of entries
 
-    def admit(self) -> None:
+    def check_entry(self) -> None:
         """Raise an error if the entry has exceeded a limit, so that the goal does not start.
 
         Raises:
@@ -463,7 +463,7 @@ class Budget:
             error = self._error(self._out)
             error.final = error.refused = True
             raise error
-        self.closed = False
+        self.needs_check = False
         past = self._exceeded_limit(monotonic())
         if past is not None:
             raise self._exceeded(past)
@@ -471,14 +471,14 @@ class Budget:
     def close(self, error: LimitError) -> None:
         """Refuse further goals of the entry because of an error that ended a goal."""
         self._mark_used()
-        self.closed = True
+        self.needs_check = True
         if self._out is None:
             self._out = error.what
 
     def expire(self, entry: object) -> None:
         """Record that an entry has used its seconds, if it is still active. Any thread may call this."""
         self._expired = entry
-        self.closed = True
+        self.needs_check = True
         # A running goal notices by its own checks, and ends before pattern matching continues.
         if self.goal is None:
             self.pattern_steps[0] = -1
@@ -562,7 +562,7 @@ class Budget:
         if self._steps >= len(SLICE):
             self._count()
             if self._bounded and self._exceeded_limit(monotonic()) is not None:
-                self.closed = True
+                self.needs_check = True
 
     def count_output(self, size: int) -> None:
         """Count bytes that are about to be written to the user's streams.
@@ -665,7 +665,7 @@ class Budget:
     def _exceeded(self, resource: str) -> LimitError:
         error = self._error(resource)
         error.final = self.rounds > 1
-        self.closed = (
+        self.needs_check = (
             self._out is not None
         )  # tells the receiver of the error whether goals are refused already
         # The use is not reset after a final error, so that every later check throws again: catching it is useless.
@@ -702,7 +702,7 @@ _NESTED_RUN = _NestedRun()
 _ENTRY_ATTRIBUTES = (
     "rounds",
     "refused",
-    "closed",
+    "needs_check",
     "used",
     "_entry",
     "_spent",

@@ -97,7 +97,7 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
 
 
 def _kept(predicate: Predicate) -> KeptClauses:
-    clauses = [(clause.head, clause.body, clause.place) for clause in predicate.live()]
+    clauses = [(clause.head, clause.body, clause.place) for clause in predicate.active_clauses()]
     return (
         predicate.functor,
         (predicate.dynamic, predicate.discontiguous, predicate.multifile, predicate.kind == "user"),

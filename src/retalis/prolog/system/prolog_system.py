@@ -159,7 +159,7 @@ class Tracer:
         predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
         if predicate.kind == "user" and not predicate.library:
             arguments = goal[1:] if goal.__class__ is tuple else ()
-            clauses = list(predicate.live())
+            clauses = list(predicate.active_clauses())
             return self._next_clause((self._next, arguments, clauses, 0, exit_frame, call, None))
         return self._untraced_solve(goal, base + 1, exit_frame)
 
@@ -305,7 +305,7 @@ def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame)
         clause
         for candidate in list(logic.database.predicates.values())
         if not candidate.library
-        for clause in candidate.live()
+        for clause in candidate.active_clauses()
         if not clause.fact
     ]
     matching = [clause for clause in clauses if _may_call(clause, call, len(call))]
@@ -559,7 +559,7 @@ class PrologSystem(PredicateTable):
         predicate = self.database.writable(clause.predicate.functor, "modify")
         last = predicate.clauses[-1]
         if not is_behind(last.body):
-            for earlier in list(predicate.live())[-2:]:
+            for earlier in list(predicate.active_clauses())[-2:]:
                 if is_behind(earlier.body):
                     predicate.remove(earlier)
             self._add_to_predicate(behind, None, False, asserted)
@@ -702,8 +702,8 @@ class PrologSystem(PredicateTable):
         budget = self.machine.budget
         # Each goal is charged as a step: nested short goals would otherwise end before any of them checks the limits.
         budget.count_last_steps(1)
-        if budget.closed:
-            budget.admit()
+        if budget.needs_check:
+            budget.check_entry()
         outer_goal = budget.goal
         if outer_goal is None:
             budget.goal = goal if reported_goal is None else reported_goal
