@@ -305,10 +305,10 @@ def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
 def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     # Complete sequences are not stored.
     number = integer(1, node.times - 1)
-    train = graph.ref("run group")
+    group_of = graph.ref("run group")
 
     def own_group(value: Decoded) -> Decoded:
-        group = train(value)
+        group = group_of(value)
         if not group_fits(node, group):
             raise invalid_value(value, "runs of this node")
         return group

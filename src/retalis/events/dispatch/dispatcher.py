@@ -129,7 +129,7 @@ class Dispatcher(ListenerIndex):
         if depth > self.max_recursive_depth:
             return self._defer_frame(frame, depth)
         self.current = context
-        # Inlined from `_Serve.run`, because a call costs 5 % of a short event.
+        # Inlined from `_CallListeners.run`, because a call costs 5 % of a short event.
         for matcher, action in steps:
             values = matcher(term)
             if values is not None:

@@ -9,7 +9,8 @@ gap is passed on, and the node that knows all variables owns the `NegationBuffer
 If some branches of a pattern bind the variables earlier, the test is also tried there (`early_test`). A match that
 has passed is marked by replacing the start of its interval by a variable, so it is not tested twice.
 
-A condition on each repetition of a run is deferred together with a list of the values of all repetitions (`Items`).
+A condition on each repetition of a run is deferred together with a list of the values of all repetitions
+(`RepetitionItems`).
 """
 
 from typing import (

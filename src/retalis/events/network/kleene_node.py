@@ -12,7 +12,7 @@ Conditions are divided by the data that they need:
 * *tests* use the run as a whole and are part of the match: a repetition that fails one does not extend the run;
 * *late tests* use the result of an aggregate: the repetition extends the run, but the result is not emitted;
 * conditions that need patterns further left are tested above. Their values are passed on as a list of items, one for
-  each repetition (see `Items`).
+  each repetition (see `RepetitionItems`).
 
 If an event is retracted, the repetitions that contain it are removed and the run is computed again
 (`KleeneNode.recompute_results`).

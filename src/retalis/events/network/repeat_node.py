@@ -2,7 +2,8 @@
 
 ``Q ntimes N`` means the same as ``Q seq Q seq ... seq Q``, which would need N - 1 join nodes and would move every
 open sequence from one buffer to the next with each repetition. In the usual case each repetition extends *all* open
-sequences, so `RepeatNode` keeps them in a `RunGroup` (see `run_groups`), and a repetition costs the same for any N.
+sequences, so `RepeatNode` keeps them in a `RunGroup` (see `shared_run_buffer`), and a repetition costs the same for
+any N.
 
 Sequences leave their group and are stored separately, by number of repetitions, if they cannot take the same
 repetition as the others: a repetition that overlaps the one before, a ``within`` bound that some exceed, or

@@ -2,8 +2,8 @@
 
 The compiler walks the pattern top-down and builds the nodes bottom-up, as the NFACompiler of Flink or the Rete
 builder of Drools do. On the way down it passes the *context* (variables of the patterns further left) and the
-*retention* (the smallest interval bounds above). Each part returns `Built`: its node, its event nodes in the order
-in which they are served, and the conditions that could not be tested below because they need variables of the
+*retention* (the smallest interval bounds above). Each part returns `BuiltPattern`: its node, its event nodes in the
+order in which they are served, and the conditions that could not be tested below because they need variables of the
 context.
 
 Conditions belong to the nearest operator below them. `unwrap` collects them, `_split` divides them into those that

@@ -6,8 +6,8 @@ operator itself (`streams`), and a function that makes values from its results.
 
 * ``aggregate(K, Q, R, W)``: an accumulator over a window (sliding, tumbling, hopping, by time or count). Variables
   that are used outside of the pattern are the key of the stream (PARTITION BY).
-* a window with steps: row pattern recognition (MATCH_RECOGNIZE); `planned` compiles the conditions (DEFINE) of the
-  row pattern variables to an NFA.
+* a window with steps: row pattern recognition (MATCH_RECOGNIZE); `compile_row_pattern` compiles the conditions
+  (DEFINE) of the row pattern variables to an NFA.
 * ``P with S``: rate operators such as throttle and debounce.
 * ``P seq absent(Q, N)``: a timeout that a match of Q cancels.
 """
