@@ -477,26 +477,26 @@ class ProgramModel:
 
     def _collect_consumers(self, knowledge: KnowledgeBase) -> None:
         """Collect memories and subscriptions, from the files and from the loaded program."""
-        seen: Set[Tuple[str, Any]] = set()
+        of_files: Set[Tuple[str, Any]] = set()
         for subterm in self.all_subterms():
             term = subterm.term
             if term.__class__ is not tuple or (term[0] not in MEMORIZE and term[0] is not SUBSCRIBE):
                 continue
             if subterm.key is SUBSCRIBE:
                 self.subscriptions.append(EventConsumer(term, "", subterm.place_of))
-                seen.add((self.topic(term[4]), term_key(deref(term[5]))))
+                of_files.add((self.topic(term[4]), term_key(deref(term[5]))))
             else:
                 self.memories.append(EventConsumer(term, "", subterm.place_of))
-                seen.add(("", term_key(deref(term[4]))))
+                of_files.add(("", term_key(deref(term[4]))))
         for instance in knowledge.memories:
             # Memories of the files were collected with places already; the others were created at run time.
-            if ("", term_key(instance.id)) not in seen:
+            if ("", term_key(instance.id)) not in of_files:
                 prefix = f"memory {self.logic.brief(instance.id)}: "
                 self.memories.append(
                     EventConsumer(_compound(instance.definition), prefix, constant_place(None))
                 )
         for (topic, _), subscription in knowledge.subscriptions.items():
-            if (topic, term_key(subscription.id)) not in seen:
+            if (topic, term_key(subscription.id)) not in of_files:
                 prefix = f"a subscription of topic {topic}: "
                 self.subscriptions.append(
                     EventConsumer(_compound(subscription.definition), prefix, constant_place(None))
@@ -504,7 +504,7 @@ class ProgramModel:
 
     def _collect_states(self, knowledge: KnowledgeBase) -> None:
         """Collect declared states, from the files and from the loaded program."""
-        seen = set()
+        of_files = set()
         for subterm in self.all_subterms():
             if declares_state(subterm.term):
                 try:
@@ -513,9 +513,9 @@ class ProgramModel:
                     # Reported when it was declared.
                     continue
                 self.states.append(StateDeclaration(form, subterm.place_of, ""))
-                seen.add(form.key)
+                of_files.add(form.key)
         for state in knowledge.states:
-            if state.form.key not in seen:
+            if state.form.key not in of_files:
                 self.states.append(StateDeclaration(state.form, constant_place(None), f"{state.name}: "))
 
     def topic(self, term: Term) -> str:

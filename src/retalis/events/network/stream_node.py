@@ -230,8 +230,8 @@ class Replay:
         """Set the log that another one returned."""
         self._base, self._elements, outputs_and_matches = saved
         self._outputs = [
-            (StreamOutput(tuple(items), *rest), tracked_match)
-            for (items, *rest), tracked_match in outputs_and_matches
+            (StreamOutput(tuple(items), *other_fields), tracked_match)
+            for (items, *other_fields), tracked_match in outputs_and_matches
         ]
         # A state that cannot be restored must fail now, not at a retraction.
         if self._base:

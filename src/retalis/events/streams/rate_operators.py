@@ -90,12 +90,12 @@ class Throttle(KeyedOperator):
 class _LastValue:
     """Last value of a key, the element that introduced it, and the clock at the last element."""
 
-    __slots__ = ("value", "item", "since")
+    __slots__ = ("value", "item", "reference_time")
 
-    def __init__(self, value: Hashable, item: StreamElement, since: int):
+    def __init__(self, value: Hashable, item: StreamElement, reference_time: int):
         self.value = value
         self.item = item
-        self.since = since
+        self.reference_time = reference_time
 
 
 class DistinctUntilChanged(KeyedOperator):
@@ -121,7 +121,7 @@ class DistinctUntilChanged(KeyedOperator):
         # The use of a key is recorded even if the value is unchanged, so that it does not become idle.
         if state is not None:
             states.move_to_end(key)
-            state.since = self.clock
+            state.reference_time = self.clock
             if state.value == value:
                 return []
         self._store(value, StreamElement(None, item.start, item.end, item.by, item.values))
@@ -135,7 +135,7 @@ class DistinctUntilChanged(KeyedOperator):
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`: clocks of the last uses and elements, the least recently used key first."""
         last_values = self.states.values()
-        return ([state.since for state in last_values], [state.item for state in last_values])
+        return ([state.reference_time for state in last_values], [state.item for state in last_values])
 
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""

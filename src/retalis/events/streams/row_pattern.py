@@ -286,16 +286,16 @@ class PartitionState:
         states: the computation states in order of preference.
         completed: waiting matches, the oldest first: those that the last state comes after, but not the first one.
         counted_states: number of states that the window has counted for this partition.
-        since: the clock at its last element.
+        reference_time: the clock at its last element.
     """
 
-    __slots__ = ("items", "states", "completed", "counted_states", "since")
+    __slots__ = ("items", "states", "completed", "counted_states", "reference_time")
 
     def __init__(self, states: List[ComputationState]):
         self.items: Deque[StreamElement] = deque()
         self.states = states
         self.counted_states = 0
-        self.since = NEVER
+        self.reference_time = NEVER
         self.completed: Deque[_CompletedMatch] = deque()
 
     def advance(
@@ -403,7 +403,7 @@ class RowPatternWindow(KeyedOperator):
         if clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             clock = end
         group = self.states.get(item.key)
-        if group is None or (idle is not None and group.since < clock - idle):
+        if group is None or (idle is not None and group.reference_time < clock - idle):
             group = PartitionState([self._scanning()])
         states = group.states if span is None else self._started_since(group, clock - span)
         meter = self.meter
@@ -417,7 +417,7 @@ class RowPatternWindow(KeyedOperator):
         self.clock, self._end = clock, end
         if idle is not None:
             self._drop_idle_keys()
-        group.since = clock
+        group.reference_time = clock
         if successors.uses(item):
             self._number += 1
             group.items.append(item)
@@ -622,7 +622,7 @@ class RowPatternWindow(KeyedOperator):
         """See `StreamOperator.snapshot`; states and waiting matches refer to elements by their order."""
         groups = [
             (
-                group.since,
+                group.reference_time,
                 list(group.items),
                 tuple([_state_fields(state) for state in group.states]),
                 tuple([_orders(_in_order(match.matched)) for match in group.completed]),
@@ -636,20 +636,20 @@ class RowPatternWindow(KeyedOperator):
         self.late_count, self._order, self.clock, groups = saved
         self.states.clear()
         self._number = self._state_count = 0
-        for since, items, states, completed in groups:
+        for reference_time, items, states, completed in groups:
             if items:
-                self._restore_group(since, items, states, completed)
+                self._restore_group(reference_time, items, states, completed)
 
     def _restore_group(
         self,
-        since: int,
+        reference_time: int,
         items: List[StreamElement],
         states: Sequence[Tuple[object, ...]],
         completed: Sequence[Sequence[Tuple[int, int]]],
     ) -> None:
         element_by_order = {item.order: item for item in items}
         group = PartitionState([self._scanning()])
-        group.since = since
+        group.reference_time = reference_time
         for item in items:
             item.restore_key()
             group.items.append(item)

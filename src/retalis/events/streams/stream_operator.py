@@ -166,7 +166,7 @@ class KeyedOperator:
         clock: the newest end of the elements so far, without ends that are too far in the future.
         newest_allowed: last result of ``latest_allowed_end``, in ns.
         states: state of each key. In operators that drop idle keys, the order is that of the last use, and the
-            attribute ``since`` of a state is the clock at that use.
+            attribute ``reference_time`` of a state is the clock at that use.
     """
 
     KEY_BYTES = 450
@@ -229,7 +229,7 @@ class KeyedOperator:
         while states:
             key = next(iter(states))
             # Keys are ordered by last use, so the first key in use ends the search.
-            if states[key].since >= limit:
+            if states[key].reference_time >= limit:
                 return
             self._drop_key(key)
 

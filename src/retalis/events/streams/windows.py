@@ -46,21 +46,21 @@ class KeyedWindow:
     Attributes:
         members: the elements in order of arrival; those that were removed may remain between others.
         holes: number of members that were removed; 0 as long as elements arrive in order.
-        since: instant from which its time counts: the clock at the last element, or the end of the first element for
+        reference_time: instant from which its time counts: the clock at the last element, or the end of the first element for
             windows that start with an element.
         starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
         ends: negated ends of the elements; None under the same condition.
         has_arrays: whether an element has had an array as a measured value.
     """
 
-    __slots__ = ("members", "holes", "measures", "checks", "since", "starts", "ends", "has_arrays")
+    __slots__ = ("members", "holes", "measures", "checks", "reference_time", "starts", "ends", "has_arrays")
 
-    def __init__(self, measures: Sequence[Accumulator], since: int = 0):
+    def __init__(self, measures: Sequence[Accumulator], reference_time: int = 0):
         self.members: Deque[StreamElement] = deque()
         self.holes = 0
         self.measures = measures
         self.checks = [measure.check for measure in measures if measure.checks_values]
-        self.since = since
+        self.reference_time = reference_time
         self.starts: Optional[LazyMinHeap] = None
         self.ends: Optional[LazyMinHeap] = None
         self.has_arrays = False
@@ -209,7 +209,7 @@ class Window(KeyedOperator):
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         groups = [
-            (group.since, [member for member in group.members if not member.is_removed])
+            (group.reference_time, [member for member in group.members if not member.is_removed])
             for group in self.states.values()
         ]
         return (self.clock, self.next_deadline, self.late_count, self.last_order, groups)
@@ -220,8 +220,8 @@ class Window(KeyedOperator):
         self.clock, self.next_deadline, self.late_count, self.last_order, groups = saved[:5]
         self.states.clear()
         self.number = 0
-        for since, members in groups:
-            group = KeyedWindow(self.make(), since)
+        for reference_time, members in groups:
+            group = KeyedWindow(self.make(), reference_time)
             for item in members:
                 item.restore_key()
                 self._insert(item, group)
@@ -256,7 +256,7 @@ class Window(KeyedOperator):
             # The idle keys that were dropped may include the key of this element.
             if group.number and item.key not in self.states:
                 group = KeyedWindow(self.make())
-        group.since = self.clock
+        group.reference_time = self.clock
         return group
 
     def _insert(self, item: StreamElement, group: KeyedWindow) -> None:
@@ -440,12 +440,12 @@ class AnchoredTumblingWindow(Window):
                 self.late_count += 1
                 return outputs
             group = KeyedWindow(self.make(), item.end)
-        elif not group.since <= item.end < group.since + self.span:
+        elif not group.reference_time <= item.end < group.reference_time + self.span:
             self.late_count += 1
             return outputs
         self._number_element(item)
         if not group.number:
-            heapq.heappush(self._open, (group.since, item.order, item.key, group))
+            heapq.heappush(self._open, (group.reference_time, item.order, item.key, group))
         self._insert(item, group)
         self._update_deadline()
         return [*outputs, *self._emit(group)] if self.running else outputs
@@ -454,7 +454,9 @@ class AnchoredTumblingWindow(Window):
         """See `StreamOperator.restore`."""
         super().restore(saved)
         (self._latest_now,) = saved[5:]
-        self._open = [(group.since, group.members[0].order, key, group) for key, group in self.states.items()]
+        self._open = [
+            (group.reference_time, group.members[0].order, key, group) for key, group in self.states.items()
+        ]
         heapq.heapify(self._open)
         self._update_deadline()
 
