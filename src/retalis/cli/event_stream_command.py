@@ -353,14 +353,14 @@ class Session:
         finally:
             self._printer.print_solutions(term, instances)
 
-    def _sleep(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+    def _sleep(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
         """Advance the stream's clock: the goal ``sleep(Seconds)``."""
         seconds = deref(arguments[0])
         if not isinstance(seconds, (int, float)) or not 0 <= seconds < float("inf"):
             raise UsageError("sleep/1: expected a number of seconds of 0 or more")
         self._clock.move_by(timestamps.from_seconds(seconds))
         self.engine.advance()
-        return after
+        return frame
 
     def _call_reporting_errors(self, function: Callable[..., object], *arguments: object) -> None:
         """Call ``function`` with the arguments, and report its errors."""

@@ -132,10 +132,10 @@ class RecentEvents:
             self._dispatcher.remove(self._listener)
             self._listener = None
 
-    def _count_event(self, term: Term, values: Tuple[Term, ...], start: int, end: int, after: Frame) -> Frame:
+    def _count_event(self, term: Term, values: Tuple[Term, ...], start: int, end: int, frame: Frame) -> Frame:
         """Count an event, and store its text unless its functor has reached `MAX_WRITTEN_PER_SNAPSHOT`."""
         if term is _NO_EVENT:
-            return after
+            return frame
         # This runs for every event: only a dictionary access and two assignments, unless the text is wanted.
         key = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
         functor_events = self._events_by_functor.get(key)
@@ -152,7 +152,7 @@ class RecentEvents:
             functor_events.last_events.append(
                 RecentEvent(next(self._serial), text, whole, int(start), int(end))
             )
-        return after
+        return frame
 
     def take_latest(self) -> List[RecentEvent]:
         """Return the last events, the newest first, and allow further ones to be written."""

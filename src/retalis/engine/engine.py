@@ -491,9 +491,9 @@ class Engine:
         fire(hall) 1000000000
         """
 
-        def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, after: Frame) -> Frame:
+        def observe(term: Term, values: Tuple[Term, ...], start: int, end: int, frame: Frame) -> Frame:
             self._call_back("a callback of on_event", callback, term, start, end)
-            return after
+            return frame
 
         self.dispatcher.listen(ListenerPhase.TRACE, Var(), observe)
         self._has_event_callbacks = True

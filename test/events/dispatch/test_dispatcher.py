@@ -31,9 +31,9 @@ class Recorder:
         self.got = []
 
     def listen(self, name, pattern, stage=ListenerPhase.RULES):
-        def action(term, values, start, end, after):
+        def action(term, values, start, end, frame):
             self.got.append((name, values))
-            return after
+            return frame
 
         return self.dispatcher.listen(stage, pattern, action)
 
@@ -204,13 +204,13 @@ def test_listeners_are_served_at_each_depth_up_to_the_limit(depth):
     dispatcher = Dispatcher(max_depth=depth)
     seen = []
 
-    def note(term, values, start, end, after):
+    def note(term, values, start, end, frame):
         seen.append((term, values, start, end))
-        return after
+        return frame
 
     def derive(functor, more):
-        return lambda term, values, start, end, after: dispatcher.dispatch(
-            (functor, values[0] + more), start, end, after
+        return lambda term, values, start, end, frame: dispatcher.dispatch(
+            (functor, values[0] + more), start, end, frame
         )
 
     dispatcher.listen(ListenerPhase.RULES, (A, Var()), derive(F, 0))
@@ -273,11 +273,11 @@ def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events
     dispatcher, got, waiting = Dispatcher(), [], []
 
     def listen(number, pattern, stage):
-        def action(term, values, start, end, after):
+        def action(term, values, start, end, frame):
             text = text_of((functor("values", len(values)), *values)) if values else "values"
             got.append((number, text, start, end))
             assert dispatcher.current[TERM] is term
-            return after
+            return frame
 
         listener = dispatcher.listen(stage, pattern, action)
         waiting.append((stage, number, pattern, listener))

@@ -34,7 +34,7 @@ class Counting:
 
 
 def listen(dispatcher, pattern):
-    return dispatcher.listen(ListenerPhase.MEMORIES, pattern, lambda term, values, start, end, after: after)
+    return dispatcher.listen(ListenerPhase.MEMORIES, pattern, lambda term, values, start, end, frame: frame)
 
 
 def plan(dispatcher, term):

@@ -175,9 +175,9 @@ def test_one_who_takes_events_as_they_come_has_nothing_made_for_it():
     assert told(engine) == {2, 3}
     event, found = Var(), []
 
-    def see(term, values, start, end, after):
+    def see(term, values, start, end, frame):
         found.append(term)
-        return after
+        return frame
 
     engine.dispatcher.listen(ListenerPhase.TRACE, event, see, unused={event})
     assert told(engine) == {2, 3}

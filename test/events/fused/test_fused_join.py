@@ -80,7 +80,7 @@ def run(text, goals, events, cap, cut, change, posted):
         engine.dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
-            lambda term, values, start, end, after: found.append(shown(engine, term, start, end)) or after,
+            lambda term, values, start, end, frame: found.append(shown(engine, term, start, end)) or frame,
         )
     engine.rules.cap = cap
     for at, (term, start, end) in enumerate(events):

@@ -29,9 +29,9 @@ class Overheard(Engine):
             self.dispatcher.listen(ListenerPhase.TRACE, pattern, self._note)
         self.load(rules=rules, goals=goals)
 
-    def _note(self, term, values, start, end, after):
+    def _note(self, term, values, start, end, frame):
         self.events.append((self.show(term), int(start), int(end)))
-        return after
+        return frame
 
 
 KINDS = (("a", 0), ("done", 0), ("answer", 2), ("done", 1), ("done", 2), ("v", 1))
@@ -302,9 +302,9 @@ def test_what_follows_an_event_that_is_not_made_is_of_the_event_before():
     )
     depths = []
 
-    def measure(term, values, start, end, after):
+    def measure(term, values, start, end, frame):
         depths.append(engine.dispatcher.current[DEPTH])
-        return after
+        return frame
 
     engine.dispatcher.listen(ListenerPhase.TRACE, functor("done", 1)(Var()), measure)
     engine.event("a", 1)

@@ -84,10 +84,10 @@ def outcome(seed, everything, caplog):
     engine = Engine(settings=Settings(max_depth=6))  # what goes round is soon over
     got = []
 
-    def note(term, values, start, end, after):
+    def note(term, values, start, end, frame):
         if not engine.show(term).startswith("sync"):
             got.append((re.sub(r"_G\d+", "_", engine.show(term)), int(start), int(end)))
-        return after
+        return frame
 
     kinds = [functor(name, arity)(*(Var() for _ in range(arity))) for name, arity in KINDS]
     for pattern in kinds:

@@ -28,7 +28,7 @@ class Node:
             self.wakeup_time = instant
             self.bench.deadlines.add(self, instant)
 
-    def on_alarm(self, instant, after):
+    def on_alarm(self, instant, frame):
         self.wakeup_time = None
         self.bench.rung.append((instant, self.name))
         for one in self.more[:1]:
@@ -36,7 +36,7 @@ class Node:
             if isinstance(one, Exception):
                 raise one
             self.ask(one)
-        return after
+        return frame
 
 
 class Bench:

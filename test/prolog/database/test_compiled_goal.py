@@ -151,8 +151,8 @@ def test_predicates_in_python():
             if deref(number) % value == 0 and machine.unify(result, value):
                 yield LAST if value == deref(number) else None
 
-    def twice(machine, args, after):
-        return logic.control.call(args[0], logic.control.call(args[0], after))
+    def twice(machine, args, frame):
+        return logic.control.call(args[0], logic.control.call(args[0], frame))
 
     logic.define("double", 2, double)
     logic.define_nondeterministic("divisor", 2, divisors)

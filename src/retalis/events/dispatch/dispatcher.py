@@ -75,21 +75,21 @@ class Dispatcher(ListenerIndex):
         term: Any,
         start: int,
         end: int,
-        after: Frame,
+        frame: Frame,
         token: Any = None,
         ground: Optional[bool] = None,
         is_owned: bool = True,
     ) -> Frame:
-        """Return the frame that dispatches an event and then goes on with ``after``.
+        """Return the frame that dispatches an event and then goes on with ``frame``.
 
-        If nothing remains to be done, the result is ``after`` itself. Listeners may have run already when this
+        If nothing remains to be done, the result is ``frame`` itself. Listeners may have run already when this
         returns, so callers must return the frame without doing anything else.
 
         Args:
             term: the event, an atom or compound term.
             start: start of the event in ns.
             end: end of the event in ns.
-            after: the frame to go on with.
+            frame: the frame to go on with.
             token: identity of the event, if it has one already.
             ground: whether the event has no variables, if that is known.
             is_owned: whether the term has no bound variables and shares no unbound ones; otherwise the event is
@@ -116,7 +116,7 @@ class Dispatcher(ListenerIndex):
         while plan.__class__ is SwitchNode:
             plan = plan.branch(term)
         if not plan:
-            return after
+            return frame
         # After the plan is known: events without listeners are never copied.
         if not is_owned:
             term, ground = _owned_copy(term)
@@ -124,20 +124,20 @@ class Dispatcher(ListenerIndex):
         depth = 1 if parent is None else parent[DEPTH] + 1
         context = [term, start, end, parent, depth, ground, self.cause, token]
         steps = iter(plan)
-        frame: Frame = (CALL_LISTENERS, self, steps, context, after)
+        resumption: Frame = (CALL_LISTENERS, self, steps, context, frame)
         # Each level of recursion uses several Python frames. The loop of the machine uses none.
         if depth > self.max_recursive_depth:
-            return self._defer_frame(frame, depth)
+            return self._defer_frame(resumption, depth)
         self.current = context
         # Inlined from `_CallListeners.run`, because a call costs 5 % of a short event.
         for matcher, action in steps:
             values = matcher(term)
             if values is not None:
-                next_frame = action(term, values, start, end, frame)
-                if next_frame is not frame:
+                next_frame = action(term, values, start, end, resumption)
+                if next_frame is not resumption:
                     return next_frame  # type: ignore[no-any-return]
         self.current = parent
-        return after
+        return frame
 
     def dispatch_input(self, term: Any, start: int, end: int, ground: Optional[bool]) -> None:
         """Dispatch an input event and all events derived from it, by a fused action if possible.
@@ -191,7 +191,7 @@ class Dispatcher(ListenerIndex):
         values: Values,
         start: int,
         end: int,
-        after: Frame,
+        frame: Frame,
     ) -> Frame:
         """Return the next frame after calling a goal once for the current event.
 
@@ -208,20 +208,20 @@ class Dispatcher(ListenerIndex):
             values: passed to ``solved``.
             start: passed to ``solved``.
             end: passed to ``solved``.
-            after: the next frame, also if there is no solution.
+            frame: the next frame, also if there is no solution.
         """
         context = self.current
         if context is not None and context[DEPTH] > MAX_RECURSIVE_DEPTH:
             return self._call_by_frames(
-                context, goal, inputs, on_error, solved, term, values, start, end, after
+                context, goal, inputs, on_error, solved, term, values, start, end, frame
             )
         try:
             outputs = goal.test(inputs)
         except PrologError as error:
             self.current = context
             on_error(values, error)
-            return after
-        return after if outputs is None else solved(term, values + outputs, start, end, after)
+            return frame
+        return frame if outputs is None else solved(term, values + outputs, start, end, frame)
 
     def _call_by_frames(
         self,
@@ -234,7 +234,7 @@ class Dispatcher(ListenerIndex):
         values: Values,
         start: int,
         end: int,
-        after: Frame,
+        frame: Frame,
     ) -> Frame:
         """Return the frame that calls a goal by steps of the machine; see `call`.
 
@@ -246,7 +246,7 @@ class Dispatcher(ListenerIndex):
             on_error(values, error)
 
         return self._machine.attempt(  # type: ignore[no-any-return]
-            goal, inputs, lambda outputs: solved(term, values + outputs, start, end, after), after, failed
+            goal, inputs, lambda outputs: solved(term, values + outputs, start, end, frame), frame, failed
         )
 
     @property
@@ -276,12 +276,12 @@ class Dispatcher(ListenerIndex):
         self.cause = cause
 
     def caused_by(
-        self, cause: Any, then: Callable[..., Frame], after: Frame
+        self, cause: Any, then: Callable[..., Frame], frame: Frame
     ) -> Tuple[Callable[..., Frame], Frame]:
         """Set the cause of the events that a goal creates, until the goal is finished.
 
         Returns:
-            Replacements for ``then`` and ``after``, which restore the previous cause.
+            Replacements for ``then`` and ``frame``, which restore the previous cause.
         """
         previous = self.cause
 
@@ -290,12 +290,12 @@ class Dispatcher(ListenerIndex):
             return then(*solution)
 
         self.cause = cause
-        return restore_cause, (RESTORE_CAUSE, self, previous, after)
+        return restore_cause, (RESTORE_CAUSE, self, previous, frame)
 
-    def set_cause(self, token: object, after: Frame) -> Frame:
+    def set_cause(self, token: object, frame: Frame) -> Frame:
         """Set the cause of events to the event with a token; return the frame that ends this."""
         previous, self.cause = self.cause, token
-        return RESTORE_CAUSE, self, previous, after
+        return RESTORE_CAUSE, self, previous, frame
 
     def run_restoring_context(self, work: Callable[[], Result]) -> Result:
         """Return the result of ``work``; if it raises an exception, restore the context first."""

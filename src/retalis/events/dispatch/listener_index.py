@@ -62,7 +62,7 @@ class ListenerIndex:
         Args:
             phase: phase in which it is called.
             pattern: an atom, a compound term, or a variable for all events. It is copied.
-            action: processes a match and returns the next frame, which is its argument ``after`` if it is finished.
+            action: processes a match and returns the next frame, which is its argument ``frame`` if it is finished.
             rank: position within the phase; by default after all others.
             fused: whether ``action`` accepts None for the values, which are then the arguments of the event. This is
                 done for ground input events, if the functor has no other listener and the pattern matches all its

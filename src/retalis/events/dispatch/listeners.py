@@ -125,10 +125,10 @@ class _RestoreContext:
 
     @staticmethod
     def run(frame: Frame) -> Frame:
-        after: Frame
-        _, dispatcher, context, after = frame
+        next_frame: Frame
+        _, dispatcher, context, next_frame = frame
         dispatcher.restore(context, dispatcher.cause)
-        return after
+        return next_frame
 
 
 class _RestoreCause:
@@ -136,10 +136,10 @@ class _RestoreCause:
 
     @staticmethod
     def run(frame: Frame) -> Frame:
-        after: Frame
-        _, dispatcher, cause, after = frame
+        next_frame: Frame
+        _, dispatcher, cause, next_frame = frame
         dispatcher.restore(dispatcher.current, cause)
-        return after
+        return next_frame
 
 
 CALL_LISTENERS = _CallListeners()

@@ -31,8 +31,8 @@ SPARE = 1000
 """Number of removed matches in the list of arrivals of a rule above which the list is compacted."""
 
 _SET_ORDER = "rule.order = match.order = event_end if event_end > rule.order else rule.order + 1"
-_RETURN_AFTER = "return after"
-_RETURN_COMPLETE = "return complete(None, pair_values, start, end, after)"
+_RETURN_FRAME = "return frame"
+_RETURN_COMPLETE = "return complete(None, pair_values, start, end, frame)"
 
 
 class FusedPair(NamedTuple):
@@ -134,7 +134,7 @@ def fused_absence(
             Block("if absence.frontiers:", ["absence.frontiers.pop(key, None)"]),
             *generator.clock_statements(True),
             *generator.store_statements(False),
-            _RETURN_AFTER,
+            _RETURN_FRAME,
         ],
         names,
         "absent event",
@@ -178,12 +178,12 @@ class _ActionGenerator:
         self.rule = rule
         self.values_are_arguments = values_are_arguments
         self.values = "term[1:]" if values_are_arguments else "values"
-        self.general_path = f"return general_path(term, {self.values}, event_start, event_end, after)"
+        self.general_path = f"return general_path(term, {self.values}, event_start, event_end, frame)"
         self.queue = "expiration_queue" if own_buffer.retention == rule.expiries.span else "retention_queue"
 
     def compile_action(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
         """Return the compiled action."""
-        source = source_of([Block("def generated(term, values, event_start, event_end, after):", body)])
+        source = source_of([Block("def generated(term, values, event_start, event_end, frame):", body)])
         action: EventAction = shared_function(source, names, title)
         return action
 
@@ -344,7 +344,7 @@ class _OperandGenerator(_ActionGenerator):
             body = self._consume_partner(storing, choice.newest)
         else:
             body = self._join_all(storing)
-        return self.compile_action([*prologue, *body, _RETURN_AFTER], names, "side of a pair")
+        return self.compile_action([*prologue, *body, _RETURN_FRAME], names, "side of a pair")
 
     def _consume_partner(self, storing: List[Statement], newest: bool) -> List[Statement]:
         """Return statements that consume the newest or the oldest partner."""
@@ -366,7 +366,7 @@ class _OperandGenerator(_ActionGenerator):
                 f"if {candidate}.older is not {candidate}:",
                 [
                     f"match = Match({self.values}, event_start, event_end, None, term, None)",
-                    "return join_other(match, key, partner, after)",
+                    "return join_other(match, key, partner, frame)",
                 ],
             )
         ]
@@ -399,7 +399,7 @@ class _OperandGenerator(_ActionGenerator):
             "partner = other_newest.get(key)",
             Block("if partner is not None and partner.older is not partner:", [self.general_path]),
             *(storing if self.side.stores_unmatched else []),
-            Block("if partner is None or partner.buffer is None:", [_RETURN_AFTER]),
+            Block("if partner is None or partner.buffer is None:", [_RETURN_FRAME]),
             *self._interval_assignments(),
             Block(
                 f"if {self._interval_condition()}:",
@@ -497,5 +497,5 @@ class _OperandGenerator(_ActionGenerator):
             ]
         return [
             *creation,
-            f"return emit(Match(pair_values, start, end, None, None, {tuple_source(operands)}), after)",
+            f"return emit(Match(pair_values, start, end, None, None, {tuple_source(operands)}), frame)",
         ]

@@ -63,10 +63,10 @@ def firing_action(
         "firings.last = end",
         # The firing is counted first: metrics must not depend on whether the event has listeners.
         "plan = event_filter.plan",
-        Block("if plan is NO_LISTENERS:", ["return after"]),
+        Block("if plan is NO_LISTENERS:", ["return frame"]),
         *lines,
         Block("try:", _dispatch_statements(event)),
-        Block("except UsageError as error:", ["return failed(error, after)"]),
+        Block("except UsageError as error:", ["return failed(error, frame)"]),
     ]
     names.values.update(
         firings=rule.firings,
@@ -82,10 +82,10 @@ def firing_action(
         budget = rule.network.logic.machine.budget
         body[:0] = [
             "pattern_steps[0] = steps_left = pattern_steps[0] - 1",
-            Block("if steps_left < 0 and stops(rule):", ["return after"]),
+            Block("if steps_left < 0 and stops(rule):", ["return frame"]),
         ]
         names.values.update(pattern_steps=budget.pattern_steps, stops=budget.stops, rule=rule)
-    source = source_of([Block("def generated(term, values, start, end, after):", body)])
+    source = source_of([Block("def generated(term, values, start, end, frame):", body)])
     action: EventAction = shared_function(source, names.values, "head of a rule")
     return action
 
@@ -97,7 +97,7 @@ def _dispatch_statements(event: str) -> List[Statement]:
         Block(
             "if plan.__class__ is not tuple or len(plan) != 1 or context is None"
             f" or context[{DEPTH}] >= dispatcher.max_recursive_depth or start > end:",
-            [f"return dispatcher.dispatch({event}, start, end, after)"],
+            [f"return dispatcher.dispatch({event}, start, end, frame)"],
         ),
         f"dispatcher.current = [{event}, start, end, context, context[{DEPTH}] + 1, None, dispatcher.cause, None]",
         "matcher, action = plan[0]",
@@ -105,13 +105,13 @@ def _dispatch_statements(event: str) -> List[Statement]:
         Block(
             "if values is not None:",
             [
-                "following = (RESTORE_CONTEXT, dispatcher, context, after)",
+                "following = (RESTORE_CONTEXT, dispatcher, context, frame)",
                 f"frame = action({event}, values, start, end, following)",
                 Block("if frame is not following:", ["return frame"]),
             ],
         ),
         "dispatcher.current = context",
-        "return after",
+        "return frame",
     ]
 
 
@@ -161,7 +161,7 @@ def _goal_source(inputs: int) -> str:
         "context = dispatcher.current",
         Block(
             f"if not code.keeps_choice_points or not context[{GROUND}] or context[{DEPTH}] > {MAX_RECURSIVE_DEPTH}:",
-            ["return general_path(term, term[1:] if values is None else values, start, end, after)"],
+            ["return general_path(term, term[1:] if values is None else values, start, end, frame)"],
         ),
         Block("if values is None:", [f"_, {values} = term"]),
         Block("else:", [f"{values}, = values"]),
@@ -185,20 +185,20 @@ def _goal_source(inputs: int) -> str:
                 "dispatcher.current = context",
                 "budget.goal = outer_goal",
                 "failed(machine.error(exc, frame, mark))",
-                "return after",
+                "return frame",
             ],
         ),
         # Interrupts arrive as BaseException at any point; bindings must not survive them.
         Block("except BaseException:", ["undo(trail, mark)", "raise"]),
         Block("finally:", ["budget.goal = outer_goal"]),
-        Block("if not solved_goal:", ["return after"]),
+        Block("if not solved_goal:", ["return frame"]),
         Block(
             "if event_filter.plan is NO_LISTENERS:",
-            ["firings.number += 1", "firings.last = end", "return after"],
+            ["firings.number += 1", "firings.last = end", "return frame"],
         ),
-        f"return solved(term, ({values},), start, end, after)",
+        f"return solved(term, ({values},), start, end, frame)",
     ]
-    return source_of([Block("def generated(term, values, start, end, after):", body)])
+    return source_of([Block("def generated(term, values, start, end, frame):", body)])
 
 
 def question_action(
@@ -225,7 +225,7 @@ def question_action(
         dispatcher.max_recursive_depth,
     )
 
-    def run_query_directly(term: Term, values: Optional[Values], start: int, end: int, after: Frame) -> Frame:
+    def run_query_directly(term: Term, values: Optional[Values], start: int, end: int, frame: Frame) -> Frame:
         context = dispatcher.current
         if values is None:
             values = term[1:]  # type: ignore[index]
@@ -241,16 +241,16 @@ def question_action(
             or not (context[GROUND] and ground_count == len(values))
             and not are_ground(values[ground_count:] if ground() else values)
         ):
-            return general_path(term, values, start, end, after)
+            return general_path(term, values, start, end, frame)
         if meter is not None and meter(1):
-            return after
+            return frame
         dispatcher.current = [TRUE, start, end, context, context[DEPTH] + 1, True, dispatcher.cause, None]
         # The context of the event that is not created is pushed nevertheless: the query sees its interval and depth.
-        following = (RESTORE_CONTEXT, dispatcher, context, after)
-        frame = run_query(values, start, end, following)
-        if frame is not following:
-            return frame
+        resumption = (RESTORE_CONTEXT, dispatcher, context, frame)
+        next_frame = run_query(values, start, end, resumption)
+        if next_frame is not resumption:
+            return next_frame
         dispatcher.current = context
-        return after
+        return frame
 
     return run_query_directly

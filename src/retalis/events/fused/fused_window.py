@@ -16,7 +16,7 @@ from ..streams.running_statistics import LazyMinHeap
 from ..streams.stream_operator import StreamElement
 from ..streams.windows import KeyedWindow
 
-_GENERAL_PATH = "return general_path(term, values, start, end, after)"
+_GENERAL_PATH = "return general_path(term, values, start, end, frame)"
 _METERED_STEPS = 2
 """Pattern work that the general path counts per element, without that of the derived event."""
 
@@ -260,11 +260,11 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
         "number = len(members)",
         *(statement for measure in measures for statement in measure.add),
         Block("try:", [f"results = {tuple_source(results)}"]),
-        Block("except OverflowError:", ["return too_large(group, after)"]),
-        *([Block("if end - members[0].start > limit:", ["return after"])] if limited else []),
-        "return complete(None, results, members[0].start, end, after)",
+        Block("except OverflowError:", ["return too_large(group, frame)"]),
+        *([Block("if end - members[0].start > limit:", ["return frame"])] if limited else []),
+        "return complete(None, results, members[0].start, end, frame)",
     ]
-    source = source_of([Block("def generated(term, values, start, end, after):", body)])
+    source = source_of([Block("def generated(term, values, start, end, frame):", body)])
     # The general path expects the values also if they are the arguments of the event.
     return (
         source.replace(_GENERAL_PATH, _GENERAL_PATH.replace("values", "term[1:]"))

@@ -182,14 +182,14 @@ class DeclaredState:
 
     # ---- beginning -----------------------------------------------------------------------------------
 
-    def _begin(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _begin(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         state = self._build(values)
         try:
             key = freeze(state)
             shared = tuple([freeze(values[position]) for position in self._shared_at_begin])
         except ValueError:
             self._warn_of_variables(term, "begins")
-            return after
+            return frame
         token = self._dispatcher.token() if self._dispatcher.tracked else None
         open_state = self.open.get(key)
         # All events with which it may have begun were retracted, so this state does not hold.
@@ -202,7 +202,7 @@ class DeclaredState:
         elif token is not None and len(open_state.openings) < _MAX_OPENINGS:
             open_state.openings.append((end, token))
             self.version = next(_VERSIONS)
-        return after
+        return frame
 
     def _add(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
@@ -239,19 +239,19 @@ class DeclaredState:
 
     # ---- ending --------------------------------------------------------------------------------------
 
-    def _end(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _end(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         try:
             group = self._by_shared.get(tuple([freeze(values[position]) for position in self._shared_at_end]))
         except ValueError:
             self._warn_of_variables(term, "ends")
-            return after
+            return frame
         if group is None:
-            return after
+            return frame
         token = self._dispatcher.token() if self._dispatcher.tracked else None
         # All states are ended before their events are dispatched: such an event may begin or end states of this
         # declaration.
         ended = [self._end_state(state, start, token) for state in list(group.values())]
-        return self._dispatch_ended((self, iter([state for state in ended if state is not None]), after))
+        return self._dispatch_ended((self, iter([state for state in ended if state is not None]), frame))
 
     def _end_state(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
         """End a state; return None if it begins after the given instant, or was retracted."""
@@ -283,8 +283,8 @@ class DeclaredState:
             )
             if next_frame is not frame:
                 return next_frame
-        after: Frame = frame[2]
-        return after
+        continuation: Frame = frame[2]
+        return continuation
 
     def _end_by_timeout(self, order: int, instant: int) -> None:
         """End a state whose time has passed."""

@@ -158,33 +158,33 @@ class KnowledgeBase:
         logic.define("delete_subscription", 2, self._delete_subscription)
 
     def _memorize_action(self, active: bool) -> Callable[[Machine, Sequence[Term], Frame], Frame]:
-        def memorize(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
-            return self._create_memory(arguments, active, after)
+        def memorize(machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
+            return self._create_memory(arguments, active, frame)
 
         return memorize
 
-    def _create_memory(self, arguments: Sequence[Term], active: bool, after: Frame) -> Frame:
+    def _create_memory(self, arguments: Sequence[Term], active: bool, frame: Frame) -> Frame:
         # Checks run before the memory is created, so an error leaves no memory behind.
         self.on_pattern(arguments[0])
-        frame = self.memories.create((MEMORIZE, *arguments), active, after)
+        next_frame = self.memories.create((MEMORIZE, *arguments), active, frame)
         self.on_conditions(arguments[1], f"memory {self._logic.brief(arguments[3])}")
-        return frame
+        return next_frame
 
-    def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+    def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
         active = deref(arguments[5])
         if active.__class__ is Var:
             raise instantiation_error()
         if active not in (0, 1):
             raise type_error("boolean", active)
-        return self._create_memory(arguments[:5], active == 1, after)
+        return self._create_memory(arguments[:5], active == 1, frame)
 
-    def _delete_memory(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+    def _delete_memory(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
         key_of(arguments[0])
         try:
-            return self.memories.delete(arguments[0], after)
+            return self.memories.delete(arguments[0], frame)
         except UsageError as error:  # the goal succeeds, as in the original Retalis
             self._warn(str(error))
-            return after
+            return frame
 
     def _subscribe(self, machine: Machine, *arguments: Term) -> bool:
         self.on_pattern(subscription_event(arguments[0]))

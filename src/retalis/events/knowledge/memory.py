@@ -540,9 +540,9 @@ class Recorder:
         if not self.instances:
             self._dispatcher.remove(self.listener)
 
-    def _record_event(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _record_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         if self._records_all_events and self._is_own_update(term):
-            return after
+            return frame
         dispatcher = self._dispatcher
         ground = dispatcher.current[GROUND]
         # Computed once per event and cached for all listeners.
@@ -550,16 +550,16 @@ class Recorder:
             ground = dispatcher.ground()
         record_term = self._make_record(term, values, ground)
         if record_term is None:
-            return after
+            return frame
         has_variables = not (self._preserves_ground and ground) and not is_ground(record_term)
-        return self._add_to_memories((record_term, start, end), has_variables, iter(self.instances), after)
+        return self._add_to_memories((record_term, start, end), has_variables, iter(self.instances), frame)
 
     def run(self, frame: Frame) -> Frame:
         """Continue with the remaining memories."""
         return self._add_to_memories(*frame[1:])
 
     def _add_to_memories(
-        self, record: MemoryRecord, has_variables: bool, instances: Iterator[MemoryInstance], after: Frame
+        self, record: MemoryRecord, has_variables: bool, instances: Iterator[MemoryInstance], frame: Frame
     ) -> Frame:
         end = int(record[2])
         has_update_listeners = self._updates.plan is not NO_LISTENERS
@@ -579,11 +579,11 @@ class Recorder:
             # The frame contains the iterator: after the queries and reports of this memory, recording continues
             # with the next one.
             if instance.next_instant <= end or (has_update_listeners and instance.active):
-                frame = (self, record, has_variables, instances, after)
-                result = self._on_update(instance, record[2], frame)
-                if result is not frame:
-                    return result
-        return after
+                resumption = (self, record, has_variables, instances, frame)
+                next_frame = self._on_update(instance, record[2], resumption)
+                if next_frame is not resumption:
+                    return next_frame
+        return frame
 
     def _is_own_update(self, term: Term) -> bool:
         """Return whether an event reports an update of a memory of this recorder, which records all events."""

@@ -71,7 +71,7 @@ class MemoryInstances:
         self._newest_recorder: Optional[Recorder] = None
         self._detached: Dict[Hashable, MemoryInstance] = {}
         self._updates = dispatcher.event_filter(UPDATED)
-        self.on_update: UpdateAction = lambda instance, end, after: after
+        self.on_update: UpdateAction = lambda instance, end, frame: frame
         self.on_delete: Callable[[MemoryInstance], None] = lambda instance: None
         self.on_create: Callable[[MemoryInstance], None] = lambda instance: None
 
@@ -120,7 +120,7 @@ class MemoryInstances:
         for instance in self.instances.values():
             instance.memory.clear()
 
-    def create(self, definition: Term, active: bool, after: Frame) -> Frame:
+    def create(self, definition: Term, active: bool, frame: Frame) -> Frame:
         """Create a memory of ``Pattern, Conditions, Record, Id, Size``; return the frame that reports it.
 
         Raises:
@@ -147,14 +147,14 @@ class MemoryInstances:
         self.instances[key] = instance
         recorder.add(instance)
         if not active or instance is detached_instance:
-            return after
+            return frame
         reported_record = pattern if is_event_variable(pattern, conditions, form) else form
         instant = self._stamp()
         return self._dispatcher.dispatch(
-            (CREATED, pattern, conditions, reported_record, name, size), instant, instant, after
+            (CREATED, pattern, conditions, reported_record, name, size), instant, instant, frame
         )
 
-    def delete(self, name: Term, after: Frame) -> Frame:
+    def delete(self, name: Term, frame: Frame) -> Frame:
         """Delete a memory with its pending queries; return the frame that reports it.
 
         Raises:
@@ -167,14 +167,14 @@ class MemoryInstances:
         del self.instances[key_of(instance.id)]
         instance.recorder.remove(instance)
         self.on_delete(instance)
-        return self.report_deleted(instance, after)
+        return self.report_deleted(instance, frame)
 
-    def report_deleted(self, instance: MemoryInstance, after: Frame) -> Frame:
+    def report_deleted(self, instance: MemoryInstance, frame: Frame) -> Frame:
         """Return the frame that reports the deletion of a memory."""
         if not instance.active:
-            return after
+            return frame
         instant = self._stamp()
-        return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, after)
+        return self._dispatcher.dispatch((DELETED, instance.id), instant, instant, frame)
 
     def detach(self, instances: Iterable[MemoryInstance]) -> None:
         """Remove memories with their records; `create` uses them again for unchanged definitions."""
@@ -252,28 +252,28 @@ class MemoryInstances:
         )
         return self._newest_recorder
 
-    def _process_update(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
+    def _process_update(self, instance: MemoryInstance, end: int, frame: Frame) -> Frame:
         """Return the frame that processes an update: first the pending queries, then the report of the update."""
         if instance.active and self._updates.plan is not NO_LISTENERS:
             instant = self._stamp()
             update = (UPDATED, instance.id, timestamps.to_term(end))
             # The report becomes the continuation of the queries, so they are called before its listeners.
-            after = (self, update, instant, after)
+            frame = (self, update, instant, frame)
         if instance.next_instant <= end:
-            return self.on_update(instance, end, after)
-        return after
+            return self.on_update(instance, end, frame)
+        return frame
 
     def run(self, frame: Frame) -> Frame:
         """Report an update, as frame code."""
-        after: Frame
-        _, update, instant, after = frame
+        next_frame: Frame
+        _, update, instant, next_frame = frame
         try:
-            return self._dispatcher.dispatch(update, instant, instant, after)
+            return self._dispatcher.dispatch(update, instant, instant, next_frame)
         except UsageError as error:
             self._warn(
                 f"the update of memory {self._logic.brief(update[1])} is not reported: {error}", UPDATED
             )
-            return after
+            return next_frame
 
 
 def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:

@@ -271,26 +271,26 @@ class TriggeredQuery:
         self.event = unsolved
         self.execute = self._trigger if goal is None else self._call
 
-    def _call(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _call(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
         # Not None: else `execute` is `_trigger`.
         goal: Any = self._goal
         goal_inputs = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
         return call(
-            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, after
+            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, frame
         )
 
-    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-        return self._trigger(values, start, end, after)
+    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        return self._trigger(values, start, end, frame)
 
-    def _trigger(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _trigger(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
         event = self._build(values)
         try:
-            return self._dispatch(event, start, end, after)
+            return self._dispatch(event, start, end, frame)
         except UsageError as error:
             show = self._context.logic.brief
             self._context.warn(f"{show(event)} is dropped: {error}", ("dropped", event_functor(event)))
-            return after
+            return frame
 
     def _warn_of_error(self, values: Values, error: PrologError) -> None:
         if not keep_back(error):
@@ -321,9 +321,9 @@ class QueryNotifier(TriggeredQuery):
     def _event_of_values(self, values: Values) -> Term:
         return self._client_name
 
-    def _notify_client(self, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _notify_client(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
         self._notify()
-        return after
+        return frame
 
 
 class DerivedQuery(TriggeredQuery):
@@ -350,8 +350,8 @@ class DerivedQuery(TriggeredQuery):
         """The occurrence that its event is derived from."""
         return self._token
 
-    def _execute_derived(self, values: Values, start: int, end: int, after: Frame) -> Frame:
-        return self._query.execute(values, start, end, self._dispatcher.set_cause(self._token, after))
+    def _execute_derived(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        return self._query.execute(values, start, end, self._dispatcher.set_cause(self._token, frame))
 
 
 def compile_general_query(context: QueryContext) -> TriggeredQuery:
@@ -576,20 +576,20 @@ class PendingQueries:
         if order in self._all:
             self._remove_query(order)
 
-    def _arrive(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _arrive(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         event, query, conditions = values
         try:
             missing = missing_memories(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
             self._drop(event, error)
-            return after
+            return frame
         # Without missing data, the query runs within the dispatch of the synchronized event.
         if missing:
             self._register(self._query_with_cause(), (event, query), start, end, missing)
-            return after
-        return self._general_query.execute((event, query), start, end, after)
+            return frame
+        return self._general_query.execute((event, query), start, end, frame)
 
-    def _arrive_with_timeout(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _arrive_with_timeout(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         """Process ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
         event, query, conditions, options = values
         try:
@@ -597,12 +597,12 @@ class PendingQueries:
             missing = missing_memories(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
             self._drop(event, error)
-            return after
+            return frame
         if not missing:
-            return self._general_query.execute((event, query), start, end, after)
+            return self._general_query.execute((event, query), start, end, frame)
         order = self._register(self._query_with_cause(), (event, query), start, end, missing)
         self.timeouts.add(order, end, wait)
-        return after
+        return frame
 
     def _query_with_cause(self) -> TriggeredQuery:
         """Return the general query.
@@ -643,7 +643,7 @@ class PendingQueries:
         if find_missing is None or compiled_query is None:
             return None
 
-        def ask_or_wait(values: Values, start: int, end: int, after: Frame) -> Frame:
+        def ask_or_wait(values: Values, start: int, end: int, frame: Frame) -> Frame:
             # The rule counts as fired although its head is not dispatched.
             firings.number += 1
             firings.last = end
@@ -651,11 +651,11 @@ class PendingQueries:
                 missing = find_missing(values)
             except UsageError as error:
                 self._drop(compiled_query.event(values), error)
-                return after
+                return frame
             if missing:
                 self._register(compiled_query, values, start, end, missing)
-                return after
-            return compiled_query.execute(values, start, end, after)
+                return frame
+            return compiled_query.execute(values, start, end, frame)
 
         ground_count = rule.ground_with_event
         return question_action(self._dispatcher, key, ground_count, ask_or_wait, default_action, rule.meter)
@@ -676,7 +676,7 @@ class PendingQueries:
         instance.add_query(instant, order, pending)
         return order
 
-    def _release(self, instance: MemoryInstance, end: int, after: Frame) -> Frame:
+    def _release(self, instance: MemoryInstance, end: int, frame: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
         return self._call_ready(instance.pop_reached(end), after)
 
@@ -697,8 +697,8 @@ class PendingQueries:
         if len(ready) > 1:
             ready.sort()
         elif not ready:
-            return after
-        return self._execute_ready((self, iter(ready), after))
+            return frame
+        return self._execute_ready((self, iter(ready), frame))
 
     @staticmethod
     def _register_with_next(pending: PendingQuery) -> bool:

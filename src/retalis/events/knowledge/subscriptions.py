@@ -145,13 +145,13 @@ class OutputRateLimiter:
         self._set_alarm()
         self._send(outputs)
 
-    def on_alarm(self, instant: int, after: Frame) -> Frame:
+    def on_alarm(self, instant: int, frame: Frame) -> Frame:
         """Send the events that are due at an instant; see `TimedNode`."""
         self.wakeup_time = None
         outputs = self._stream.advance_to(instant)
         self._set_alarm()
         self._send(outputs)
-        return after
+        return frame
 
     def _send(self, outputs: List[StreamOutput]) -> None:
         for output in outputs:
@@ -312,18 +312,18 @@ class Subscriptions:
         """Return the action for the events of a subscription."""
         deliver, ground = self._deliver, self._dispatcher.ground
 
-        def send(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def send(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             # Counted before delivery: a callback that reads the counter sees its own event.
             tally.number += 1
             deliver(term, topic, name)
-            return after
+            return frame
 
-        def send_record(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def send_record(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             record = recording(term, values, ground())
             if record is not None:
                 tally.number += 1
                 deliver(record, topic, name)
-            return after
+            return frame
 
         if rate is None:
             return send if recording is record_event else send_record
@@ -333,11 +333,11 @@ class Subscriptions:
             tally.number += 1
             deliver(term, topic, name)
 
-        def send_limited(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def send_limited(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             record = recording(term, values, ground())
             if record is not None:
                 limit_rate(record, values, start, end)
-            return after
+            return frame
 
         rate.send = send_term
         return send_limited

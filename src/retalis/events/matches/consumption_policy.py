@@ -76,13 +76,13 @@ def store_only(side: MatchSide) -> Emit:
     """Return the action for a match that is only stored, because no stored partner can complete it."""
     store, key_of = side.own_buffer.add, side.own_buffer.key
 
-    def arrive(match: PartialMatch, after: Frame) -> Frame:
+    def arrive(match: PartialMatch, frame: Frame) -> Frame:
         try:
             key = key_of(match.values)
         except ValueError:
             key = None
         store(match, key)
-        return after
+        return frame
 
     return arrive
 
@@ -117,19 +117,19 @@ def join_one_partner(
     join_first_of = _join_first_of(side, finish_join)
     try_others = _join_other_than(side, newest, join_first_of)
 
-    def arrive(match: PartialMatch, after: Frame) -> Frame:
+    def arrive(match: PartialMatch, frame: Frame) -> Frame:
         try:
             key = key_of(match.values)
         # A shared value with variables has no hash key. All stored matches are candidates, and each of them is
         # unified.
         except ValueError:
             return join_first_of(
-                match, None, other_buffer.partners(None, match.start, match.end, newest), after
+                match, None, other_buffer.partners(None, match.start, match.end, newest), frame
             )
         # Stored matches with variables in shared values are candidates for every key; `partners` merges both rings.
         if None in waiting:
             return join_first_of(
-                match, key, other_buffer.partners(key, match.start, match.end, newest), after
+                match, key, other_buffer.partners(key, match.start, match.end, newest), frame
             )
         last = waiting.get(key)
         # The common case is written out: if the first candidate satisfies the join, no iterator is created.
@@ -138,12 +138,12 @@ def join_one_partner(
             result = join(match, partner)
             # The join may call conditions that make events, and those may remove the partner; check it again.
             if result is not None and partner.buffer is not None:
-                return finish_join(match, key, partner, result, after)
+                return finish_join(match, key, partner, result, frame)
             if last.older is not last:
-                return try_others(match, key, partner, after)
+                return try_others(match, key, partner, frame)
         if stores_unmatched:
             store(match, key)
-        return after
+        return frame
 
     if completed is not None and side.is_left:
         return _store_after_completion(arrive, own_buffer, completed)
@@ -161,10 +161,10 @@ def join_one_of_others(side: MatchSide, newest: bool, emit: Emit) -> _JoinOtherT
 def _join_other_than(side: MatchSide, newest: bool, join_first_of: _JoinFirstOf) -> _JoinOtherThan:
     other_buffer = side.other_buffer
 
-    def try_others(match: PartialMatch, key: Hashable, rejected: PartialMatch, after: Frame) -> Frame:
+    def try_others(match: PartialMatch, key: Hashable, rejected: PartialMatch, frame: Frame) -> Frame:
         candidates = other_buffer.partners(key, match.start, match.end, newest)
         return join_first_of(
-            match, key, (candidate for candidate in candidates if candidate is not rejected), after
+            match, key, (candidate for candidate in candidates if candidate is not rejected), frame
         )
 
     return try_others
@@ -180,15 +180,15 @@ def _join_first_of(side: MatchSide, finish_join: _FinishJoin) -> _JoinFirstOf:
     meter = side.own_buffer.rule.meter
 
     def join_first_of(
-        match: PartialMatch, key: Hashable, partners: Iterator[PartialMatch], after: Frame
+        match: PartialMatch, key: Hashable, partners: Iterator[PartialMatch], frame: Frame
     ) -> Frame:
         for partner in metered(partners, meter):
             result = unify_and_join(side, match, key, partner)
             if result is not None and partner.buffer is not None:
-                return finish_join(match, key, partner, result, after)
+                return finish_join(match, key, partner, result, frame)
         if stores_unmatched:
             store(match, key)
-        return after
+        return frame
 
     return join_first_of
 
@@ -202,7 +202,7 @@ def _finish_join(
     completed_events = None if side.is_left else completed
 
     def finish_join(
-        match: PartialMatch, key: Hashable, partner: PartialMatch, result: PartialMatch, after: Frame
+        match: PartialMatch, key: Hashable, partner: PartialMatch, result: PartialMatch, frame: Frame
     ) -> Frame:
         if consumes:
             other_buffer.remove(partner)
@@ -215,7 +215,7 @@ def _finish_join(
             if len(completed_events) > _MAX_COMPLETED_EVENTS:
                 del completed_events[next(iter(completed_events))]
             completed_events[match.event] = None
-        return emit(result, after)
+        return emit(result, frame)
 
     return finish_join
 
@@ -226,11 +226,11 @@ def _store_after_completion(arrive: Emit, own_buffer: MatchBuffer, completed: Di
     Otherwise one event would complete two pairs of an operator such as ``and``.
     """
 
-    def arrive_at_left(match: PartialMatch, after: Frame) -> Frame:
+    def arrive_at_left(match: PartialMatch, frame: Frame) -> Frame:
         if match.event is not None and match.event in completed:
             own_buffer.add(match, own_buffer.key_of(match))
-            return after
-        return arrive(match, after)
+            return frame
+        return arrive(match, frame)
 
     return arrive_at_left
 
@@ -242,7 +242,7 @@ def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
     key_of = own_buffer.key_of
     meter = own_buffer.rule.meter
 
-    def arrive(match: PartialMatch, after: Frame) -> Frame:
+    def arrive(match: PartialMatch, frame: Frame) -> Frame:
         key = key_of(match)
         partners = other_buffer.partner_list(key, match.start, match.end)
         # The match is stored before results are emitted. Events that follow from them may be partners of it, and
@@ -250,11 +250,11 @@ def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
         if stores_unmatched:
             store(match, key)
         if not partners:
-            return after
+            return frame
         if len(partners) == 1:
             partner = partners[0]
             result = None if partner.buffer is None else unify_and_join(side, match, key, partner)
-            return after if result is None else emit(result, after)
+            return frame if result is None else emit(result, frame)
         # The generator joins each pair only when the results before it are processed. Those may remove further
         # partners.
         results = (
@@ -264,7 +264,7 @@ def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
             for result in (unify_and_join(side, match, key, partner),)
             if result is not None
         )
-        return emit_each(results, emit, after)
+        return emit_each(results, emit, frame)
 
     return arrive
 
@@ -280,7 +280,7 @@ def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
     store = own_buffer.add if side.store is None else side.store
     meter = own_buffer.rule.meter
 
-    def arrive(match: PartialMatch, after: Frame) -> Frame:
+    def arrive(match: PartialMatch, frame: Frame) -> Frame:
         key = own_buffer.key_of(match)
         # All pairs are joined before any result is emitted: an event that follows from the first result must not
         # add a partner to the same set.
@@ -293,7 +293,7 @@ def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
                 results.append(result)
         if stores_matched or (stores_unmatched and not results):
             store(match, key)
-        return emit_each(iter(results), emit, after)
+        return emit_each(iter(results), emit, frame)
 
     return arrive
 
@@ -308,10 +308,10 @@ def unify_and_join(
     return None if sides is None else side.join(*sides)
 
 
-def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], after: Frame) -> Frame:
+def emit_each(results: Iterator[T], emit: Callable[[T, Frame], Frame], frame: Frame) -> Frame:
     """Return the frame that emits the results one after the other, each with all events that follow from it."""
     emission = _ResultEmission(results, emit)
-    return emission.run((emission, after))
+    return emission.run((emission, frame))
 
 
 def metered(items: Iterable[T], meter: Optional[Meter]) -> Iterator[T]:
@@ -340,7 +340,7 @@ class _ResultEmission:
         for result in self.results:
             # The frame itself is the continuation. If the emitted result starts other work, that work returns to
             # this frame, and the loop continues with the next result.
-            after = emit(result, frame)
-            if after is not frame:
-                return after
+            next_frame = emit(result, frame)
+            if next_frame is not frame:
+                return next_frame
         return frame[1]  # type: ignore[no-any-return]

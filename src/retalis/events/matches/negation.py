@@ -146,13 +146,13 @@ class NegationBuffer:
         """Return the buffers of negated matches, including those of its conditions."""
         return [self.buffer, *(buffer for absence, _ in self.carried for buffer in absence.buffers())]
 
-    def arrive(self, match: PartialMatch, after: Frame) -> Frame:
+    def arrive(self, match: PartialMatch, frame: Frame) -> Frame:
         """Store a negated match, unless stored matches dominate it."""
         key = self.buffer.key_of(match)
         if key is not None and self.uses_frontiers() and not self._is_needed(key, match):
-            return after
+            return frame
         self.buffer.add(match, key)
-        return after
+        return frame
 
     def uses_frontiers(self) -> bool:
         """Return whether only times matter: matches have no conditions, and events are not retracted."""

@@ -79,7 +79,7 @@ def join_revived_first(
     """
     own_buffer, other_buffer = side.own_buffer, side.other_buffer
 
-    def arrive(match: PartialMatch, after: Frame) -> Frame:
+    def arrive(match: PartialMatch, frame: Frame) -> Frame:
         key = own_buffer.key_of(match)
         arrival_number = arrival_number_of(match)
         results: List[PartialMatch] = []
@@ -102,7 +102,7 @@ def join_revived_first(
                         break
         if not results or not (consumes or joins_all):
             own_buffer.add(match, key)
-        return emit_each(iter(results), emit, after)
+        return emit_each(iter(results), emit, frame)
 
     return arrive
 

@@ -231,8 +231,8 @@ class EventRule:
         self.completion = completion = self._continuation_of_head()
         complete = completion.action
 
-        def complete_match(match: PartialMatch, after: Frame) -> Frame:
-            return complete(match.term, match.values, match.start, match.end, after)
+        def complete_match(match: PartialMatch, frame: Frame) -> Frame:
+            return complete(match.term, match.values, match.start, match.end, frame)
 
         complete_root: Emit = self._complete_tracked if mode.tracked else complete_match
         if skipping is not None:
@@ -584,14 +584,14 @@ class EventRule:
                 if self.waiting <= cap:
                     return
 
-    def _complete_values(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _complete_values(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         window = self.window
         if window is not None and end - start > window:
-            return after
+            return frame
         firings = self.firings
         firings.number += 1
         firings.last = end
-        return self.fire(self._head(values), start, end, after)
+        return self.fire(self._head(values), start, end, frame)
 
     def _head(self, values: Values) -> Term:
         """Return the head with the values of a match; its builder is compiled at the first use."""
@@ -600,10 +600,10 @@ class EventRule:
             self._builder = compile_builder(self.definition.head, self.root.vars, "head of a rule")
         return self._builder(values)
 
-    def _count_match(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _count_match(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         self.firings.number += 1
         self.firings.last = end
-        return after
+        return frame
 
     def _continuation_of_head(self) -> Continuation:
         """Return the continuation for the values of a complete match."""
@@ -621,30 +621,30 @@ class EventRule:
         dispatcher = self.network.dispatcher
         gate = dispatcher.event_filter(key)
 
-        def failed(error: UsageError, after: Frame) -> Frame:
+        def failed(error: UsageError, frame: Frame) -> Frame:
             self.network.rule_failed(self, RuleError(error.message))
-            return after
+            return frame
 
         complete = firing_action(head, self.root.vars, self, gate, failed)
         make_replacement = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
         replacement = make_replacement and make_replacement(self, complete)
         return Continuation(replacement, True, gate) if replacement else Continuation(complete, False, gate)
 
-    def _complete_tracked(self, match: PartialMatch, after: Frame) -> Frame:
+    def _complete_tracked(self, match: PartialMatch, frame: Frame) -> Frame:
         window = self.window
         if window is not None and match.end - match.start > window:
-            return after
+            return frame
         self.firings.number += 1
         self.firings.last = match.end
         if self.definition.head is None:
-            return after
-        return self.network.tracker.fire(self, match, self._head(match.values), after)
+            return frame
+        return self.network.tracker.fire(self, match, self._head(match.values), frame)
 
-    def fire(self, head: Term, start: int, end: int, after: Frame, token: Any = None) -> Frame:
-        """Return the frame that dispatches the head, or sets its alarm, and continues with ``after``."""
+    def fire(self, head: Term, start: int, end: int, frame: Frame, token: Any = None) -> Frame:
+        """Return the frame that dispatches the head, or sets its alarm, and continues with ``frame``."""
         # Each firing counts as work, so a rule that triggers itself is stopped.
         if self.meter is not None and self.meter(1):
-            return after
+            return frame
         network = self.network
         dispatcher = network.dispatcher
         if head.__class__ not in (tuple, Atom):
@@ -655,11 +655,11 @@ class EventRule:
                 network.report_past_alarm(self, head, alarm)
                 if alarm is not None:
                     network.set_alarm(self, *alarm, token)
-                    return after
-            return dispatcher.dispatch(head, start, end, after, token)
+                    return frame
+            return dispatcher.dispatch(head, start, end, frame, token)
         except UsageError as error:
             network.rule_failed(self, RuleError(error.message))
-            return after
+            return frame
 
 
 _ALARM_FUNCTORS = frozenset(("exceptionAlarm", "exceptionAlarmAbsoluteDatime"))

@@ -81,8 +81,8 @@ class TimedNode(Protocol):
     def rule(self) -> "TimedOwner":
         """The owner."""
 
-    def on_alarm(self, instant: int, after: Frame, /) -> Frame:
-        """Return the frame that processes everything that is due, and continues with ``after``."""
+    def on_alarm(self, instant: int, frame: Frame, /) -> Frame:
+        """Return the frame that processes everything that is due, and continues with ``frame``."""
 
 
 class ConditionState:
@@ -173,9 +173,9 @@ class RuleGoal:
         end: int,
         ground: bool,
         solved: EventAction,
-        after: Frame,
+        frame: Frame,
     ) -> Frame:
-        """Return the frame that calls the goal once and continues with ``solved``, or with ``after`` if it fails.
+        """Return the frame that calls the goal once and continues with ``solved``, or with ``frame`` if it fails.
 
         Args:
             term: the event, if the match consists of one; passed to ``solved``.
@@ -184,7 +184,7 @@ class RuleGoal:
             end: end of the match; passed to ``solved``.
             ground: whether the values are known to be without variables.
             solved: receives the match with the values of the solution appended to the others.
-            after: the frame to continue with.
+            frame: the frame to continue with.
         """
         inputs = values if self._takes_all else tuple([values[position] for position in self.positions])
         # With ground inputs, the goal returns only its other variables; the values of the match are passed beside
@@ -194,7 +194,7 @@ class RuleGoal:
         else:
             goal, inputs, passed_values = self._open_goal(), values, ()
         return self._dispatcher.call(
-            goal, inputs, self._reported, solved, term, passed_values, start, end, after
+            goal, inputs, self._reported, solved, term, passed_values, start, end, frame
         )
 
     @property
@@ -210,8 +210,8 @@ class RuleGoal:
         act, solved = self.act, completion.action
         dispatcher = self._dispatcher
 
-        def act_on_event(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            return act(term, values, start, end, dispatcher.ground(), solved, after)
+        def act_on_event(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+            return act(term, values, start, end, dispatcher.ground(), solved, frame)
 
         if self.outputs or not self._takes_all or not self.given_vars:
             return Continuation(act_on_event)
@@ -230,7 +230,7 @@ class RuleGoal:
         end: int,
         ground: bool,
         solved: EventAction,
-        after: Frame,
+        frame: Frame,
     ) -> Frame:
         """Return the frame that continues with ``solved`` for each solution of the goal, in order; see `act`."""
         inputs = tuple([values[position] for position in self.positions])
@@ -239,26 +239,26 @@ class RuleGoal:
         # ones.
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open_goal(True)
 
-        def each(term: Term, collected: Values, start: int, end: int, after: Frame) -> Frame:
+        def each(term: Term, collected: Values, start: int, end: int, frame: Frame) -> Frame:
             solutions = [tuple(list_items(item) or ()) for item in list_items(collected[0]) or ()]
             if ground:
                 solutions = [values + solution for solution in solutions]
             return emit_each(
                 metered(solutions, self.rule.meter),
                 lambda solution, then: solved(term, solution, start, end, then),
-                after,
+                frame,
             )
 
         inputs = inputs if ground else values
-        return self._dispatcher.call(goal, inputs, self._reported, each, term, (), start, end, after)
+        return self._dispatcher.call(goal, inputs, self._reported, each, term, (), start, end, frame)
 
-    def with_cause(self, match: PartialMatch, solved: EventAction, after: Frame) -> Tuple[EventAction, Frame]:
+    def with_cause(self, match: PartialMatch, solved: EventAction, frame: Frame) -> Tuple[EventAction, Frame]:
         """Record the match as the cause of the events that the goal makes, until it ends.
 
         Returns:
-            The arguments for `act` in place of ``solved`` and ``after``.
+            The arguments for `act` in place of ``solved`` and ``frame``.
         """
-        return self._dispatcher.caused_by((self.rule, match), solved, after)
+        return self._dispatcher.caused_by((self.rule, match), solved, frame)
 
     def _open_goal(self, every: bool = False) -> CompiledGoal:
         """Return the goal for values with variables; it returns all values, as its solution leaves them."""

@@ -327,10 +327,10 @@ class JoinNode(NetworkNode):
         rule = self.rule
         buffer = self.right_buffer
 
-        def arrive_after_waiting(match: PartialMatch, after: Frame) -> Frame:
+        def arrive_after_waiting(match: PartialMatch, frame: Frame) -> Frame:
             if match.event is None and rule.deferred_matches:
                 rule.store_deferred(buffer)
-            return arrive(match, after)
+            return arrive(match, frame)
 
         return arrive_after_waiting
 
@@ -393,26 +393,26 @@ class JoinNode(NetworkNode):
 
         return join_and_record
 
-    def retry(self, pair: Tuple[PartialMatch, PartialMatch], after: Frame) -> Frame:
+    def retry(self, pair: Tuple[PartialMatch, PartialMatch], frame: Frame) -> Frame:
         """Join two matches again, after the negated match between them was retracted."""
         left, right = pair
         mode = self.rule.mode
         # Meanwhile the operands may have been consumed by other pairs, or retracted themselves.
         if left.buffer is None or right.consumed_by is not None:
-            return after
+            return frame
         if right.buffer is None and self._right_waits(mode):
-            return after
+            return frame
         if is_retracted(left) or is_retracted(right):
-            return after
+            return frame
         result = self.joined(left, right)
         if result is None:
-            return after
+            return frame
         if mode.policy.consuming or self.operator.joins_all:
             left.leave()
             right.consumed_by = left
             if self.operator.either:
                 right.leave()
-        return self.out(result, after)
+        return self.out(result, frame)
 
     def _right_waits(self, mode: NetworkOptions) -> bool:
         return self.operator.either or mode.out_of_order

@@ -330,14 +330,14 @@ class KleeneNode(KleeneValues):
         aggregate = self.aggregate
         fires = aggregate is None or aggregate.empty_result is not None
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             run = Run(match, self.empty, len(self.open_vars))
             key = buffer.key_of(run)
             older = buffer.find_identical(run, key)
             # The same occurrence may arrive twice, for example by two branches of an `or`; it must not reset its
             # run.
             if older is not None and older.start == run.start and older.end == run.end:
-                return after
+                return frame
             buffer.add(run, key)
             result = self._result_without(run) if fires else None
             if self.late or (
@@ -345,8 +345,8 @@ class KleeneNode(KleeneValues):
             ):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
-                return emit_each(iter(results), out, after)
-            return after if result is None else out(result, after)
+                return emit_each(iter(results), out, frame)
+            return frame if result is None else out(result, frame)
 
         return arrive
 
@@ -386,7 +386,7 @@ class KleeneNode(KleeneValues):
         waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
         meter = self.rule.meter
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             key = self.incoming.key_of(match)
             extended, result = False, None
             runs: Iterable[PartialMatch] = self.buffer.partners(key, match.start, match.end, newest)
@@ -399,7 +399,7 @@ class KleeneNode(KleeneValues):
                     break
             if waits:
                 self._wait(match, key)
-            return after if result is None else out(result, after)
+            return frame if result is None else out(result, frame)
 
         return arrive
 
@@ -407,7 +407,7 @@ class KleeneNode(KleeneValues):
         waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
         meter = self.rule.meter
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             key = self.incoming.key_of(match)
             runs: Iterable[PartialMatch] = self.buffer.partner_list(key, match.start, match.end)
             if ordered:
@@ -416,7 +416,7 @@ class KleeneNode(KleeneValues):
             if waits:
                 self._wait(match, key)
             if not runs:
-                return after
+                return frame
             results = (
                 result
                 for run in metered(runs, meter)
@@ -424,7 +424,7 @@ class KleeneNode(KleeneValues):
                 for result in (extend(run, match, has_equal_key(key, run))[1],)
                 if result is not None
             )
-            return emit_each(results, out, after)
+            return emit_each(results, out, frame)
 
         return arrive
 
@@ -536,7 +536,7 @@ class KleeneNode(KleeneValues):
         """Return the results that become invalid without containing the forgotten matches: none."""
         return []
 
-    def retry(self, retried: Union[PartialMatch, Tuple[Run, PartialMatch]], after: Frame) -> Frame:
+    def retry(self, retried: Union[PartialMatch, Tuple[Run, PartialMatch]], frame: Frame) -> Frame:
         """Emit a result that was computed again, or extend a run by a repetition that a negation had prevented."""
         result: Optional[PartialMatch]
         if isinstance(retried, PartialMatch):
@@ -544,12 +544,12 @@ class KleeneNode(KleeneValues):
         else:
             run, match = retried
             if run.buffer is None or (self.consuming and match.consumed_by is not None):
-                return after
+                return frame
             extended, result = self.extending(run, match, False)
             if extended:
                 match.consumed_by = run
         if result is None or is_retracted(result):
-            return after
+            return frame
         # The result arrives after its events; a match that has fired meanwhile may have skipped it.
         skipping = None if self.is_negated else self.rule.skipping
-        return self.out(result, after) if skipping is None or skipping.accepts_start(result.start) else after
+        return self.out(result, frame) if skipping is None or skipping.accepts_start(result.start) else frame

@@ -229,31 +229,31 @@ class EventNode(NetworkNode):
 
         # One closure for each combination of options: the first one runs for most events, and must not test
         # anything. The token of an event is created only if something needs its identity.
-        def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            return out(PartialMatch(values, start, end, None, term, None), after)
+        def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+            return out(PartialMatch(values, start, end, None, term, None), frame)
 
-        def arrive_timed(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def arrive_timed(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             rule.tick(end)
-            return out(PartialMatch(values, start, end, None, term, None), after)
+            return out(PartialMatch(values, start, end, None, term, None), frame)
 
-        def arrive_identified(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def arrive_identified(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
             # Matches of the previous event are stored before this event looks for partners.
             if rule.deferred_matches:
                 rule.store_deferred_of_earlier_events(event)
             if rule.timed:
                 rule.tick(end)
-            return out(PartialMatch(values, start, end, event, term, None), after)
+            return out(PartialMatch(values, start, end, event, term, None), frame)
 
-        def arrive_unskipped(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def arrive_unskipped(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
             rule.store_deferred_of_earlier_events(event)
             if rule.timed:
                 rule.tick(end)
             return (
-                out(PartialMatch(values, start, end, event, term, None), after)
+                out(PartialMatch(values, start, end, event, term, None), frame)
                 if accepts_start(start)
-                else after
+                else frame
             )
 
         needs_identity = rule.shares_events or mode.tracked
@@ -296,23 +296,23 @@ class FilterNode(NetworkNode):
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             start = match.start
             end = match.end
             if span is not None and end - start > span:
-                return after
+                return frame
             values: Any = match.values
             for test in tests:
                 values = test(values, start, end)
                 if values is None:
-                    return after
+                    return frame
             # A new match is needed only if a condition has bound variables; those bindings are part of its
             # identity.
             if values is not match.values:
                 match = PartialMatch(
                     values, start, end, match.event, None, (match, ComputedValues(computed_values(values)))
                 )
-            return out(match, after)
+            return out(match, frame)
 
         self.child.bind(arrive, mode)
 
@@ -322,14 +322,14 @@ class FilterNode(NetworkNode):
         tests = self.tests
         span = self.span
 
-        def arrive(term: Term, values: Any, start: int, end: int, after: Frame) -> Frame:
+        def arrive(term: Term, values: Any, start: int, end: int, frame: Frame) -> Frame:
             if span is not None and end - start > span:
-                return after
+                return frame
             for test in tests:
                 values = test(values, start, end)
                 if values is None:
-                    return after
-            return complete(term, values, start, end, after)
+                    return frame
+            return complete(term, values, start, end, frame)
 
         self.child.bind_values(Continuation(arrive))
 
@@ -344,9 +344,9 @@ class BindNode(NetworkNode):
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             values = (*match.values, match.start, match.end)
-            return out(PartialMatch(values, match.start, match.end, match.event, None, (match,)), after)
+            return out(PartialMatch(values, match.start, match.end, match.event, None, (match,)), frame)
 
         self.child.bind(arrive, mode)
 
@@ -372,11 +372,11 @@ class OrNode(NetworkNode):
         places = positions(child.vars)
         layout = [places.get(var) for var in self.vars]
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             values = match.values
             ordered_values = tuple([Var() if position is None else values[position] for position in layout])
             return out(
-                PartialMatch(ordered_values, match.start, match.end, match.event, None, (index, match)), after
+                PartialMatch(ordered_values, match.start, match.end, match.event, None, (index, match)), frame
             )
 
         return arrive
@@ -414,9 +414,9 @@ class ActionNode(NetworkNode):
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             if span is not None and match.end - match.start > span:
-                return after
+                return frame
 
             def solved(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
                 return out(
@@ -432,14 +432,14 @@ class ActionNode(NetworkNode):
                 )
 
             # Events that the goal makes are derived from this match, so that they are retracted together with it.
-            continuation = call.with_cause(match, solved, after) if tracked else (solved, after)
+            continuation = call.with_cause(match, solved, frame) if tracked else (solved, frame)
             return act(match.term, match.values, match.start, match.end, is_of_ground(match), *continuation)
 
         may_fire = self.may_fire
         self.child.bind(
             arrive
             if may_fire is None
-            else lambda match, after: arrive(match, after) if may_fire(match.start) else after,
+            else lambda match, frame: arrive(match, frame) if may_fire(match.start) else frame,
             mode,
         )
 
@@ -453,8 +453,8 @@ class ActionNode(NetworkNode):
         only_of_event = isinstance(self.child, EventNode)
         dispatcher = call.rule.network.dispatcher
 
-        def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
-            return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, after)
+        def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+            return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, frame)
 
         continuation = (
             call.continuation_for_event(completion)
@@ -463,10 +463,10 @@ class ActionNode(NetworkNode):
         )
         act_once = continuation.action
 
-        def arrive_in_span(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def arrive_in_span(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             if span is not None and end - start > span:
-                return after
-            return act_once(term, values, start, end, after)
+                return frame
+            return act_once(term, values, start, end, frame)
 
         self.child.bind_values(continuation if span is None else Continuation(arrive_in_span))
 
@@ -487,12 +487,12 @@ class NotNode(NetworkNode):
         tracker = self.rule.network.tracker
         tracked = mode.tracked
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             if absence.forbids_pair(match.values, match.start, match.start):
                 if tracked:
                     tracker.record_suppressed(self, match)
-                return after
-            return out(match, after)
+                return frame
+            return out(match, frame)
 
         self.retry = _without_skipped(self, arrive)
         self.child.bind(arrive, mode)
@@ -525,16 +525,16 @@ class EarlyTestNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         tracker, tracked, test = self.rule.network.tracker, mode.tracked, self.test
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             values = test(match.values, match.start, match.end)
             if values is None:
                 if tracked:
                     tracker.record_suppressed(self, match)
-                return after
+                return frame
             tested = match
             if values is not match.values:
                 tested = PartialMatch(values, match.start, match.end, match.event, None, (match,))
-            return out(tested, after)
+            return out(tested, frame)
 
         self.retry = _without_skipped(self, arrive)
         self.child.bind(arrive, mode)
@@ -551,4 +551,4 @@ def _without_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
     skipping = node.rule.skipping
     if skipping is None or node.is_negated:
         return emit
-    return lambda match, after: emit(match, after) if skipping.accepts_start(match.start) else after
+    return lambda match, frame: emit(match, frame) if skipping.accepts_start(match.start) else frame

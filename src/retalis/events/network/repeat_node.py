@@ -69,12 +69,12 @@ class _Relay(NetworkNode):
         """Set the action that receives the matches."""
         self._out = out
 
-    def take(self, match: PartialMatch, after: Frame) -> Frame:
+    def take(self, match: PartialMatch, frame: Frame) -> Frame:
         """Pass on a copy of a match, which can be stored by itself."""
         copied_match = PartialMatch(
             match.values, match.start, match.end, match.event, match.term, match.parts
         )
-        return self._out(copied_match, after)
+        return self._out(copied_match, frame)
 
 
 class RepeatNode(NetworkNode):
@@ -186,7 +186,7 @@ class RepeatNode(NetworkNode):
             else tuple([cursor.values[position] for position in self._kept])
         )
 
-    def _arrive(self, match: PartialMatch, after: Frame) -> Frame:
+    def _arrive(self, match: PartialMatch, frame: Frame) -> Frame:
         if self._is_grouped:
             try:
                 key = self._key(match.values)
@@ -194,11 +194,11 @@ class RepeatNode(NetworkNode):
                 self._switch_to_joins()
             else:
                 result = self._take(match, key)
-                return after if result is None else self._out(result, after)
+                return frame if result is None else self._out(result, frame)
         return emit_each(
             metered(self._receiving_relays(), self.rule.meter),
             lambda relay, then: relay.take(match, then),
-            after,
+            frame,
         )
 
     # ---- run groups ----------------------------------------------------------------------------------
@@ -412,10 +412,10 @@ class RepeatNode(NetworkNode):
         single_name, longer_name = self._names
         return (single_name if length == 1 else longer_name), single_name
 
-    def _emit_slices(self, match: PartialMatch, after: Frame) -> Frame:
+    def _emit_slices(self, match: PartialMatch, frame: Frame) -> Frame:
         """Emit a match of all repetitions with the parts that a run group gives it; it may replace one of those."""
         set_slice_parts(match, self.times)
-        return self._out(match, after)
+        return self._out(match, frame)
 
     def _receiving_relays(self) -> Iterator[_Relay]:
         """Yield the relays that a match is sent to, last repetition first.

@@ -184,13 +184,13 @@ class AfterMatchSkip:
             action.may_fire = may_fire
         rule = self._rule
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             if rule.window is not None and match.end - match.start > rule.window:
-                return after
+                return frame
             if action is None and not may_fire(match.start):
-                return after
+                return frame
             self.record_match(match.start, match.end)
-            return complete(match, after)
+            return complete(match, frame)
 
         root.bind(arrive, mode)
 

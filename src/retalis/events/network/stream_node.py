@@ -99,18 +99,18 @@ class ReentrancyQueue:
         finally:
             self.is_running = False
 
-    def before(self, after: Frame) -> Frame:
-        """Return the frame that executes the deferred work, and continues with ``after``."""
-        return (self, self._dispatcher.current, after) if self._steps else after
+    def before(self, frame: Frame) -> Frame:
+        """Return the frame that executes the deferred work, and continues with ``frame``."""
+        return (self, self._dispatcher.current, frame) if self._steps else frame
 
     def run(self, frame: Frame) -> Frame:
         """Execute the next piece of work."""
         dispatcher = self._dispatcher
-        _, current, after = frame
+        _, current, next_frame = frame
         # All work is done: the event that was served before becomes current again.
         if not self._steps:
             dispatcher.restore(current, dispatcher.cause)
-            return after  # type: ignore[no-any-return]
+            return next_frame  # type: ignore[no-any-return]
         event, step = self._steps.popleft()
         dispatcher.restore(event, dispatcher.cause)
         return step(frame)
@@ -353,7 +353,7 @@ class StreamNode(NetworkNode):
         self._options: Optional[NetworkOptions] = None
         self.stream = self._create_operator(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
-        self.out: Emit = lambda match, after: after
+        self.out: Emit = lambda match, frame: frame
 
     def _create_operator(self, mode: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
         stream = self.spec.stream(mode)
@@ -382,27 +382,27 @@ class StreamNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind_values`."""
         complete = completion.action
         self._connect(
-            lambda match, after: complete(match.term, match.values, match.start, match.end, after),
+            lambda match, frame: complete(match.term, match.values, match.start, match.end, frame),
             self.rule.mode,
         )
         result, process = self.spec.result, self._operator_input(0, self.rule.mode)
 
-        def arrive(term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+        def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             match = PartialMatch(values, start, end, None, term, None) if result is None else None
             outputs = process(match, values, start, end)
             if not outputs:
-                return after
+                return frame
             if result is None or len(outputs) > 1 or outputs[0].error is not None:
-                return self._emit_outputs(outputs, after)
+                return self._emit_outputs(outputs, frame)
             output = outputs[0]
             result_values = result(output.items[-1].by, output.results)
             if result_values is None or (self.span is not None and output.end - output.start > self.span):
-                return after
-            return complete(None, result_values, output.start, output.end, after)  # type: ignore[arg-type]
+                return frame
+            return complete(None, result_values, output.start, output.end, frame)  # type: ignore[arg-type]
 
-        def too_large(group: KeyedWindow, after: Frame) -> Frame:
+        def too_large(group: KeyedWindow, frame: Frame) -> Frame:
             output = group.output(False)
-            return after if output is None else self._emit_outputs([output], after)
+            return frame if output is None else self._emit_outputs([output], frame)
 
         fused = self.spec.fused
         action: EventAction = arrive
@@ -437,9 +437,9 @@ class StreamNode(NetworkNode):
         if reentrancy is None or not reentrancy.is_running:
             return False
 
-        def step(after: Frame) -> Frame:
+        def step(frame: Frame) -> Frame:
             work()
-            return after
+            return frame
 
         reentrancy.defer(step)
         return True
@@ -471,21 +471,21 @@ class StreamNode(NetworkNode):
         with_match = mode.tracked or self.spec.result is None
         reentrancy = self._reentrancy
 
-        def arrive(match: PartialMatch, after: Frame) -> Frame:
+        def arrive(match: PartialMatch, frame: Frame) -> Frame:
             element_match = match if with_match else None
             if reentrancy is None:
                 outputs = process(element_match, match.values, match.start, match.end)
             elif reentrancy.is_running:
-                reentrancy.defer(lambda frame: self._arrivals[channel](match, frame))
-                return after
+                reentrancy.defer(lambda later_frame: self._arrivals[channel](match, later_frame))
+                return frame
             else:
                 outputs = reentrancy.run_operator(
                     lambda: process(element_match, match.values, match.start, match.end)
                 )
-                after = reentrancy.before(after)
+                frame = reentrancy.before(frame)
             if not outputs:
-                return after
-            return self._emit_outputs(outputs, after, arrival_number_of(match) if mode.tracked else 0)
+                return frame
+            return self._emit_outputs(outputs, frame, arrival_number_of(match) if mode.tracked else 0)
 
         self._arrivals[channel] = arrive
         return arrive
@@ -558,8 +558,8 @@ class StreamNode(NetworkNode):
             self.wakeup_time = instant
             self.rule.network.wake(self, instant)
 
-    def on_alarm(self, instant: int, after: Frame) -> Frame:
-        """Return the frame that emits the outputs that are due, and continues with ``after``."""
+    def on_alarm(self, instant: int, frame: Frame) -> Frame:
+        """Return the frame that emits the outputs that are due, and continues with ``frame``."""
         self.wakeup_time = None
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
         if self.rule.skipping is not None:
@@ -571,15 +571,15 @@ class StreamNode(NetworkNode):
             outputs = self.stream.advance_to(instant)
         else:
             outputs = reentrancy.run_operator(lambda: self.stream.advance_to(instant))
-            after = reentrancy.before(after)
+            frame = reentrancy.before(frame)
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._wake()
         arrival_number = self.rule.network.tracker.next_deadline_number() if self.stream.tracked else 0
-        return self._emit_outputs(outputs, after, arrival_number)
+        return self._emit_outputs(outputs, frame, arrival_number)
 
-    def _emit_outputs(self, outputs: List[StreamOutput], after: Frame, arrival_number: int = 0) -> Frame:
-        return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.out, after)
+    def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:
+        return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.out, frame)
 
     def _matches(self, outputs: Iterable[StreamOutput], arrival_number: int = 0) -> Iterator[PartialMatch]:
         """Yield the matches of outputs, without those that are too long or do not unify.
@@ -671,9 +671,9 @@ class StreamNode(NetworkNode):
             return []
         return list(self._matches(self.replay.take_new()))
 
-    def retry(self, match: PartialMatch, after: Frame) -> Frame:
+    def retry(self, match: PartialMatch, frame: Frame) -> Frame:
         """Emit such a match."""
-        return after if is_retracted(match) else self.out(match, after)
+        return frame if is_retracted(match) else self.out(match, frame)
 
     # ---- state ---------------------------------------------------------------------------------------
 

@@ -140,8 +140,8 @@ class RetryNode(Protocol):
     def rule(self) -> "EventRule":
         """The rule of the node."""
 
-    def retry(self, match_or_pair: Any, after: Frame, /) -> Frame:
-        """Return the frame that fires the match if it still holds, and goes on with ``after``."""
+    def retry(self, match_or_pair: Any, frame: Frame, /) -> Frame:
+        """Return the frame that fires the match if it still holds, and goes on with ``frame``."""
 
 
 class Suppressed:
@@ -250,9 +250,9 @@ class EventLog:
             dispatcher.remove(self._store_listener)
             self._store_listener = None
 
-    def _store_event(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _store_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         self._events.append((term, start, end))
-        return after
+        return frame
 
     def stored(self) -> List[Tuple[Term, int, int]]:
         """Return the stored events, the oldest first."""
@@ -276,13 +276,13 @@ class EventLog:
         if self._record_listener is None:
             self._record_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
 
-    def _record(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _record(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         if self._is_selected(_PERSISTENT, term):
             self._write((_EVENT2, term, interval_term(start, end)))
         if any(self._is_selected(key, term) for key in _LOGGED):
             shown = (_EVENT2, term, interval_term(start, end))
             log.info("%s", self._rules.logic.show(shown))
-        return after
+        return frame
 
     def _write(self, event: Term) -> None:
         """Write a persistent event; failures are counted and reported at the counts 1, 2, 4, 8 and so on."""

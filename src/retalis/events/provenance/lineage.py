@@ -171,7 +171,7 @@ class LineageTracker:
         occurrence.derive_from(origins)
         return occurrence
 
-    def _remember(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _remember(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         occurrence: Occurrence = self._rules.dispatcher.token()
         occurrence.number = next(self._arrivals)
         self._recent.append(occurrence)
@@ -187,13 +187,13 @@ class LineageTracker:
             occurrences.remove(oldest)
             if not occurrences:
                 del self._by_term[key]
-        return after
+        return frame
 
-    def fire(self, rule: "EventRule", match: PartialMatch, head: Term, after: Frame) -> Frame:
+    def fire(self, rule: "EventRule", match: PartialMatch, head: Term, frame: Frame) -> Frame:
         """Fire a rule, and record the lineage of its event."""
         occurrence = Occurrence(head, match.start, match.end, rule, match)
         occurrence.derive_from(lineage_nodes_of(match))
-        return rule.fire(head, match.start, match.end, after, occurrence)
+        return rule.fire(head, match.start, match.end, frame, occurrence)
 
     def register_match(self, match: PartialMatch) -> None:
         """Record that a partial match uses its events."""
@@ -223,7 +223,7 @@ class LineageTracker:
             for occurrence in lineage_nodes_of(self.blocker):
                 occurrence.suppressed.append(entry)
 
-    def _retract(self, term: Term, values: Values, start: int, end: int, after: Frame) -> Frame:
+    def _retract(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         """Retract the events of ``rev(E)``: all occurrences of E, or those that a derived ``rev`` is for."""
         token = self._rules.dispatcher.token()
         retracted = token.retracts
@@ -237,16 +237,16 @@ class LineageTracker:
             ]
             if not retracted:
                 self._rules.report_nothing_retracted(values[0], token.rule)
-                return after
+                return frame
             meter = self._meter(token.rule or _deriving_rule(retracted))
             removed = self._remove_derived(retracted, meter)
             if removed is None:
-                return after
+                return frame
             invalidated, retries = removed
         else:
             meter = self._meter(token.rule)
         work = _RetractionSteps(metered(self._steps([*retracted, *invalidated], retries, start, end), meter))
-        return work.run((work, after))
+        return work.run((work, frame))
 
     def _meter(self, rule: object) -> Optional[Meter]:
         return self._rules.logic.machine.budget.meter(rule)
@@ -330,16 +330,16 @@ class LineageTracker:
         for node, match_or_pair in retries:
             yield partial(self._retry, node, match_or_pair)
 
-    def _retry(self, node: RetryNode, match_or_pair: MatchOrPair, after: Frame) -> Frame:
+    def _retry(self, node: RetryNode, match_or_pair: MatchOrPair, frame: Frame) -> Frame:
         # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
         node.rule.store_deferred_of_earlier_events(self._rules.dispatcher.token())
-        return node.retry(match_or_pair, after)
+        return node.retry(match_or_pair, frame)
 
     def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> RetractionStep:
         term = (REV, occurrence.term)
         token = Occurrence(term, start, end, None, None)
         token.retracts = [occurrence]
-        return lambda after: self._rules.dispatcher.dispatch(term, start, end, after, token)
+        return lambda frame: self._rules.dispatcher.dispatch(term, start, end, frame, token)
 
     def all(self) -> List[Occurrence]:
         """Return the remembered events that are not retracted, the oldest first."""
@@ -409,7 +409,7 @@ class _RetractionSteps:
 
     def run(self, frame: Frame) -> Frame:
         for step in self.steps:
-            after = step(frame)
-            if after is not frame:
-                return after
+            next_frame = step(frame)
+            if next_frame is not frame:
+                return next_frame
         return frame[1]  # type: ignore[no-any-return]

@@ -234,7 +234,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
     dispatch = dispatcher.dispatch
 
     def at_instant(
-        machine: Machine, arguments: Sequence[Term], after: Frame, is_ground: bool = False
+        machine: Machine, arguments: Sequence[Term], frame: Frame, is_ground: bool = False
     ) -> Frame:
         event, seconds, nanoseconds = arguments
         # The common case of two integers in range avoids the general conversion.
@@ -242,13 +242,13 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
             instant = seconds * SECOND + nanoseconds
             if FIRST <= instant < LAST:
                 instant = FloatSeconds(instant)
-                return dispatch(event, instant, instant, after, None, is_ground or None, is_ground)
-        return general(machine, arguments, after)
+                return dispatch(event, instant, instant, frame, None, is_ground or None, is_ground)
+        return general(machine, arguments, frame)
 
-    def general(machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
+    def general(machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
         # `is_owned=False`: the event is dispatched as if it came from outside, not as derived from the current event.
         event = READERS[functor("new_event", len(arguments))](arguments)
-        return dispatch(event.term, event.start, event.end, after, is_owned=False)
+        return dispatch(event.term, event.start, event.end, frame, is_owned=False)
 
     logic.define_control("new_event", 2, general, at_once=True)
     logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.event_filter)
@@ -277,7 +277,7 @@ class _FiringGoals:
         logic.define_control("execute_event_stream_file", 1, self.execute_file)
         logic.define("exists_file", 1, self.exists)
 
-    def event(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+    def event(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         """Dispatch an event with a given interval or the clock's present time."""
         term = callable_of(arguments[0])
         interval: Optional[Term] = arguments[1] if len(arguments) == 2 else None
@@ -289,10 +289,10 @@ class _FiringGoals:
             start = end = self.rules.clock.stamp()
         else:
             start, end = interval_of(interval)
-        next_frame: Frame = self.rules.dispatcher.dispatch(term, start, end, after, is_owned=False)
+        next_frame: Frame = self.rules.dispatcher.dispatch(term, start, end, frame, is_owned=False)
         return next_frame
 
-    def fire_list(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+    def fire_list(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         goals = list_items(arguments[0])
         if goals is None:
             self.rules.on_warning(
@@ -300,19 +300,19 @@ class _FiringGoals:
             )
             goals = [callable_of(arguments[0])]
         # The terms are copied, because their variables may be bound or unbound again before their turn.
-        return self._run_goals([copy(goal) for goal in goals], after)
+        return self._run_goals([copy(goal) for goal in goals], frame)
 
-    def fire_and_return(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+    def fire_and_return(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         goals = [(_EVENT1, copy(item)) for item in items_of(arguments[0])]
         if not machine.unify(arguments[1], make_list([])):
             return None
-        return self._run_goals(goals, after)
+        return self._run_goals(goals, frame)
 
     def exists(self, machine: Machine, name: Term) -> bool:
         files = self.rules.files
         return bool(files.is_file(files.resolve(path_of(name))))
 
-    def execute_file(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Optional[Frame]:
+    def execute_file(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         files = self.rules.files
         path = files.resolve(path_of(arguments[0]))
         text = files.text(path)
@@ -325,12 +325,12 @@ class _FiringGoals:
                 goals.append(read_term.term)
         if errors:
             raise ProgramErrors(errors)
-        return self._run_goals(goals, after)
+        return self._run_goals(goals, frame)
 
-    def _run_goals(self, goals: Sequence[Term], after: Frame) -> Optional[Frame]:
+    def _run_goals(self, goals: Sequence[Term], frame: Frame) -> Optional[Frame]:
         """Return a frame that calls the goals in order; goals that fail or raise are reported and skipped."""
         stream = _GoalStream(self.rules, goals)
-        return stream.run((stream, after))
+        return stream.run((stream, frame))
 
 
 class _GoalStream:
@@ -354,8 +354,8 @@ class _GoalStream:
                 self._error_handler(goal),
             )
             return next_frame
-        after: Frame = frame[1]
-        return after
+        continuation: Frame = frame[1]
+        return continuation
 
     def _return_frame(self, frame: Frame) -> Callable[[Values], Frame]:
         return lambda outputs: frame
@@ -378,8 +378,8 @@ class _Failed:
 
     @staticmethod
     def run(frame: Frame) -> Frame:
-        after: Frame
-        _, stream, goal, after = frame
+        next_frame: Frame
+        _, stream, goal, next_frame = frame
         remaining = list(stream.goals)
         if remaining and remaining[0] is _RAISED:
             stream.goals = iter(remaining[1:])
@@ -387,7 +387,7 @@ class _Failed:
             stream.goals = iter(remaining)
             text = stream.rules.logic.show(goal)
             stream.rules.on_error(UsageError(f"{text} in an event stream fails"))
-        return after
+        return next_frame
 
 
 _FAILED = _Failed()

@@ -46,8 +46,8 @@ class KeyedWindow:
     Attributes:
         members: the elements in order of arrival; those that were removed may remain between others.
         holes: number of members that were removed; 0 as long as elements arrive in order.
-        reference_time: instant from which its time counts: the clock at the last element, or the end of the first element for
-            windows that start with an element.
+        reference_time: instant from which its time counts: the clock at the last element, or the end of the first
+            element for windows that start with an element.
         starts: starts of the elements; None as long as elements arrive in the order of their starts and ends.
         ends: negated ends of the elements; None under the same condition.
         has_arrays: whether an element has had an array as a measured value.
