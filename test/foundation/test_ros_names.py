@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.foundation.ros_names import plain_fault, plain_type, topic_fault, type_fault
+from retalis.foundation.ros_names import name_fault, ros1_type_name, topic_fault, type_fault
 
 STRANGE = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u212a", "x" * 256, "x;y", "é"]
 
@@ -10,7 +10,7 @@ STRANGE = ["x²", "ﬁle", "x\0", "\ud800", "x y", "x\n", "1x", "", "a:b", "\u21
 @pytest.mark.parametrize("name", STRANGE)
 def test_strange_names_are_refused(name):
     for fault in (
-        plain_fault(name),
+        name_fault(name),
         topic_fault(name),
         type_fault(f"pkg/{name}"),
         type_fault(f"{name}/Type"),
@@ -44,7 +44,7 @@ def test_types(name):
     ],
 )
 def test_types_as_ros_2_names_them(name, plain):
-    assert plain_type(name) == plain
+    assert ros1_type_name(name) == plain
 
 
 @pytest.mark.parametrize("name", ["/tf", "tf", "~private", "~", "/a/b_1/C", "a/b", "a/"])

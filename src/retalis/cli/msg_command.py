@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Callable, Dict
 
 from ..foundation.errors import MessageError, UsageError
-from ..foundation.ros_names import plain_type, type_fault
+from ..foundation.ros_names import ros1_type_name, type_fault
 from ..messages.named_slots import by_names, positional, zero
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
@@ -45,7 +45,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     # Functors in programs have `__0__` in place of the slash; both forms are accepted.
-    type_name = plain_type(options.type.replace("__0__", "/"))
+    type_name = ros1_type_name(options.type.replace("__0__", "/"))
     definitions = installed_definitions()
     fault = type_fault(type_name)
     if fault is not None:

@@ -106,7 +106,7 @@ class EngineSnapshot:
             engine.input_topics.snapshot(),
             dict(engine.slots.events),
             set(rules.files.loaded),
-            rules.files.sandbox.own,
+            rules.files.sandbox.program_folders,
             list(engine.logic.foreign_modules),
             list(engine.logic.swi_files),
             sorted(engine.deployments),

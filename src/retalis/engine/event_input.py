@@ -19,7 +19,7 @@ from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.event_types import EventTypes
 from ..foundation.errors import RetalisError, UsageError, beginning
-from ..foundation.ros_names import plain_type, topic_fault, type_fault
+from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.named_slots import SlotNames
 from ..messages.transform_messages import TransformMessage
 from ..prolog.machine.errors import domain_error, instantiation_error, permission_error, resource_error
@@ -290,7 +290,7 @@ class InputTopics:
         return {request.event: request.kind for request in reversed(self._requests) if request.event}
 
     def _subscribe_to(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
-        request = TopicRequest(_get_text(topic), plain_type(_get_text(kind)), *map(_get_text, event))
+        request = TopicRequest(_get_text(topic), ros1_type_name(_get_text(kind)), *map(_get_text, event))
         self._check("topic", topic, topic_fault(request.topic))
         self._check("message_type", kind, type_fault(request.kind))
         if event:

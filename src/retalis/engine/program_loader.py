@@ -100,7 +100,7 @@ class ProgramLoader:
     def _register_own(self, folder: Optional[Path]) -> None:
         """Register a folder as the program's own."""
         if folder is not None:
-            self._files.sandbox.add_own(folder)
+            self._files.sandbox.add_program_folder(folder)
 
     def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
         """Execute a function with the permission to read any file; relative paths start in ``folder``."""

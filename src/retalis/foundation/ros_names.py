@@ -23,12 +23,12 @@ _ROS2_TYPE = re.compile(r"([^/]+)/(?:msg|action)/([^/]+)")
 _LETTERS = 'ASCII letters, digits and "_", a letter first'
 
 
-def plain_fault(text: str) -> Optional[str]:
+def name_fault(text: str) -> Optional[str]:
     """Return why a text is not the name of a package, slot or constant, or None if it is."""
     return _describe_fault(_PLAIN, text, f"a name of {_LETTERS}")
 
 
-def plain_type(name: str) -> str:
+def ros1_type_name(name: str) -> str:
     """Return the name of a message type in the form of ROS 1: ``pkg/Type`` for ``pkg/msg/Type``."""
     match = _ROS2_TYPE.fullmatch(name) if name.count("/") == 2 else None
     return f"{match[1]}/{match[2]}" if match else name

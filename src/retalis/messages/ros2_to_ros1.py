@@ -28,7 +28,7 @@ from typing import Callable, Deque, Dict, FrozenSet, List, NamedTuple, Optional,
 
 from ..foundation import codegen
 from ..foundation.errors import MessageError, beginning, place_at, shortened
-from ..foundation.ros_names import plain_type
+from ..foundation.ros_names import ros1_type_name
 from .type_definition import (
     EXPECTED_CONSTANT_TYPE,
     HEADER,
@@ -93,7 +93,7 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
     Raises:
         MessageError: if the text is not a valid definition, is too long, or names an unknown type.
     """
-    name = plain_type(name)
+    name = ros1_type_name(name)
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise MessageError(
             f"the definition of {beginning(name)} has {len(text)} characters: "
@@ -126,7 +126,7 @@ class _Ros2Section(NamedTuple):
 
 
 def _sections(name: str, text: str) -> Dict[str, str]:
-    return {plain_type(type_name): section for type_name, section in split_sections(name, text).items()}
+    return {ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()}
 
 
 def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
@@ -225,7 +225,7 @@ class _Ros2DefinitionReader:
         # Recorded separately, because the ROS 1 definition has no wide strings.
         if type_name == "wstring":
             self.wide_slots.append(name)
-        type_name = plain_type(type_name)
+        type_name = ros1_type_name(type_name)
         type_name = _ROS1_TYPES.get(type_name, type_name)
         if type_name not in PRIMITIVES and type_name not in TIMES and type_name != "string":
             type_name = self._full_name(type_name)

@@ -36,7 +36,7 @@ from ..foundation.errors import (
     place_in,
     shortened,
 )
-from ..foundation.ros_names import plain_fault, plain_type, type_fault
+from ..foundation.ros_names import name_fault, ros1_type_name, type_fault
 
 PRIMITIVES: Dict[str, str] = {
     "bool": "?",
@@ -458,7 +458,7 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
                 raise MessageError(
                     "expected 'MSG: pkg/Type' after the line of '='", place_in(name, line_number, 1, line)
                 )
-            current, lines, separator_line = plain_type(line[4:].strip()), [], 0
+            current, lines, separator_line = ros1_type_name(line[4:].strip()), [], 0
         elif len(line) >= _MIN_SEPARATOR_CHARACTERS and not line.strip("="):
             _add_section(sections, current, lines)
             separator_line = line_number
@@ -579,7 +579,7 @@ class _DefinitionReader:
 
     def _add_field(self, match: "re.Match[str]", offset: int) -> None:
         self._check_name(match, offset, self.fields)
-        type_name, array, length = plain_type(match["type"]), match["array"], None
+        type_name, array, length = ros1_type_name(match["type"]), match["array"], None
         if array is not None:
             length = self._array_length(array[1:-1].strip(), offset + match.start("array"))
         if type_name in BUILTIN:
@@ -609,7 +609,7 @@ class _DefinitionReader:
 
     def _check_name(self, match: "re.Match[str]", offset: int, names: Container[str]) -> None:
         name = match["name"]
-        fault = plain_fault(name)
+        fault = name_fault(name)
         if fault is not None:
             raise self._error(fault, offset + match.start("name"))
         if name in names:

@@ -30,7 +30,7 @@ from typing import (
 
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, beginning
-from ..foundation.ros_names import plain_type, type_fault
+from ..foundation.ros_names import ros1_type_name, type_fault
 from .decoder import Decoder
 from .encoder import Encoder
 from .type_definition import (
@@ -432,7 +432,7 @@ class Definitions:
             MessageError: if the text is not a valid definition, is too long, names an unknown type, or has another
                 checksum; or if too many types were added.
         """
-        name = plain_type(name)
+        name = ros1_type_name(name)
         definition = self._read(name, text, md5sum)
         if name not in self._added:
             self._register(definition, len(text))
@@ -488,7 +488,7 @@ class Definitions:
         Raises:
             MessageError: if they are of another type, or their definition is invalid.
         """
-        name, sent = plain_type(name), plain_type(sent)
+        name, sent = ros1_type_name(name), ros1_type_name(sent)
         is_unknown = name not in self
         definition = self.received(name, sent, text, md5sum)
         return Learned(self.decoder(definition.as_event(event)), is_unknown and sent != name)
@@ -510,7 +510,7 @@ class Definitions:
         Raises:
             MessageError: if they are of another type, or their definition is invalid.
         """
-        name, sent = plain_type(name), plain_type(sent)
+        name, sent = ros1_type_name(name), ros1_type_name(sent)
         known = self.find(name) if name in self else None
         # The usual case: nothing has to be parsed.
         if known is not None and known.md5sum == md5sum:
@@ -532,7 +532,7 @@ class Definitions:
         Raises:
             MessageError: if the type is unknown, or its definition is invalid.
         """
-        name = plain_type(name)
+        name = ros1_type_name(name)
         definition = self._added.get(name) or self._resolved.get(name)
         if definition is None:
             definition = self._resolved[name] = _Resolver(self, self._installed, {}).resolve(name)
@@ -583,7 +583,7 @@ class Definitions:
         >>> text.split()
         ['string', 'data']
         """
-        return self._installed.text(plain_type(name))
+        return self._installed.text(ros1_type_name(name))
 
     def misspelt(self, name: str) -> str:
         """Return a known type with a similar name, as a suggestion for an unknown one; "" if there is none.
@@ -591,7 +591,7 @@ class Definitions:
         >>> Definitions().misspelt("std_msgs/Strng"), Definitions().misspelt("string")
         ('std_msgs/String', 'std_msgs/String')
         """
-        name = plain_type(name)
+        name = ros1_type_name(name)
         if name in self:
             return ""
         package, _, type_name = name.rpartition("/")
@@ -651,7 +651,7 @@ class Definitions:
         >>> definitions.add("my_robot/Bumper", "bool left") is definitions.known("my_robot/Bumper")
         True
         """
-        name = plain_type(name)
+        name = ros1_type_name(name)
         return self._added.get(name) or self._nested.get(name)
 
 

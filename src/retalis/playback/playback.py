@@ -48,7 +48,7 @@ from ..events.program.topic_configuration import (
     read_topics,
 )
 from ..foundation.errors import MessageError, ProgramErrors, RetalisError, beginning, counted, shortened
-from ..foundation.ros_names import plain_type, topic_fault, type_fault
+from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import (
     TRANSFORM_TOPICS,
@@ -152,7 +152,7 @@ class Playback:
         self._outputs: List[Output] = []
         self._topics_warned: Set[str] = set()
         topic_file = read_topics(folder / TOPICS)
-        topics = tuple(TopicType(topic.topic, plain_type(topic.type)) for topic in topics)
+        topics = tuple(TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics)
         self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
         self._direct = direct_topics(direct, self._topics, strip_slashes)
         # If a topic has several types, the last one counts: direct topics precede pub_sub.xml, as in a node.

@@ -29,7 +29,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 from ..foundation.errors import MessageError, beginning, counted, place_at, shortened
-from ..foundation.ros_names import plain_type, topic_fault
+from ..foundation.ros_names import ros1_type_name, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, ros2_type
 from ..messages.type_registry import Installed
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, unpack, zstd_reader
@@ -629,7 +629,7 @@ class Ros2BagReader:
                 sources[key] = types.source(connection)
             except MessageError as error:
                 problem = str(error).partition("\n")[0]  # without the source line
-                topics = unreadable.setdefault((plain_type(connection.type), problem), [])
+                topics = unreadable.setdefault((ros1_type_name(connection.type), problem), [])
                 topics.append(_quote_if_invalid(connection.topic))
         for (type_name, problem), topics in unreadable.items():
             names = f"topic{'s' if len(topics) > 1 else ''} {', '.join(sorted(topics))}"
@@ -727,7 +727,7 @@ class _Types:
     def _find_definition(self, connection: Connection) -> str:
         name, text = connection.type, connection.definition
         if not text:
-            definition = self._find(plain_type(name))
+            definition = self._find(ros1_type_name(name))
             if definition is None:
                 raise MessageError("the type is not defined in the bag or on this system")
             return definition

@@ -367,7 +367,7 @@ def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, A
         ],
         "flags": rules.flags.changed_flags(),
         "loaded": sorted(str(path) for path in rules.files.loaded),
-        "own": list(rules.files.sandbox.own),
+        "own": list(rules.files.sandbox.program_folders),
     }
 
 
@@ -395,7 +395,7 @@ def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
     for label_property in kept["properties"]:
         rules.set_property(label_property)
     for folder in kept["own"]:
-        rules.files.sandbox.add_own(folder)
+        rules.files.sandbox.add_program_folder(folder)
     return restored
 
 

@@ -17,7 +17,7 @@ def door(tmp_path):
     for name in ("read", "write", "own", "other"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text("one\r\ntwo\rthree\n")
-    made.add_own(tmp_path / "own")
+    made.add_program_folder(tmp_path / "own")
     return made
 
 
@@ -70,7 +70,7 @@ def test_what_may_be_written(door, tmp_path, monkeypatch, way):
 def test_bytes_are_characters_of_latin_1(door, tmp_path):
     path = str(tmp_path / "bytes")
     with door.loading():
-        door.add_own(tmp_path)
+        door.add_program_folder(tmp_path)
         door.begin(path, path, True)
         door.append(path, "\xff\r\n", "latin-1")
         assert door.read(path, path, "latin-1") == "\xff\r\n"

@@ -319,7 +319,7 @@ def test_names_are_relative_to_the_file_that_is_loaded_else_to_the_programs_fold
         (tmp_path / folder / f"{folder}.pl").write_text("")
     monkeypatch.chdir(tmp_path / "here")
     files = SourceFiles()
-    files.sandbox.add_own(tmp_path / "own")
+    files.sandbox.add_program_folder(tmp_path / "own")
 
     def starts_in(folder):
         assert files.absolute("../x") == str(tmp_path / "x")

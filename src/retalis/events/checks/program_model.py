@@ -402,7 +402,7 @@ class ProgramModel:
         self.goals: List[SourceTerm] = files.goals
         self.rules = [*files.rules, *_other_rules(rules, files.sources)]
         self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
-        self.declared = rules.declared.now()
+        self.declared = rules.declared.current()
         self.memories: List[EventConsumer] = []
         self.subscriptions: List[EventConsumer] = []
         self.states: List[StateDeclaration] = []

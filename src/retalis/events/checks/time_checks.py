@@ -163,7 +163,10 @@ def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):
             if isinstance(node, PairPattern) and node.operator in OPERATORS:
-                left_is_instant, right_is_instant = instants.holds(node.left), instants.holds(node.right)
+                left_is_instant, right_is_instant = (
+                    instants.is_instant(node.left),
+                    instants.is_instant(node.right),
+                )
                 if (left_is_instant or right_is_instant) and not _can_match(
                     node.operator, left_is_instant, right_is_instant
                 ):
@@ -231,12 +234,14 @@ class _Instants:
                 elif key is None:
                     self._goals.add(_ANY_EVENT)
 
-        self._known = self._instant_heads()
+        self._instant_functors = self._instant_heads()
 
-    def holds(self, pattern: Pattern) -> bool:
+    def is_instant(self, pattern: Pattern) -> bool:
         """Return whether each match of a pattern is an instant."""
         events = _alternative_events(pattern)
-        return events is not None and all(key in self._known or self._is_message(key) for key in events)
+        return events is not None and all(
+            key in self._instant_functors or self._is_message(key) for key in events
+        )
 
     def _is_message(self, key: Functor) -> bool:
         return key not in self._rules and _is_message(self._program, key)

@@ -16,9 +16,9 @@ from typing import Any, Callable, Dict, Optional, Tuple, TypeVar
 from ...foundation.errors import UsageError
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError
-from ...prolog.machine.resource_limits import Budget, keep_back
+from ...prolog.machine.resource_limits import Budget, record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
-from ...prolog.terms.term_traversal import copy, is_ground, is_plain
+from ...prolog.terms.term_traversal import copy, has_no_variables, is_ground
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from .discrimination_tree import SwitchNode
 from .listener_index import ListenerIndex, functor_of_event
@@ -178,7 +178,7 @@ class Dispatcher(ListenerIndex):
         try:
             self._budget.check_entry()
         except PrologError as error:
-            keep_back(error)
+            record_caught_error(error)
             raise UsageError(f"no more events are derived from it ({error.message})") from error
 
     def call(
@@ -342,7 +342,7 @@ class Dispatcher(ListenerIndex):
 
 def _owned_copy(term: Term) -> Tuple[Term, bool]:
     """Return an event that shares no variables, and whether it is ground."""
-    if is_plain(term):
+    if has_no_variables(term):
         return term, True
     fresh: Dict[Var, Term] = {}
     term = copy(term, fresh)

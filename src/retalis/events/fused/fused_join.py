@@ -18,7 +18,7 @@ oldest one, and a match is the only one of its key if it is its own ``older``.
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
-from ...prolog.terms.term_traversal import PLAIN
+from ...prolog.terms.term_traversal import SELF_KEYED
 from ...prolog.terms.types import EventAction, Frame, Var
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
@@ -157,7 +157,7 @@ def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> 
         "EventMatch": EventMatch,
         "OrderedEventMatch": OrderedEventMatch,
         "Match": PartialMatch,
-        "PLAIN": PLAIN,
+        "SELF_KEYED": SELF_KEYED,
         "SPARE": SPARE,
     }
 
@@ -194,7 +194,7 @@ class _ActionGenerator:
         for name, index in zip(names, indices):
             statements += [
                 f"{name} = term[{index + 1}]" if self.values_are_arguments else f"{name} = values[{index}]",
-                Block(f"if {name}.__class__ not in PLAIN:", [self.general_path]),
+                Block(f"if {name}.__class__ not in SELF_KEYED:", [self.general_path]),
             ]
         return statements if len(indices) == 1 else [*statements, f"key = {tuple_source(names)}"]
 
@@ -293,7 +293,7 @@ class _ActionGenerator:
                 if conditions_ran
                 else f"{self.queue}.append(match)"
             ]
-        sweep_test = "stored_count > rule.sweep_at or " if self.rule.sweeps_ruled_out else ""
+        sweep_test = "stored_count > rule.sweep_threshold or " if self.rule.sweeps_ruled_out else ""
         return [
             "is_only_match = key not in own_newest",
             *creation,

@@ -219,7 +219,7 @@ def question_action(
         general_path: creates the event and dispatches it.
         meter: counts the pattern work of the rule; see `Budget.meter`.
     """
-    event_filter, ground, at_once = (
+    event_filter, ground, max_depth = (
         dispatcher.event_filter(key),
         dispatcher.ground,
         dispatcher.max_recursive_depth,
@@ -235,7 +235,7 @@ def question_action(
             plan = dispatcher.plan(key)
         if (
             context is None
-            or context[DEPTH] >= at_once
+            or context[DEPTH] >= max_depth
             or plan.__class__ is not tuple
             or len(plan) != 1
             or not (context[GROUND] and ground_count == len(values))

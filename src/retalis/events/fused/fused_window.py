@@ -10,7 +10,7 @@ from heapq import heappush
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
 
 from ...foundation.codegen import Block, Statement, shared_function, source_of, tuple_source
-from ...prolog.terms.term_traversal import PLAIN, term_key
+from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from ...prolog.terms.types import EventAction
 from ..streams.running_statistics import LazyMinHeap
 from ..streams.stream_operator import StreamElement
@@ -177,7 +177,7 @@ def fused_window(
         "too_large": too_large,
         "new": object.__new__,
         "StreamElement": StreamElement,
-        "PLAIN": PLAIN,
+        "SELF_KEYED": SELF_KEYED,
         "term_key": term_key,
         "heappush": heappush,
         "KeyError": KeyError,
@@ -311,7 +311,7 @@ def _value_statements(window: FusedWindow, values_are_arguments: bool) -> List[S
     for number, (key, position) in enumerate(zip(keys, window.groups)):
         statements += [
             f"k{number} = {key} = {value(position)}",
-            Block(f"if k{number}.__class__ not in PLAIN:", [f"{key} = term_key(k{number})"]),
+            Block(f"if k{number}.__class__ not in SELF_KEYED:", [f"{key} = term_key(k{number})"]),
         ]
     if len(keys) != 1:
         statements.append(f"key = {tuple_source(keys)}")

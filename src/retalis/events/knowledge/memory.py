@@ -18,7 +18,7 @@ from itertools import count
 from typing import AbstractSet, Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
 
 from ...prolog.machine.errors import PrologError, instantiation_error, type_error
-from ...prolog.machine.resource_limits import keep_back
+from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import conjunction, list_items
 from ...prolog.terms.term_traversal import freeze, is_ground, term_key, variables
@@ -118,7 +118,7 @@ def compile_recording(
             solution = test(values) if ground else test_open(values)
         except PrologError as error:
             dispatcher.restore(event, dispatcher.cause)
-            if keep_back(error):
+            if record_caught_error(error):
                 warn(f"{name}: event {logic.brief(term)}: {error}", name)
             return None
         if solution is None:

@@ -38,7 +38,7 @@ from ...foundation.codegen import shared_function
 from ...foundation.errors import Place, UsageError
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError
-from ...prolog.machine.resource_limits import keep_back
+from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
@@ -293,7 +293,7 @@ class TriggeredQuery:
             return frame
 
     def _warn_of_error(self, values: Values, error: PrologError) -> None:
-        if not keep_back(error):
+        if not record_caught_error(error):
             return
         event = self.event(values)
         self._context.warn(

@@ -27,7 +27,7 @@ from typing import (
 )
 
 from ...foundation.errors import Place, RuleError, UsageError, counted
-from ...foundation.ros_names import plain_fault
+from ...foundation.ros_names import name_fault
 from ...messages.type_definition import Field, type_name
 from ...prolog.terms.list_terms import list_parts
 from ...prolog.terms.term_traversal import is_ground
@@ -78,7 +78,7 @@ def has_fixed_meaning(name: str) -> bool:
 
 def event_name_error(name: str) -> Optional[str]:
     """Return the reason why the events of a topic cannot have a name, or None."""
-    error = plain_fault(name)
+    error = name_fault(name)
     if error is not None:
         return error
     if not name[0].islower():
@@ -508,18 +508,16 @@ class VariableTypes:
 
     def clash(self, var: Term, value_type: ValueType, subject: str) -> str:
         """Record a type of a variable, and return an error if another occurrence excludes it, else ""."""
-        known_type, known_subject = self._value_type_notations.setdefault(var, (value_type, subject))
+        previous_type, previous_subject = self._value_type_notations.setdefault(var, (value_type, subject))
         # The narrowest type is kept: a variable that is a number in one event and an integer in another one is an
         # integer, and must be compared as such with the next occurrence.
-        if value_type.forms < known_type.forms:
+        if value_type.forms < previous_type.forms:
             self._value_type_notations[var] = (value_type, subject)
-        if not self._reports_clashes or not known_type.excludes(value_type):
+        if not self._reports_clashes or not previous_type.excludes(value_type):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
-        known_text = f"{known_type.description} ({known_subject})"
-        return (
-            f"{name} is {known_text} and, here, {value_type.description} ({subject}): these are never equal"
-        )
+        previous_text = f"{previous_type.description} ({previous_subject})"
+        return f"{name} is {previous_text} and, here, {value_type.description} ({subject}): these are never equal"
 
 
 def head_event(parent: CompoundTerm, number: int) -> EventTerm:

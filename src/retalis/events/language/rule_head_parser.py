@@ -89,11 +89,11 @@ def is_rule(term: Term) -> bool:
         return False
     if term[0] is RULE or term[0] is COLON:
         label, unlabelled = split_label(term)
-        return label is not None and is_plain_rule(unlabelled)
-    return is_plain_rule(term)
+        return label is not None and is_unlabelled_rule(unlabelled)
+    return is_unlabelled_rule(term)
 
 
-def is_plain_rule(term: Term) -> bool:
+def is_unlabelled_rule(term: Term) -> bool:
     """Return whether a term is an event rule without a label."""
     return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
 
@@ -114,7 +114,7 @@ def split_label(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
 
 def label_error(term: CompoundTerm, place_of: PlaceLookup) -> Optional[RuleError]:
     """Return the error in the label of a rule, or None."""
-    if not is_plain_rule(deref(term[2])) or split_label(term)[0] is not None:
+    if not is_unlabelled_rule(deref(term[2])) or split_label(term)[0] is not None:
         return None
     label = deref(term[1])
     # A variable is a plausible mistake: a label in upper case.

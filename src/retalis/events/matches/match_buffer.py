@@ -16,7 +16,7 @@ every partner.
 import heapq
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
 
-from ...prolog.terms.term_traversal import PLAIN, freeze
+from ...prolog.terms.term_traversal import SELF_KEYED, freeze
 from ...prolog.terms.types import Values
 from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex, TimeBounds
 from .partial_matches import EventMatch, PartialMatch
@@ -408,6 +408,6 @@ def key_function(positions: Tuple[int, ...]) -> Callable[[Values], Hashable]:
 
     def key(values: Values) -> Hashable:
         value = values[position]
-        return value if value.__class__ in PLAIN else freeze(value)
+        return value if value.__class__ in SELF_KEYED else freeze(value)
 
     return key

@@ -129,7 +129,8 @@ class EventRule:
         allowed: largest time stamp that is known to be allowed to advance its clock.
         completion: receives the values of complete matches, if nothing is tracked.
         expiries: stored matches by expiration.
-        sweep_at: number of stored matches above which `remove_excess` continues to remove matches that are ruled out.
+        sweep_threshold: number of stored matches above which `remove_excess` continues to remove matches that are
+            ruled out.
     """
 
     def __init__(self, network: "RuleBase", definition: RuleDefinition, serial: int, name: str):
@@ -161,12 +162,12 @@ class EventRule:
         self.arrivals: Deque[PartialMatch] = deque()
         self._visited = 0
         self.expiries = StartExpirationQueue(None)
-        self.sweep_at = _NO_SWEEP
+        self.sweep_threshold = _NO_SWEEP
         self._sweeping = False
         self._sweeps: List[RuledOutSweep] = []
         self._visits_remain = False
         self._span: Optional[int] = None
-        self._collected_at: Optional[int] = None
+        self._last_collection: Optional[int] = None
         self._garbage: Optional[Tuple[int, int]] = None
         self._by_end = ExpirationQueue()
         self.listeners: List[Listener] = []
@@ -271,7 +272,7 @@ class EventRule:
                 *(firings.number, firings.last, firings.errors),
                 *(self.dropped, self.alarms_dropped, self.alarms_past, self.late),
             ),
-            (self.clock, int(self.order), self._collected_at),
+            (self.clock, int(self.order), self._last_collection),
             [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
             (
                 stored,
@@ -288,7 +289,7 @@ class EventRule:
         firings = self.firings
         firings.number, firings.last, firings.errors = state.counts[:3]
         self.dropped, self.alarms_dropped, self.alarms_past, self.late = state.counts[3:]
-        self.clock, self.order, self._collected_at = state.times
+        self.clock, self.order, self._last_collection = state.times
         if self.skipping is not None and state.skipped is not None:
             self.skipping.restore(state.skipped)
         class_names = [type(node).__name__ for node, _, _ in self.nodes]
@@ -421,7 +422,7 @@ class EventRule:
         if self.skipping is not None:
             self.skipping.clear()
         self.clock = self.allowed = _BEFORE_ALL_INSTANTS
-        self._collected_at = None
+        self._last_collection = None
 
     def clear_matches(self) -> None:
         """Remove all partial matches, runs and negated matches."""
@@ -476,11 +477,11 @@ class EventRule:
     def _collect_garbage(self, window: int, step: int) -> None:
         """Remove the matches that ended before the window of garbage control, at most once per step."""
         clock = self.clock
-        if self._collected_at is None:
-            self._collected_at = clock
-        if clock - self._collected_at < step:
+        if self._last_collection is None:
+            self._last_collection = clock
+        if clock - self._last_collection < step:
             return
-        self._collected_at = clock
+        self._last_collection = clock
         for match in self._by_end.pop_expired(clock - window):
             if match.latest_end < clock - window:
                 match.leave()
@@ -496,19 +497,19 @@ class EventRule:
         if self._tracks_stored:
             self._track_stored(match, span)
         number = self.waiting
-        if number > self.sweep_at or number > self.network.cap or len(arrivals) > 2 * number + SPARE:
+        if number > self.sweep_threshold or number > self.network.cap or len(arrivals) > 2 * number + SPARE:
             self.remove_excess()
 
     def remove_excess(self) -> None:
         """Drop the oldest match if there are too many; remove stale entries if they are the larger part."""
         max_entries = 2 * self.waiting + SPARE
-        if self.waiting > self.sweep_at or (self._sweeping and len(self.arrivals) > max_entries):
+        if self.waiting > self.sweep_threshold or (self._sweeping and len(self.arrivals) > max_entries):
             self._sweep()
         elif len(self.arrivals) > max_entries:
             self._visited = remove_stale_entries(self.arrivals, self._visited) or 0
             # Fewer matches are stored than at the last pass, so the next one begins earlier.
             if self._sweeps:
-                self.sweep_at = min(self.sweep_at, 2 * (self.waiting + SPARE))
+                self.sweep_threshold = min(self.sweep_threshold, 2 * (self.waiting + SPARE))
         if self.waiting > self.network.cap:
             self._drop_oldest()
         if len(self.expiries) > max_entries:
@@ -535,7 +536,7 @@ class EventRule:
         ):
             self._end_sweep()
         else:
-            self.sweep_at = self.waiting + _MATCHES_PER_SWEEP_STEP
+            self.sweep_threshold = self.waiting + _MATCHES_PER_SWEEP_STEP
 
     def _visit(self, match: PartialMatch) -> None:
         for sweep in self._sweeps:
@@ -546,7 +547,7 @@ class EventRule:
         self._sweeping = self._visits_remain = False
         for sweep in self._sweeps:
             sweep.begin(self.order)
-        self.sweep_at = 2 * (self.waiting + SPARE) if self._sweeps else _NO_SWEEP
+        self.sweep_threshold = 2 * (self.waiting + SPARE) if self._sweeps else _NO_SWEEP
 
     def _track_stored(self, match: PartialMatch, span: Optional[int]) -> None:
         """Enter a stored match into the expiration queues, and register it with the events that it contains."""

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol,
 from ...foundation.errors import RuleError
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError, resource_error
-from ...prolog.machine.resource_limits import keep_back
+from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, deref, functor
@@ -378,7 +378,7 @@ class Evaluators:
             try:
                 solution = goal[0].test((term,))
             except PrologError as error:
-                keep_back(error)
+                record_caught_error(error)
                 raise RuleError(f"{unsuitable_value(aggregate, term).message}: {error.message}") from error
             if solution is None:
                 raise unsuitable_value(aggregate, term)
@@ -394,7 +394,7 @@ class Evaluators:
             try:
                 return compiled.test(values) is not None
             except PrologError as error:
-                keep_back(error)
+                record_caught_error(error)
                 raise RuleError(f"{called}: {error.message}") from error
 
         return is_satisfied
@@ -421,7 +421,7 @@ class Evaluators:
                     current = None if current is None else step.test((element, current[0]))
                 result = None if current is None else show.test((current[0],))
             except PrologError as error:
-                keep_back(error)
+                record_caught_error(error)
                 raise RuleError(f"aggregate fold: {error.message}") from error
             return None if result is None else result[0]
 

@@ -75,7 +75,7 @@ class KleeneValues(NetworkNode):
         fixed: those of them that have one value in a run, because they are used elsewhere in the rule.
     """
 
-    _found: Callable[[Values], Values]
+    _computed_values: Callable[[Values], Values]
     """Returns the values that are computed here and not passed on."""
 
     def __init__(self, first: NetworkNode, repeated: NetworkNode):
@@ -121,22 +121,22 @@ class KleeneValues(NetworkNode):
         self.aggregate = aggregate
         self.empty = None if aggregate is None else aggregate.start
         self.fixed = [var for var in self.step_vars if var in outside and var not in first_var_set]
-        self.fixed_at = [of_step[var] for var in self.fixed]
+        self.fixed_positions = [of_step[var] for var in self.fixed]
         self.items = items
         self._same_at = len(first_vars)
         result_vars = [*first_vars, *self.fixed]
         if items is not None:
             given_vars = set(result_vars)
             items.names = [var for var in self.step_vars if var not in given_vars]
-            self._items_at = [of_step[var] for var in items.names]
+            self._item_positions = [of_step[var] for var in items.names]
             result_vars.insert(self._same_at, items.var)
             self._same_at += 1
         places = positions(result_vars)
-        self._open_at = [places[var] for var in self.open_vars]
+        self._open_positions = [places[var] for var in self.open_vars]
         if aggregate is not None and result is not None:
             self.result_is_open = result.__class__ is Var and result not in places
             self.result_new = [var for var in variables(result) if var not in places]
-            self._result_at = len(result_vars)
+            self._result_position = len(result_vars)
             result_vars += self.result_new
             self.make_result = compile_builder(result, result_vars, "result of an aggregate")
         self.vars = result_vars
@@ -198,7 +198,7 @@ class KleeneValues(NetworkNode):
                 result_values = test(result_values, start, end)
             if result_values is None:
                 return None
-        computed_values = ComputedValues(self._found(result_values))
+        computed_values = ComputedValues(self._computed_values(result_values))
         event = run.event if run.fixed_values is None else None
         # The `TrackedMatch` is needed even if it is empty: with one part, the match would look like a condition
         # around its start.
@@ -207,7 +207,7 @@ class KleeneValues(NetworkNode):
     def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
-        for var, position in zip(run.free_vars, self._open_at):
+        for var, position in zip(run.free_vars, self._open_positions):
             unify(var, values[position], trail)
         bound = tuple([resolve(element) for element in values]), resolve(value)
         undo(trail, 0)
@@ -216,7 +216,7 @@ class KleeneValues(NetworkNode):
     def _with_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result in the place of its variables in the values."""
         if self.result_is_open:
-            position = self._result_at
+            position = self._result_position
             return (*values[:position], value, *values[position + 1 :])
         return self._unify_result(values, value)
 
@@ -269,7 +269,7 @@ class KleeneNode(KleeneValues):
         self.incoming = MatchBuffer(rule, tuple(repeated_position for _, repeated_position in self.pairs))
         self.step_tests: List[Test] = []
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
-        self._step_at = [position for position, var in enumerate(repeated.vars) if var not in in_first]
+        self._step_positions = [position for position, var in enumerate(repeated.vars) if var not in in_first]
         self.retained_matches = RetainedMatches(self.incoming)
 
     def buffers(self) -> Sequence[Buffer]:
@@ -313,7 +313,7 @@ class KleeneNode(KleeneValues):
         self.incoming.set_identity_function(
             self._repeated_name if policy.replacing and not self.retains_right else None
         )
-        self._found = computed_values_getter(self.vars, self._same_at, self._shared_vars)
+        self._computed_values = computed_values_getter(self.vars, self._same_at, self._shared_vars)
         self.out = out
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
         # ones.
@@ -450,7 +450,9 @@ class KleeneNode(KleeneValues):
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
-        step: Any = values + tuple([match.values[position] for position in self._step_at]) + run.free_vars
+        step: Any = (
+            values + tuple([match.values[position] for position in self._step_positions]) + run.free_vars
+        )
         for test in self.step_tests:
             step = test(step, match.start, match.end)
             if step is None:
@@ -480,14 +482,14 @@ class KleeneNode(KleeneValues):
         self, run: Run, match: PartialMatch, values: Values, step: Values, last: int
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Add a repetition to a run if the values together satisfy the tests; return as `extend`."""
-        fixed: Any = tuple([step[position] for position in self.fixed_at])
+        fixed: Any = tuple([step[position] for position in self.fixed_positions])
         if run.fixed_values is not None:
             fixed = unify_values(run.fixed_values, fixed)
             if fixed is None:
                 return False, None
         items: Term = NO_ITEMS
         if self.items is not None:
-            items = append_item(run.items, tuple([step[position] for position in self._items_at]))
+            items = append_item(run.items, tuple([step[position] for position in self._item_positions]))
         fitted = self._fit(values, items, fixed, run.start, last)
         if fitted is None:
             return False, None

@@ -356,12 +356,12 @@ class OrNode(NetworkNode):
 
     def __init__(self, children: Sequence[NetworkNode], shared_vars: AbstractSet[Var]):
         self.children = children
-        kept_vars: Dict[Var, None] = {}
+        shared: Dict[Var, None] = {}
         for child in children:
             for var in child.vars:
                 if var in shared_vars:
-                    kept_vars.setdefault(var)
-        self.vars = list(kept_vars)
+                    shared.setdefault(var)
+        self.vars = list(shared)
 
     def bind(self, out: Emit, mode: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""

@@ -107,8 +107,8 @@ class RepeatNode(NetworkNode):
         self.vars = [var for var in child.vars if var in shared_vars]
         self._names = named(child.vars), named(self.vars)
         place_of = positions(child.vars)
-        self._kept = tuple([place_of[var] for var in self.vars])
-        self._key = key_function(self._kept)
+        self._shared_positions = tuple([place_of[var] for var in self.vars])
+        self._key = key_function(self._shared_positions)
         self._buffers: Dict[int, MatchBuffer] = {}
         self._separate: Dict[Hashable, Dict[int, None]] = {}
         self._join_nodes: List[JoinNode] = []
@@ -183,7 +183,7 @@ class RepeatNode(NetworkNode):
         return (
             cursor.values
             if cursor.prefix_length > 1
-            else tuple([cursor.values[position] for position in self._kept])
+            else tuple([cursor.values[position] for position in self._shared_positions])
         )
 
     def _arrive(self, match: PartialMatch, frame: Frame) -> Frame:
@@ -291,7 +291,7 @@ class RepeatNode(NetworkNode):
             values = (
                 sequence.values
                 if length > 1
-                else tuple([sequence.values[position] for position in self._kept])
+                else tuple([sequence.values[position] for position in self._shared_positions])
             )
             slices = BufferSlice((*slices_of(sequence, length), (SharedLog([match]), 0, 1)))
             longer = PartialMatch(values, sequence.start, match.end, None, None, (slices,))
@@ -352,7 +352,7 @@ class RepeatNode(NetworkNode):
     def _buffer(self, length: int) -> MatchBuffer:
         buffer = self._buffers.get(length)
         if buffer is None:
-            shared = self._kept if length == 1 else tuple(range(len(self._kept)))
+            shared = self._shared_positions if length == 1 else tuple(range(len(self._shared_positions)))
             buffer = self._buffers[length] = MatchBuffer(self.rule, shared)
             buffer.retention = self.limit
             buffer.is_negated = self.is_negated

@@ -66,11 +66,11 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-GivenGoal = Callable[[Term, Sequence[Var], str], GoalTest]
+GoalTestFactory = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def compile_row_pattern(form: WindowSpec, before: int, goal_test: GivenGoal) -> RowPatternNFA:
+def compile_row_pattern(form: WindowSpec, before: int, goal_test: GoalTestFactory) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:

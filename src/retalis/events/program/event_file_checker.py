@@ -46,8 +46,8 @@ from ..language.rule_head_parser import (
     TIMER,
     Property,
     check_head,
-    is_plain_rule,
     is_rule,
+    is_unlabelled_rule,
     label_error,
     sets_timer,
     split_label,
@@ -228,7 +228,7 @@ class FileChecker:
             error = label_error(term, lambda part, number=0: place_of(part, number) or place)
             if error is not None:
                 raise error
-            if head is RULE or _holds_label(deref(term[2])):
+            if head is RULE or _is_labelled(deref(term[2])):
                 self._warn(
                     "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
                 )
@@ -423,7 +423,7 @@ def reread_rule(
     Raises:
         RuleError: if the term is not a rule, or the rule cannot fire.
     """
-    if not is_plain_rule(term):
+    if not is_unlabelled_rule(term):
         raise RuleError("expected an event rule", place)
     return FileChecker().definition(term, label, nowhere, place, names)
 
@@ -433,7 +433,7 @@ def nowhere(part: Term, number: int = 0) -> Optional[Place]:
     return None
 
 
-def _holds_label(term: Term) -> bool:
+def _is_labelled(term: Term) -> bool:
     """Return whether a term has the form of a label followed by something."""
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 

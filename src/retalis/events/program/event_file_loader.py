@@ -123,7 +123,7 @@ class CheckedProgram(NamedTuple):
     path: Optional[Path] = None
 
     @property
-    def may_stop_half_way(self) -> bool:
+    def can_fail_partially(self) -> bool:
         """True if an error can occur after a part has taken effect; not for rules, labels, or a single clause."""
         kinds = [step.kind if isinstance(step, FileEntry) else "" for step in self.steps]
         return kinds != ["clause"] and any(step_kind != "property" for step_kind in kinds)
@@ -211,7 +211,7 @@ class EventFileLoader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `RuleBase.load_terms`."""
         logic = self._rules.logic
-        reading = self._start_reading(FileChecker(logic.brief, self._rules.declared.now()), Errors())
+        reading = self._start_reading(FileChecker(logic.brief, self._rules.declared.current()), Errors())
         for term, place in terms:
             name = included(term)
             if name is None:
@@ -227,7 +227,7 @@ class EventFileLoader:
             ProgramErrors: all errors; nothing is active.
         """
         rules = self._rules
-        checker = FileChecker(declared=rules.declared.now())
+        checker = FileChecker(declared=rules.declared.current())
         checker.read(read)
         # `preparing` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
@@ -246,7 +246,7 @@ class EventFileLoader:
     def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:
         if not is_event_file(text, self._rules.logic, self._open_included):
             return CheckedProgram([Consulted(text, source)], [], [])
-        reading = self._start_reading(FileChecker(declared=self._rules.declared.now()), errors)
+        reading = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
         self._read(read_program(text, reading.operators, source, OF_FILES), reading)
         errors.extend(reading.conditions.unclosed())
         return self._check_contents(reading.checker, errors)
@@ -394,7 +394,7 @@ class EventFileLoader:
                 # A full copy of the clause sets costs time in proportion to the program, so it is made only if
                 # necessary.
                 raise ProgramErrors(_sort_errors(errors))
-            if checked.may_stop_half_way:
+            if checked.can_fail_partially:
                 rollback = LoadRollback(self._rules)
                 self._rollbacks.append(rollback)
             self._activate(checked)

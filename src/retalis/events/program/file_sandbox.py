@@ -49,7 +49,7 @@ class FileSandbox:
     def __init__(self) -> None:
         self.max_bytes = 100 * MEGABYTE
         self.is_loading = False
-        self._own_folders: List[str] = []
+        self._program_folders: List[str] = []
         self._read_folders: Folders = []
         self._write_folders: Folders = []
 
@@ -74,15 +74,15 @@ class FileSandbox:
         self.max_bytes = max_bytes
 
     @property
-    def own(self) -> Tuple[str, ...]:
+    def program_folders(self) -> Tuple[str, ...]:
         """Own folders of the program."""
-        return tuple(self._own_folders)
+        return tuple(self._program_folders)
 
-    def add_own(self, folder: FolderName) -> None:
+    def add_program_folder(self, folder: FolderName) -> None:
         """Register a folder as the program's own."""
         real_path = os.path.realpath(folder)
-        if real_path not in self._own_folders:
-            self._own_folders.append(real_path)
+        if real_path not in self._program_folders:
+            self._program_folders.append(real_path)
 
     @contextmanager
     def loading(self) -> Iterator[None]:
@@ -99,7 +99,9 @@ class FileSandbox:
 
         Goals that may read everywhere, for example at a console, also start in the working directory.
         """
-        return self._own_folders[0] if self._own_folders and self._readable_folders is not None else ""
+        return (
+            self._program_folders[0] if self._program_folders and self._readable_folders is not None else ""
+        )
 
     @property
     def output(self) -> str:
@@ -110,7 +112,7 @@ class FileSandbox:
         """
         if self._write_folders is None:
             return ""
-        folders = [*self._write_folders, *(self._own_folders if self.is_loading else ())]
+        folders = [*self._write_folders, *(self._program_folders if self.is_loading else ())]
         if not folders:
             raise UsageError("there is no folder that goals may write to")
         folder: str = folders[0]
@@ -233,14 +235,14 @@ class FileSandbox:
         if self.is_loading or self._read_folders is None or self._write_folders is None:
             return None
         # Permission to write everywhere includes reading everywhere.
-        return [*self._own_folders, *self._read_folders, *self._write_folders]
+        return [*self._program_folders, *self._read_folders, *self._write_folders]
 
     @property
     def _writable_folders(self) -> Folders:
         return (
             None
             if self._write_folders is None
-            else [*self._write_folders, *(self._own_folders if self.is_loading else ())]
+            else [*self._write_folders, *(self._program_folders if self.is_loading else ())]
         )
 
 

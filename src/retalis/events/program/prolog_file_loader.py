@@ -143,7 +143,7 @@ class _PrologFile:
         self._omitted = _Omissions(rules.on_warning, None)
         self._conditions = ConditionalCompilation(self._condition_holds)
         self._expansion = TermExpansion(rules.logic)
-        self._checker = FileChecker(rules.logic.brief, rules.declared.now())
+        self._checker = FileChecker(rules.logic.brief, rules.declared.current())
         self._final_entries: List[FileEntry] = []
 
     def load(self, file: Consulted) -> None:

@@ -22,7 +22,7 @@ from ...foundation.errors import (
     printable,
     undecodable,
 )
-from ...foundation.ros_names import plain_type, topic_fault, type_fault
+from ...foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..language.event_declarations import event_name_error
 
 GOALS = "goalPredicates.txt"
@@ -68,7 +68,7 @@ def topic_type(topic: str, message_type: str) -> TopicType:
     Raises:
         UsageError: if the name or type is invalid in ROS.
     """
-    message_type = plain_type(message_type)
+    message_type = ros1_type_name(message_type)
     fault = topic_fault(topic) or type_fault(message_type)
     if fault is not None:
         raise UsageError(fault)

@@ -45,21 +45,21 @@ class EventTypes:
         self._clause_count = self._dead_count = 0
         self._read: Dict[Clause, List[Declaration]] = {}
         self._strict = False
-        self._known = Declarations(logic.brief)
+        self._current = Declarations(logic.brief)
         self.in_use = False
         self._is_external_event = is_external_event
         logic.define(DECLARE_EVENT.name, 1, self._declare)
 
-    def now(self) -> Declarations:
+    def current(self) -> Declarations:
         """Return a copy of the present declarations; additions to it have no effect on others."""
         return Declarations(
             self._logic.brief,
-            self._found(),
+            self._read_clauses(),
             self._flags.get(UNDECLARED.name) is STRICTLY,
             self._needs_no_declaration,
         )
 
-    def _found(self) -> Iterable[Declaration]:
+    def _read_clauses(self) -> Iterable[Declaration]:
         predicate = self._logic.database.predicates.get(_DECLARED)
         # The new dictionary keeps only clauses that still exist.
         previous, self._read = self._read, {}
@@ -74,7 +74,7 @@ class EventTypes:
         return key in _ALWAYS_DECLARED or type_name(key.name) is not None or self._is_external_event(key)
 
     def _declare(self, machine: Machine, declared: Term) -> bool:
-        declarations = self.now()
+        declarations = self.current()
         goal = (DECLARE_EVENT, deref(declared))
         try:
             for declaration, _ in parse_declarations(goal, nowhere):
@@ -111,8 +111,8 @@ class EventTypes:
                 dead,
                 strict,
             )
-            self._known = self.now()
-        return self._known.refusal(term)
+            self._current = self.current()
+        return self._current.refusal(term)
 
     def require(self, pattern: Term) -> None:
         """Check a pattern or event in a goal.

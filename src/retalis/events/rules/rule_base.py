@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...foundation.errors import Place, RetalisError, RuleError
-from ...prolog.machine.resource_limits import keep_back
+from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.timestamps import SECOND, from_seconds
@@ -193,7 +193,7 @@ class RuleBase:
         """
         with self.files.loading():
             resolved = self.files.resolve(path)
-            self.files.sandbox.add_own(resolved.parent)
+            self.files.sandbox.add_program_folder(resolved.parent)
             self.loader.load_file(resolved)
 
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
@@ -511,7 +511,7 @@ class RuleBase:
     def goal_failed(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
         """Report an error of a goal of a rule."""
         # Only the first goals over a limit are reported one by one; the others are counted, see `Budget`.
-        if keep_back(error):
+        if record_caught_error(error):
             goal_text = self.logic.brief(goal, names=rule.definition.names)
             self.rule_failed(rule, RuleError(f"goal {goal_text}: {error.message}"))
 

@@ -9,7 +9,7 @@ import heapq
 from collections import OrderedDict
 from typing import Dict, Hashable, List, Tuple
 
-from ...prolog.terms.term_traversal import PLAIN, term_key
+from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
 
 
@@ -111,7 +111,7 @@ class DistinctUntilChanged(KeyedOperator):
     def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         term = item.values[0]
-        value: Hashable = term if term.__class__ in PLAIN else term_key(term)
+        value: Hashable = term if term.__class__ in SELF_KEYED else term_key(term)
         end, key, states = item.end, item.key, self.states
         if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
             self.clock = end

@@ -10,7 +10,7 @@ from typing import Any, Callable, Hashable, List, NamedTuple, Optional, Protocol
 
 from ...foundation.errors import RuleError
 from ...prolog.machine.resource_limits import Meter
-from ...prolog.terms.term_traversal import PLAIN, term_key
+from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from ...prolog.terms.types import Values
 
 
@@ -41,7 +41,7 @@ class StreamElement:
         if len(by) == 1:
             # Plain terms are their own keys, which saves a call for the most frequent case, one key term.
             single = by[0]
-            self.key: Hashable = single if single.__class__ in PLAIN else term_key(single)
+            self.key: Hashable = single if single.__class__ in SELF_KEYED else term_key(single)
         else:
             self.key = tuple([term_key(value) for value in by])
 

@@ -16,7 +16,7 @@ from ..database.control_constructs import add_arguments, check_body
 from ..machine.arithmetic import evaluate
 from ..machine.errors import PrologError, domain_error, instantiation_error, type_error
 from ..machine.machine import Code, Guard, Machine
-from ..machine.resource_limits import Budget, LimitPassed, keep_back
+from ..machine.resource_limits import Budget, LimitPassed, record_caught_error
 from ..terms.term_traversal import copy, term_key, variables
 from ..terms.types import (
     COLON,
@@ -354,12 +354,12 @@ class _Cleanup:
         try:
             machine.logic.once(self.goal)
         except PrologError as error:
-            if keep_back(error):
+            if record_caught_error(error):
                 try:
                     machine.logic.error_output(f"Warning: cleanup: {error.message}\n")
                 except PrologError as output_error:
                     # The limit of output has been exceeded; the error is stored until the machine can raise it.
-                    keep_back(output_error)
+                    record_caught_error(output_error)
         undo(machine.trail, mark)
 
     if not PYPY:  # PyPy calls finalizers at an arbitrary time

@@ -34,7 +34,7 @@ from ..database.predicate import Predicate
 from ..machine.errors import domain_error, instantiation_error, type_error, uninstantiation_error
 from ..machine.machine import Code, Guard, Machine
 from ..terms.list_terms import conjunction
-from ..terms.term_traversal import PLAIN, copy, is_plain, term_key, variables
+from ..terms.term_traversal import SELF_KEYED, copy, has_no_variables, term_key, variables
 from ..terms.types import SLASH, Atom, CompoundTerm, Frame, Functor, Term, Values, Var, atom, deref, functor
 from ..terms.unification import compare, unify
 from .argument_checks import natural
@@ -371,7 +371,7 @@ class Tables:
             for arg in frame[1:-1]:
                 while arg.__class__ is Var and arg.ref is not None:
                     arg = arg.ref
-                if arg.__class__ in PLAIN:
+                if arg.__class__ in SELF_KEYED:
                     key.append(arg)
                 elif arg.__class__ is Var and arg not in free:
                     free.append(arg)
@@ -502,7 +502,7 @@ class Tables:
             value: Any = var.ref
             while value.__class__ is Var and value.ref is not None:
                 value = value.ref
-            if value.__class__ not in PLAIN:
+            if value.__class__ not in SELF_KEYED:
                 whole = copy((_ANSWER, *free))
                 key = term_key(whole)
                 answer = whole[1:]
@@ -513,7 +513,7 @@ class Tables:
         if key not in table.known:
             self._store_answer(table, key, answer)
             if key is not answer and table.ground:
-                table.ground = all(map(is_plain, answer))
+                table.ground = all(map(has_no_variables, answer))
 
     def _combine(self, frame: Frame) -> Optional[Frame]:
         """Store an answer of a moded table, or combine it with the answer that is equal in the other arguments."""
@@ -525,7 +525,7 @@ class Tables:
         index = table.known.get(key)
         if index is None:
             self._store_answer(table, key, answer)
-            table.ground = table.ground and all(map(is_plain, answer))
+            table.ground = table.ground and all(map(has_no_variables, answer))
             return None
         merged = list(answer)
         goals = []
@@ -547,7 +547,7 @@ class Tables:
         answer = copy((_ANSWER, *merged))
         index = table.known[key]
         if term_key(answer) != term_key((_ANSWER, *table.answers[index])):
-            table.ground = table.ground and is_plain(answer)
+            table.ground = table.ground and has_no_variables(answer)
             if grows:
                 table.answers[index] = None
                 self._store_answer(table, key, answer[1:])

@@ -198,7 +198,7 @@ class LimitPassed(LimitError):
             raise self
 
 
-def keep_back(error: Exception) -> bool:
+def record_caught_error(error: Exception) -> bool:
     """Record that the caller catches an error and continues.
 
     The limit of an outer call ends that call later. If the entry has exceeded a limit, its further goals are refused.

@@ -66,7 +66,7 @@ def keep_logic(logic: PrologSystem) -> KeptLogic:
     return KeptLogic(
         logic.operators.changes(),
         tables.declarations(),
-        [_kept(predicate) for predicate in predicates],
+        [_clauses_of(predicate) for predicate in predicates],
         [predicate.functor for predicate in predicates if predicate.incremental],
     )
 
@@ -96,7 +96,7 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
     ]
 
 
-def _kept(predicate: Predicate) -> KeptClauses:
+def _clauses_of(predicate: Predicate) -> KeptClauses:
     clauses = [(clause.head, clause.body, clause.place) for clause in predicate.active_clauses()]
     return (
         predicate.functor,

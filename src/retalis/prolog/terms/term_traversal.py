@@ -212,7 +212,7 @@ def are_ground(values: Sequence[Term]) -> bool:
     return True
 
 
-def is_plain(term: Term) -> bool:
+def has_no_variables(term: Term) -> bool:
     """Return whether a term has no variable at all, bound or unbound, so that it need not be resolved."""
     if term.__class__ is not tuple:
         return term.__class__ is not Var
@@ -304,7 +304,7 @@ def _follow(term: Term) -> Term:
 
 def resolve(term: Term) -> Term:
     """Return ``term`` with all bound variables replaced by their values."""
-    return term if is_plain(term) else rebuild(term, _same)
+    return term if has_no_variables(term) else rebuild(term, _same)
 
 
 def _same(var: Var) -> Term:
@@ -440,17 +440,17 @@ def freeze(term: Term) -> Hashable:
     raise TermTooLarge
 
 
-PLAIN = frozenset((Atom, int, String))
+SELF_KEYED = frozenset((Atom, int, String))
 """Classes of terms that are their own keys."""
 
 
 def term_key(term: Term) -> Hashable:
     """Return a hashable key of any term. Two keys are equal if and only if the terms are variants of each other."""
-    if term.__class__ in PLAIN:
+    if term.__class__ in SELF_KEYED:
         return term
     if term.__class__ is tuple:
         for item in term[1:]:
-            if item.__class__ not in PLAIN:
+            if item.__class__ not in SELF_KEYED:
                 if item.__class__ is Var and item.ref is None:
                     return variant_key(term)
                 break
