@@ -769,7 +769,7 @@ def _idl_error(name: str, text: str, error: Exception) -> MessageError:
     expected = " or ".join(sorted(re.findall(r"'[^']*'|/[^/]*/", match["expected"] or ""))) or "IDL"
     return MessageError(
         f"its definition in IDL cannot be parsed: expected {beginning(expected)}",
-        place_at(plain_type(name), text, min(int(match["offset"]), len(text))),
+        place_at(ros1_type_name(name), text, min(int(match["offset"]), len(text))),
     )
 
 

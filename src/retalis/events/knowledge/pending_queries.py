@@ -678,15 +678,15 @@ class PendingQueries:
 
     def _release(self, instance: MemoryInstance, end: int, frame: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
-        return self._call_ready(instance.pop_reached(end), after)
+        return self._call_ready(instance.pop_reached(end), frame)
 
-    def _release_transforms(self, reached: Reached, after: Frame) -> Frame:
+    def _release_transforms(self, reached: Reached, frame: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for these transforms."""
         return self._call_ready(
-            [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], after
+            [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], frame
         )
 
-    def _call_ready(self, released: Iterable[Any], after: Frame) -> Frame:
+    def _call_ready(self, released: Iterable[Any], frame: Frame) -> Frame:
         """Return the frame that calls the queries whose conditions are all fulfilled, in order of registration."""
         ready: List[PendingQuery] = []
         for pending in released:
