@@ -27,7 +27,7 @@ def test_what_may_be_read(door, tmp_path):
         assert door.is_file(path, path)
         assert door.read(path, path) == "one\ntwo\nthree\n"
     path = str(tmp_path / "other" / "a.txt")
-    for ask in (door.is_file, door.read, door.require):
+    for ask in (door.is_file, door.read, door.resolve_readable):
         with pytest.raises(PrologError, match="No permission to open source_sink `name'"):
             ask(path, "name")
     with door.loading():
@@ -64,14 +64,14 @@ def test_what_may_be_written(door, tmp_path, monkeypatch, way):
         assert not (tmp_path / name / "new.txt").exists()
     with door.loading():
         door.append(str(tmp_path / "own" / "new.txt"), "one\n")
-    assert door.output == str(tmp_path / "write")
+    assert door.default_output_folder == str(tmp_path / "write")
 
 
 def test_bytes_are_characters_of_latin_1(door, tmp_path):
     path = str(tmp_path / "bytes")
     with door.loading():
         door.add_program_folder(tmp_path)
-        door.begin(path, path, True)
+        door.prepare_writing(path, path, True)
         door.append(path, "\xff\r\n", "latin-1")
         assert door.read(path, path, "latin-1") == "\xff\r\n"
         with pytest.raises(UsageError):
@@ -128,9 +128,9 @@ def test_no_file_stays_open(door, tmp_path):
             except RetalisError:
                 continue
     for name in ("a.txt", "new.txt"):
-        door.begin(str(tmp_path / "write" / name), name, True)
+        door.prepare_writing(str(tmp_path / "write" / name), name, True)
     with pytest.raises(PrologError):
-        door.begin(str(tmp_path / "other" / "new.txt"), "new.txt", True)
+        door.prepare_writing(str(tmp_path / "other" / "new.txt"), "new.txt", True)
     door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
     with pytest.raises(PrologError):
         door.append(str(tmp_path / "write" / "b.txt"), "x" * 40)
@@ -141,10 +141,10 @@ def test_no_file_stays_open(door, tmp_path):
 def test_a_file_is_begun_empty_or_as_it_is(door, tmp_path, empty):
     path = str(tmp_path / "write" / "a.txt")
     before = door.read(path, path)
-    door.begin(path, path, empty)
+    door.prepare_writing(path, path, empty)
     assert door.read(path, path) == ("" if empty else before)
     path = str(tmp_path / "write" / "new.txt")
-    door.begin(path, path, empty)
+    door.prepare_writing(path, path, empty)
     assert door.read(path, path) == ""
 
 
@@ -207,11 +207,11 @@ def test_errors_tell_missing_files_from_failed_reads_and_writes(door, tmp_path):
         with pytest.raises(PrologError, match=f"cannot read {tmp_path}/read/{name}"):
             door.read(str(tmp_path / "read" / name), "name")
         path = str(tmp_path / "write" / name / "x")
-        for work in (door.append, lambda path, name: door.begin(path, name, True)):
+        for work in (door.append, lambda path, name: door.prepare_writing(path, name, True)):
             with pytest.raises(UsageError, match=f"cannot write {path}: ") as caught:
                 work(path, "x")
             assert not isinstance(caught.value, PrologError)
-    for work in (door.require, door.is_file, door.is_folder, door.read):
+    for work in (door.resolve_readable, door.is_file, door.is_folder, door.read):
         with pytest.raises(PrologError, match="Domain error: `source_sink' expected, found `name'"):
             work("\0", "name")
 
@@ -236,17 +236,17 @@ def test_folders_that_settings_allow(door, tmp_path, read, write, readable, writ
         door.is_loading = is_loading
         assert {name for name in names if allows(door.read, tmp_path / name / "a.txt", "a")} == readable
         assert {
-            name for name in names if allows(door.begin, tmp_path / name / "a.txt", "a", False)
+            name for name in names if allows(door.prepare_writing, tmp_path / name / "a.txt", "a", False)
         } == writable
         assert {name for name in names if allows(door.append, tmp_path / name / "a.txt", "")} == writable
-        assert door.start == (str(tmp_path / "own") if readable != names else "")
+        assert door.base_folder == (str(tmp_path / "own") if readable != names else "")
         if write is None:
-            assert door.output == ""
+            assert door.default_output_folder == ""
         elif writable:
-            assert door.output == str(tmp_path / (write[0] if write else "own"))
+            assert door.default_output_folder == str(tmp_path / (write[0] if write else "own"))
         else:
             with pytest.raises(UsageError, match="there is no folder that goals may write to"):
-                _ = door.output
+                _ = door.default_output_folder
 
 
 def allows(work, path, *rest):

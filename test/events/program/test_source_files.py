@@ -351,9 +351,9 @@ def test_an_interrupted_load_is_restored(tmp_path):
     files = SourceFiles()
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
-    with files.loading(tmp_path / "one"), files.inside(tmp_path / "one" / "one.pl"):
+    with files.loading(tmp_path / "one"), files.loading_file(tmp_path / "one" / "one.pl"):
         state = files.state()
-        inner = files.relative_to(tmp_path / "two"), files.inside(tmp_path / "two" / "two.pl")
+        inner = files.relative_to(tmp_path / "two"), files.loading_file(tmp_path / "two" / "two.pl")
         for context in inner:
             context.__enter__()
         files.sandbox.is_loading = False
@@ -386,7 +386,7 @@ def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
     files.note_module("nothing_is_loaded")
     one, two, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
     for path, name in ((one, "m"), (other, "n"), (one, "m"), (two, "m")):
-        with files.inside(path):
+        with files.loading_file(path):
             files.note_module(name)
             assert files.module(path) == name
     assert said == [f"Warning: {one} is module m as well; what {two} has of it is added to that\n"]
@@ -394,6 +394,6 @@ def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
     assert files.has_loaded(one) and not files.has_loaded(tmp_path / "none.pl")
     files.loaded.clear()
     assert files.module(one) == ""
-    with files.inside(two):
+    with files.loading_file(two):
         files.note_module("m")
     assert len(said) == 1

@@ -46,7 +46,7 @@ from .event_file_checker import (
 )
 from .file_directives import Directives
 from .file_kind import apply_reader_settings, is_event_file
-from .prolog_file_loader import Consultation, Consulted
+from .prolog_file_loader import Consultation, PrologFileText
 from .source_files import LIBRARY, SourceFiles, require_library
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
@@ -116,7 +116,7 @@ class CheckedProgram(NamedTuple):
     ``folder`` and ``path`` are None for the outermost file, whose folder is the current one already.
     """
 
-    steps: "List[Union[FileEntry, Consulted, CheckedProgram]]"
+    steps: "List[Union[FileEntry, PrologFileText, CheckedProgram]]"
     rules: List[EventRule]
     calls: List[PredicateCall]
     folder: Optional[Path] = None
@@ -145,7 +145,7 @@ class EventFileLoader:
         self._rules = rules
         self._files: SourceFiles = rules.files
         self._directives = Directives(rules.logic)
-        self._consulting = Consultation(rules, self._directives, self.use)
+        self._consultation = Consultation(rules, self._directives, self.use)
         self._expansion = TermExpansion(rules.logic)
         self._active_files: List[CheckedProgram] = []
         """Files that are taking effect, outermost first."""
@@ -179,7 +179,7 @@ class EventFileLoader:
         if folder is None:
             self._load(text, source)
             return
-        with self._files.inside(folder / Path(source).name), self._files.relative_to(folder):
+        with self._files.loading_file(folder / Path(source).name), self._files.relative_to(folder):
             self._load(text, source)
 
     def load_file(self, path: Union[str, "PathLike[str]"]) -> None:
@@ -235,7 +235,7 @@ class EventFileLoader:
 
     def _load_file(self, path: Path) -> None:
         text = self._files.text(path)
-        with self._files.inside(path), self._files.relative_to(path.parent):
+        with self._files.loading_file(path), self._files.relative_to(path.parent):
             self._load(text, str(path))
 
     def _load(self, text: str, source: str) -> None:
@@ -245,7 +245,7 @@ class EventFileLoader:
 
     def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:
         if not is_event_file(text, self._rules.logic, self._open_included):
-            return CheckedProgram([Consulted(text, source)], [], [])
+            return CheckedProgram([PrologFileText(text, source)], [], [])
         reading = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
         self._read(read_program(text, reading.operators, source, OF_FILES), reading)
         errors.extend(reading.conditions.unclosed())
@@ -268,7 +268,7 @@ class EventFileLoader:
         """Read the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read_term in program:
             if isinstance(read_term, SyntaxFault):
-                if not reading.conditions.skip:
+                if not reading.conditions.is_skipping:
                     reading.errors.append(read_term)
                 continue
             try:
@@ -279,21 +279,21 @@ class EventFileLoader:
     def _read_term(self, read_term: ReadTerm, program: Program, reading: _Reading) -> None:
         term = deref(read_term.term)
         directive = term[1] if term.__class__ is tuple and term[0] in DIRECTIVES else None
-        if directive is not None and reading.conditions.take(directive, read_term.place_of(term, 1)):
+        if directive is not None and reading.conditions.process(directive, read_term.place_of(term, 1)):
             return
-        if reading.conditions.skip:
+        if reading.conditions.is_skipping:
             return
         name = included(term)
         if name is not None:
             self._include(name, read_term.place_of(term, 1), reading, program)
             return
         # Terms that the program has generated have no positions of their own; errors point to the original term.
-        expansion = self._expansion.terms(term)
+        expansion = self._expansion.expand_term(term)
         if expansion is not None:
             for expanded_term in expansion:
-                reading.checker.term(self._expansion.goals(expanded_term), nowhere, read_term.place)
+                reading.checker.term(self._expansion.expand_goals(expanded_term), nowhere, read_term.place)
             return
-        expanded = self._expansion.goals(term)
+        expanded = self._expansion.expand_goals(term)
         if expanded is term:
             reading.checker.read(read_term)
         else:
@@ -312,7 +312,7 @@ class EventFileLoader:
         try:
             path = self._files.find(name)
             text = self._files.text(path)
-            with self._files.inside(path), self._files.relative_to(path.parent):
+            with self._files.loading_file(path), self._files.relative_to(path.parent):
                 program = read_program(text, reading.operators, str(path), OF_FILES)
                 if outer is not None:
                     program.flags = outer.flags
@@ -326,7 +326,7 @@ class EventFileLoader:
         """Check what depends on the logic: clauses, predicates that goals call, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
-        steps: List[Union[FileEntry, Consulted, CheckedProgram]] = []
+        steps: List[Union[FileEntry, PrologFileText, CheckedProgram]] = []
         defined = defined_in(checker.steps)
         for step in checker.steps:
             if step.kind == "clause":
@@ -334,9 +334,9 @@ class EventFileLoader:
                 if problem is not None:
                     errors.append(RuleError(problem, step.place))
             if step.kind in ("use", "ensure"):
-                accepted = self._check_used_file(step, errors)
-                if accepted is not None:
-                    steps.append(accepted)
+                checked_file = self._check_used_file(step, errors)
+                if checked_file is not None:
+                    steps.append(checked_file)
             else:
                 steps.append(step)
         # A predicate that the program defines itself is not the one of `check`.
@@ -374,9 +374,9 @@ class EventFileLoader:
             if self._files.module(path) or (step.kind == "ensure" and self._files.has_loaded(path)):
                 return None
             text = self._files.text(path)
-            with self._files.inside(path), self._files.relative_to(path.parent):
-                accepted = self._parse_and_check(text, str(path), errors)
-            return accepted._replace(folder=path.parent, path=path)
+            with self._files.loading_file(path), self._files.relative_to(path.parent):
+                checked_file = self._parse_and_check(text, str(path), errors)
+            return checked_file._replace(folder=path.parent, path=path)
         except (UsageError, PrologError) as error:
             errors.append(RuleError(error.message, step.place))
             return None
@@ -455,7 +455,7 @@ class EventFileLoader:
                     self._activate(step)
                     module = self._modules.last
                 self._modules.import_exports(module)
-            elif isinstance(step, Consulted):
+            elif isinstance(step, PrologFileText):
                 self._consult(step, checked)
             elif step.kind == "later":
                 final_steps.append(step)
@@ -472,12 +472,12 @@ class EventFileLoader:
         for step in final_steps:
             self._run_directive(step)
 
-    def _consult(self, file: Consulted, checked: CheckedProgram) -> None:
+    def _consult(self, file: PrologFileText, checked: CheckedProgram) -> None:
         if checked.path is None:
-            self._consulting.load(file, checked.calls.extend)
+            self._consultation.load(file, checked.calls.extend)
             return
-        with self._files.inside(checked.path):
-            self._consulting.load(file, checked.calls.extend)
+        with self._files.loading_file(checked.path):
+            self._consultation.load(file, checked.calls.extend)
 
     def _run_directive(self, step: FileEntry) -> None:
         warning = self._directives.run(step.term, step.goals, step.place)
@@ -491,9 +491,9 @@ def _sort_errors(errors: Errors) -> Errors:
     for error in errors:
         files.setdefault(error.place.source if error.place else None, len(files))
 
-    def where(error: RetalisError) -> Tuple[int, int, int]:
+    def position_of(error: RetalisError) -> Tuple[int, int, int]:
         place = error.place
         return (files[None], 0, 0) if place is None else (files[place.source], place.line, place.column)
 
-    errors.sort(key=where)
+    errors.sort(key=position_of)
     return errors

@@ -94,7 +94,7 @@ class FileSandbox:
             self.is_loading = was_loading
 
     @property
-    def start(self) -> str:
+    def base_folder(self) -> str:
         """Base of relative names: the program's folder for restricted goals, else the working directory.
 
         Goals that may read everywhere, for example at a console, also start in the working directory.
@@ -104,7 +104,7 @@ class FileSandbox:
         )
 
     @property
-    def output(self) -> str:
+    def default_output_folder(self) -> str:
         """Folder for files without a given location.
 
         Raises:
@@ -118,7 +118,7 @@ class FileSandbox:
         folder: str = folders[0]
         return folder
 
-    def require(self, path: str, name: str) -> str:
+    def resolve_readable(self, path: str, name: str) -> str:
         """Return the resolved path of a file that may be read.
 
         Args:
@@ -131,17 +131,17 @@ class FileSandbox:
         return _resolve_path(path, name, self._readable_folders)
 
     def is_file(self, path: str, name: str) -> bool:
-        """Return whether a regular file exists; raises the errors of `require`."""
+        """Return whether a regular file exists; raises the errors of `resolve_readable`."""
         try:
-            return stat.S_ISREG(os.lstat(self.require(path, name)).st_mode)
+            return stat.S_ISREG(os.lstat(self.resolve_readable(path, name)).st_mode)
         # Not there, or in a folder without permission.
         except OSError:
             return False
 
     def is_folder(self, path: str, name: str) -> bool:
-        """Return whether a folder exists; raises the errors of `require`."""
+        """Return whether a folder exists; raises the errors of `resolve_readable`."""
         try:
-            return stat.S_ISDIR(os.lstat(self.require(path, name)).st_mode)
+            return stat.S_ISDIR(os.lstat(self.resolve_readable(path, name)).st_mode)
         except OSError:
             return False
 
@@ -171,13 +171,13 @@ class FileSandbox:
             return text
         return text.replace("\r\n", "\n").replace("\r", "\n")
 
-    def begin(self, path: str, name: str, empty: bool) -> None:
+    def prepare_writing(self, path: str, name: str, truncate: bool) -> None:
         """Create a file for writing if it does not exist.
 
         Args:
             path: path of the file.
             name: name in the program, for errors.
-            empty: whether to remove the contents of an existing file.
+            truncate: whether to remove the contents of an existing file.
 
         Raises:
             PrologError: a permission error.
@@ -188,7 +188,7 @@ class FileSandbox:
         try:
             descriptor = _open_to_write(real_path, name, folders)
             try:
-                if empty:
+                if truncate:
                     os.ftruncate(descriptor, 0)
             finally:
                 os.close(descriptor)
@@ -302,10 +302,10 @@ def _open_file(real_path: str, flags: int, name: str, folders: Folders) -> int:
     A file that has replaced it meanwhile is not followed, waited for or used.
     """
     # Before opening, because opening alone starts some devices.
-    _check_kind(os.lstat(real_path), name)
+    _require_regular_file(os.lstat(real_path), name)
     descriptor = os.open(real_path, flags | _SAFE_FLAGS)
     try:
-        _check_kind(os.fstat(descriptor), name)
+        _require_regular_file(os.fstat(descriptor), name)
         _check_descriptor(descriptor, name, folders)
     except BaseException:
         os.close(descriptor)
@@ -333,7 +333,7 @@ def _open_to_write(real_path: str, name: str, folders: Folders) -> int:
         os.close(folder_descriptor)
 
 
-def _check_kind(status: os.stat_result, name: str) -> None:
+def _require_regular_file(status: os.stat_result, name: str) -> None:
     if not stat.S_ISREG(status.st_mode):
         reason = "Is a directory" if stat.S_ISDIR(status.st_mode) else "it is not a regular file"
         raise permission_error("open", "source_sink", atom(name), reason)

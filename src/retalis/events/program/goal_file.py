@@ -62,7 +62,7 @@ def goals_of(
     if folder is None:
         yield from _goals_of_text(text, source, None, operators, files, load)
         return
-    with files.inside(folder / Path(source).name):
+    with files.loading_file(folder / Path(source).name):
         yield from _goals_of_text(text, source, folder, operators, files, load)
 
 

@@ -41,7 +41,7 @@ _FILE_FLAGS = ("double_quotes", "back_quotes")
 Use = Callable[[Term, bool], None]
 
 
-class Consulted(NamedTuple):
+class PrologFileText(NamedTuple):
     """The text of a Prolog file that is to be consulted."""
 
     text: str
@@ -62,7 +62,7 @@ class Consultation:
         self._directives = directives
         self._use = use
 
-    def load(self, file: Consulted, note_calls: Callable[[List[PredicateCall]], None]) -> None:
+    def load(self, file: PrologFileText, note_calls: Callable[[List[PredicateCall]], None]) -> None:
         """Consult a file.
 
         Raises:
@@ -146,7 +146,7 @@ class _PrologFile:
         self._checker = FileChecker(rules.logic.brief, rules.declared.current())
         self._final_entries: List[FileEntry] = []
 
-    def load(self, file: Consulted) -> None:
+    def load(self, file: PrologFileText) -> None:
         """Consult the text, then run the goals that are scheduled for the end."""
         omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(file.source))
         program = read_program(file.text, self._logic.operators, file.source, OF_FILES)
@@ -174,7 +174,7 @@ class _PrologFile:
         """Process the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read_term in program:
             if isinstance(read_term, SyntaxFault):
-                if not self._conditions.skip:
+                if not self._conditions.is_skipping:
                     self._omitted.append(read_term)
                 continue
             term = deref(read_term.term)
@@ -187,7 +187,7 @@ class _PrologFile:
                     # Operators are shared with the reader. Flags are copied at its start, so a directive's change
                     # must be passed on.
                     self._follow_flags(program)
-                elif not self._conditions.skip:
+                elif not self._conditions.is_skipping:
                     self._process_term(read_term, place)
             except RetalisError as error:
                 self._omit(error, place)
@@ -195,7 +195,7 @@ class _PrologFile:
     def _process_directive(self, read_term: ReadTerm, program: Program) -> None:
         term: Any = deref(read_term.term)
         place = read_term.place_of(term, 1)
-        if self._conditions.take(term[1], place) or self._conditions.skip:
+        if self._conditions.process(term[1], place) or self._conditions.is_skipping:
             return
         name = included(term)
         if name is None:
@@ -223,15 +223,15 @@ class _PrologFile:
             self._rules.on_warning(
                 RuleError(f"singleton variables: {', '.join(read_term.singletons)}", place)
             )
-        self._check_and_run(self._expansion.goals(term), read_term, place)
+        self._check_and_run(self._expansion.expand_goals(term), read_term, place)
 
     def _process_expansion(self, term: Term, read_term: Optional[ReadTerm], place: Optional[Place]) -> bool:
         """Process the expansion of a term by ``term_expansion/2``; return whether there is one."""
-        expansion = self._expansion.terms(term)
+        expansion = self._expansion.expand_term(term)
         for expanded in expansion or ():
             if expanded is not _END_OF_FILE:
                 self._check_and_run(
-                    self._expansion.goals(expanded), read_term if expanded is term else None, place
+                    self._expansion.expand_goals(expanded), read_term if expanded is term else None, place
                 )
         return expansion is not None
 
@@ -305,7 +305,7 @@ class _PrologFile:
     def _include(self, name: Term, outer: Program) -> None:
         path = self._files.find(name)
         text = self._files.text(path)
-        with self._files.inside(path), self._files.relative_to(path.parent):
+        with self._files.loading_file(path), self._files.relative_to(path.parent):
             program = read_program(text, self._logic.operators, str(path))
             # Flags of directives apply across the boundaries of included files, in both directions.
             program.flags = outer.flags

@@ -267,8 +267,8 @@ class SourceFiles:
                 invalid name.
         """
         check_name(str(name))
-        path = (self.sandbox.start if self._base_folder is None else self._base_folder) / Path(name)
-        self.sandbox.require(str(path), str(name))
+        path = (self.sandbox.base_folder if self._base_folder is None else self._base_folder) / Path(name)
+        self.sandbox.resolve_readable(str(path), str(name))
         return path
 
     def find(self, name: Term) -> Path:
@@ -326,9 +326,10 @@ class SourceFiles:
         check_name(written_name)
         # Not `resolve`, which requires permission to read.
         path = str(
-            (self.sandbox.start if self._base_folder is None else self._base_folder) / Path(written_name)
+            (self.sandbox.base_folder if self._base_folder is None else self._base_folder)
+            / Path(written_name)
         )
-        self.sandbox.begin(path, written_name, not more)
+        self.sandbox.prepare_writing(path, written_name, not more)
         return path
 
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
@@ -339,7 +340,7 @@ class SourceFiles:
         """Return an absolute path from a path relative to the base folder."""
         check_name(name)
         return os.path.abspath(
-            (self.sandbox.start if self._base_folder is None else self._base_folder) / Path(name)
+            (self.sandbox.base_folder if self._base_folder is None else self._base_folder) / Path(name)
         )
 
     def is_readable(self, path: str) -> bool:
@@ -374,7 +375,7 @@ class SourceFiles:
         return self.modules.get(real_path, "") if real_path in self.loaded else ""
 
     @contextmanager
-    def inside(self, place: Path) -> Iterator[None]:
+    def loading_file(self, place: Path) -> Iterator[None]:
         """Register a file as being loaded.
 
         Raises:

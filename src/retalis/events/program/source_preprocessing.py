@@ -16,28 +16,28 @@ from ...prolog.terms.types import COMMA, Atom, Functor, Term, Var, deref, functo
 _IF, _ELIF = functor("if", 1), functor("elif", 1)
 _ELSE, _ENDIF = functor("else", 0), functor("endif", 0)
 
-Holds = Callable[[Term, Optional[Place]], bool]
+ConditionTest = Callable[[Term, Optional[Place]], bool]
 
 
-class _Branch:
+class _IfDirective:
     """An open ``if`` directive."""
 
-    __slots__ = ("place", "outside", "counts", "chosen", "last")
+    __slots__ = ("place", "is_outer_compiled", "is_compiled", "was_chosen", "is_else")
 
-    def __init__(self, place: Optional[Place], outside: bool):
+    def __init__(self, place: Optional[Place], is_outer_compiled: bool):
         self.place = place
-        self.outside = outside
+        self.is_outer_compiled = is_outer_compiled
         """True if the surrounding text is compiled."""
-        self.counts = False
+        self.is_compiled = False
         """True if the current branch is compiled."""
-        self.chosen = False
+        self.was_chosen = False
         """True if a branch has been compiled."""
-        self.last = False
+        self.is_else = False
         """True in the branch of ``else``."""
 
-    def choose(self, holds: bool) -> None:
-        self.counts = self.outside and holds and not self.chosen
-        self.chosen |= self.counts
+    def enter_branch(self, holds: bool) -> None:
+        self.is_compiled = self.is_outer_compiled and holds and not self.was_chosen
+        self.was_chosen |= self.is_compiled
 
 
 class ConditionalCompilation:
@@ -47,16 +47,16 @@ class ConditionalCompilation:
         holds: returns whether the goal of an ``if`` at a position succeeds.
     """
 
-    def __init__(self, holds: Holds):
+    def __init__(self, holds: ConditionTest):
         self._holds = holds
-        self._open_branches: List[_Branch] = []
+        self._open_directives: List[_IfDirective] = []
 
     @property
-    def skip(self) -> bool:
+    def is_skipping(self) -> bool:
         """True if the following terms are skipped."""
-        return bool(self._open_branches) and not self._open_branches[-1].counts
+        return bool(self._open_directives) and not self._open_directives[-1].is_compiled
 
-    def take(self, goal: Term, place: Optional[Place]) -> bool:
+    def process(self, goal: Term, place: Optional[Place]) -> bool:
         """Process a directive if it belongs to conditional compilation; return whether it does.
 
         Raises:
@@ -65,35 +65,36 @@ class ConditionalCompilation:
         goal = deref(goal)
         key = goal[0] if goal.__class__ is tuple else goal.functor if isinstance(goal, Atom) else None
         if goal.__class__ is tuple and key is _IF:
-            branch = _Branch(place, not self.skip)
-            self._open_branches.append(branch)
+            directive = _IfDirective(place, not self.is_skipping)
+            self._open_directives.append(directive)
             # Conditions in skipped text are not called: their predicates may not exist.
-            branch.choose(branch.outside and self._holds(goal[1], place))
+            directive.enter_branch(directive.is_outer_compiled and self._holds(goal[1], place))
         elif goal.__class__ is tuple and key is _ELIF:
-            branch = self._innermost_branch("elif", place)
-            branch.choose(branch.outside and not branch.chosen and self._holds(goal[1], place))
+            directive = self._innermost_directive("elif", place)
+            is_candidate = directive.is_outer_compiled and not directive.was_chosen
+            directive.enter_branch(is_candidate and self._holds(goal[1], place))
         elif key is _ELSE:
-            branch = self._innermost_branch("else", place)
-            branch.choose(True)
-            branch.last = True
+            directive = self._innermost_directive("else", place)
+            directive.enter_branch(True)
+            directive.is_else = True
         elif key is _ENDIF:
             # `endif` may follow `else`, which `elif` and a second `else` may not.
-            self._innermost_branch("endif", place, closes=True)
-            self._open_branches.pop()
+            self._innermost_directive("endif", place, closes=True)
+            self._open_directives.pop()
         else:
             return False
         return True
 
     def unclosed(self) -> List[RuleError]:
         """Return an error for each ``if`` without ``endif``."""
-        return [RuleError("this if has no endif", branch.place) for branch in self._open_branches]
+        return [RuleError("this if has no endif", directive.place) for directive in self._open_directives]
 
-    def _innermost_branch(self, name: str, place: Optional[Place], closes: bool = False) -> _Branch:
-        if not self._open_branches:
+    def _innermost_directive(self, name: str, place: Optional[Place], closes: bool = False) -> _IfDirective:
+        if not self._open_directives:
             raise RuleError(f"there is no if before this {name}", place)
-        if self._open_branches[-1].last and not closes:
+        if self._open_directives[-1].is_else and not closes:
             raise RuleError(f"there is an else before this {name}", place)
-        return self._open_branches[-1]
+        return self._open_directives[-1]
 
 
 _TERM, _GOAL = functor("term_expansion", 2), functor("goal_expansion", 2)
@@ -123,7 +124,7 @@ class TermExpansion:
     def __init__(self, logic: PrologSystem):
         self._logic = logic
 
-    def terms(self, term: Term) -> Optional[List[Term]]:
+    def expand_term(self, term: Term) -> Optional[List[Term]]:
         """Return the expansion of a term; None if there is none.
 
         Raises:
@@ -138,7 +139,7 @@ class TermExpansion:
         items = list_items(expansion)
         return [expansion] if items is None else [deref(item) for item in items]
 
-    def goals(self, term: Term) -> Term:
+    def expand_goals(self, term: Term) -> Term:
         """Return a clause or directive with expanded goals.
 
         Raises:

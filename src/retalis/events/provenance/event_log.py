@@ -289,7 +289,9 @@ class EventLog:
         rules = self._rules
         try:
             sandbox = rules.files.sandbox
-            sandbox.append(os.path.join(sandbox.output, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n")
+            sandbox.append(
+                os.path.join(sandbox.default_output_folder, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n"
+            )
         except RetalisError as error:
             self._failed_writes += 1
             # Powers of two: a full disk must not produce one warning per event.
