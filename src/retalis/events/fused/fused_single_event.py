@@ -105,9 +105,9 @@ def _dispatch_statements(event: str) -> List[Statement]:
         Block(
             "if values is not None:",
             [
-                "following = (RESTORE_CONTEXT, dispatcher, context, frame)",
-                f"frame = action({event}, values, start, end, following)",
-                Block("if frame is not following:", ["return frame"]),
+                "resumption = (RESTORE_CONTEXT, dispatcher, context, frame)",
+                f"next_frame = action({event}, values, start, end, resumption)",
+                Block("if next_frame is not resumption:", ["return next_frame"]),
             ],
         ),
         "dispatcher.current = context",
@@ -165,7 +165,7 @@ def _goal_source(inputs: int) -> str:
         ),
         Block("if values is None:", [f"_, {values} = term"]),
         Block("else:", [f"{values}, = values"]),
-        f"frame = (code, {values}, done)",
+        f"goal_frame = (code, {values}, done)",
         # The trail is as long as before if the goal bound nothing outside of itself.
         "mark = len(trail)",
         "outer_goal = budget.goal",
@@ -175,7 +175,7 @@ def _goal_source(inputs: int) -> str:
             [
                 Block("if budget.needs_check:", ["budget.check_entry()"]),
                 "budget.goal = goal",
-                "last = code.run(frame)",
+                "last = code.run(goal_frame)",
                 "solved_goal = (last is done and len(trail) == mark) or machine.finish_step(last, mark)",
             ],
         ),
@@ -184,7 +184,7 @@ def _goal_source(inputs: int) -> str:
             [
                 "dispatcher.current = context",
                 "budget.goal = outer_goal",
-                "failed(machine.error(exc, frame, mark))",
+                "failed(machine.error(exc, goal_frame, mark))",
                 "return frame",
             ],
         ),
