@@ -273,11 +273,11 @@ def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events
     dispatcher, got, waiting = Dispatcher(), [], []
 
     def listen(number, pattern, stage):
-        def action(term, values, start, end, frame):
+        def action(term, values, start, end, after):
             text = text_of((functor("values", len(values)), *values)) if values else "values"
             got.append((number, text, start, end))
             assert dispatcher.current[TERM] is term
-            return frame
+            return after
 
         listener = dispatcher.listen(stage, pattern, action)
         waiting.append((stage, number, pattern, listener))
