@@ -26,7 +26,7 @@ PAGES = [
 ]
 SNIPPET = re.compile(r"(?:<!-- (?P<name>[\w.]+) -->\n)?```(?P<kind>\w*)\n(?P<text>.*?)```", re.DOTALL)
 EVENT = re.compile(r"(\S.*?) \[([\d.]+),([\d.]+|datime\([^)]*\))\](?:, |$)")
-UNTOLD = ("memory_created(", "memory_updated(", "synchronized(")
+UNTOLD = ("memory_created(", "null_event", "memory_updated(", "synchronized(")
 """Events of which a line below a rule does not tell: they are there with every memory and query."""
 
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)")

@@ -3,6 +3,8 @@
 import logging
 from pathlib import Path
 
+import numpy  # noqa: F401 - predicates on arrays import it at the first call, and no input may import anything
+
 from retalis import Engine, Limits, RetalisError, Settings
 
 from ..mutate import to_text

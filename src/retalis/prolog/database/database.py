@@ -102,7 +102,9 @@ class Database:
                 self.move_undefined()
             # A frame may still refer to the predicate that was put aside; a second one of the name would split its
             # calls.
-            predicate = self.predicates[key] = self._unused.get(key) or Predicate(self, key)
+            # Compared with None: a predicate without clauses has the length 0.
+            spare = self._unused.get(key)
+            predicate = self.predicates[key] = Predicate(self, key) if spare is None else spare
         return predicate
 
     def _exists(self, key: Functor) -> bool:
