@@ -44,7 +44,7 @@ class TextPublisher:
         topic: name of the topic.
         queue: number of texts to buffer.
         reports: receives a warning for every dropped text.
-        epochs: see `LateJoinerBuffer`.
+        epoch: returns the current clock epoch; see `LateJoinerBuffer`.
         clock_epochs: the epochs of a simulated clock, which are announced to the receivers; None for wall time.
     """
 

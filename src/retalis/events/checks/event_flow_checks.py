@@ -339,6 +339,6 @@ def events_of_goals(goal: SourceTerm) -> List[EventTerm]:
 
 
 def event_of_consumer(consumer: EventConsumer) -> EventTerm:
-    """Return the events that a memory or subscription consumes."""
+    """Return the event pattern that a memory or subscription consumes."""
     event = consumer.event
     return EventTerm(event.term, event.parent, event.number)

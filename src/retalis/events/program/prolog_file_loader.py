@@ -3,8 +3,8 @@
 A file with event rules is checked as a whole and accepted or rejected as a whole (see `event_file_loader`). A file
 without them is a Prolog program and is consulted as other Prolog systems do: each directive runs before the next term
 is read, so that operators, flags and ``term_expansion/2`` apply from there on. A term with a syntax error, a clause
-that cannot be added, or a directive that raises an error is omitted with a warning. A file whose terms are
-omitted is rejected. During a reload, a file is also rejected if more terms must be omitted than before.
+that cannot be added, or a directive that raises an error is omitted with a warning. If every term of a file is
+omitted, the file is rejected. During a reload, it is also rejected if more terms are omitted than at the previous load.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
@@ -83,6 +83,7 @@ class _Omissions:
     They are reported as warnings when the first term is accepted; before that, the file may still be rejected as a
     whole, and they would be reported as errors.
 
+    Args:
         warn: receives warnings.
         max_count: maximum number of omitted terms; None for any number.
     """
@@ -98,12 +99,12 @@ class _Omissions:
 
     def append(self, error: RetalisError) -> None:
         """Record an omitted term."""
+        # Memory for errors is bounded: `Errors` counts those beyond its limit, and these are not reported one by one.
         previous_count = len(self._errors)
         self._errors.append(error)
         if self._is_accepted and len(self._errors) > previous_count:
             self._warn(Omission(error))
 
-    # Memory for errors is bounded: `Errors` counts those beyond its limit, and these are not reported one by one.
     def accept(self) -> None:
         """Record that a term was accepted."""
         if not self._is_accepted:
@@ -341,8 +342,8 @@ class _PrologFile:
             RetalisError: the error itself, if a resource limit is exceeded.
         """
         if isinstance(error, ProgramErrors):
-            for nested_rules in error.errors:
-                self._omitted.append(nested_rules)
+            for nested_error in error.errors:
+                self._omitted.append(nested_error)
         elif _is_final(error):
             raise error
         else:

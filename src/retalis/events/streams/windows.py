@@ -421,11 +421,9 @@ class AnchoredTumblingWindow(Window):
 
     def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
-        group: Optional[KeyedWindow] = self._keyed_window_of(item)
-        if item.end > self.newest_allowed:
-            self.newest_allowed = self.latest_allowed_end()
+        self._keyed_window_of(item)  # rejects unsuitable values before anything changes
         # Too far in the future: no window may wait for it.
-        if item.end > self.newest_allowed:
+        if item.end > self.newest_allowed and self._is_too_far_ahead(item.end):
             self.late_count += 1
             return []
         self._advance(item.end)
@@ -541,7 +539,7 @@ class HoppingWindow(Window):
         return (
             *super().snapshot(),
             self._latest_now,
-            [item for _, _, item in sorted(self._future_elements, key=lambda element: element[:2])],
+            [item for _, _, item in sorted(self._future_elements, key=lambda entry: entry[:2])],
         )
 
     def restore(self, saved: OperatorState) -> None:
@@ -555,7 +553,7 @@ class HoppingWindow(Window):
 
     def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
-        self._keyed_window_of(item)
+        self._keyed_window_of(item)  # rejects unsuitable values before anything changes
         every = self.every
         if now > self._latest_now:
             # Alarms may raise events in the past.
@@ -591,7 +589,7 @@ class HoppingWindow(Window):
             self._enqueue(item)
         outputs = [
             output
-            for group in sorted(self.states.values(), key=lambda element: element.members[0].order)
+            for group in sorted(self.states.values(), key=lambda keyed_window: keyed_window.members[0].order)
             for output in self._emit(group, instant - self.span, instant)
         ]
         # While elements remain, every multiple has a result; otherwise windows without elements are skipped.
