@@ -4,7 +4,7 @@ A file with event rules is checked as a whole and accepted or rejected as a whol
 without them is a Prolog program and is consulted as other Prolog systems do: each directive runs before the next term
 is read, so that operators, flags and ``term_expansion/2`` apply from there on. A term with a syntax error, a clause
 that cannot be added, or a directive that raises an error is omitted with a warning. If every term of a file is
-omitted, the file is rejected. During a reload, it is also rejected if more terms are omitted than at the previous load.
+omitted, the file is rejected. During a reload, it is also rejected if more terms are omitted than at the last load.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
