@@ -62,7 +62,7 @@ def test_the_search_finds_them():
 
 
 def test_a_function_sees_what_it_was_given():
-    made = codegen.function(["def made(x):", "    return x + k1"], {"k1": 2}, "sum")
+    made = codegen.function(["def generated(x):", "    return x + k1"], {"k1": 2}, "sum")
     assert made(1) == 3
 
 
@@ -71,25 +71,25 @@ def test_a_function_sees_what_it_was_given():
 )
 def test_a_function_sees_nothing_else(name):
     with pytest.raises(NameError):
-        codegen.function(["def made():", f"    return {name}"], {}, "what is not given")()
+        codegen.function(["def generated():", f"    return {name}"], {}, "what is not given")()
 
 
 @pytest.mark.parametrize("name", ["a b", "é", "", "x\0", "1x", "a" * 40, "x\n", "\u212a"])
 def test_names_are_our_own(name):
     for make in (codegen.shared_function, lambda s, n, t: codegen.function([s], n, t)):
         with pytest.raises(ValueError, match="is not a name for generated source"):
-            make("def made(): return 1\n", {name: 1}, "wrong name")
+            make("def generated(): return 1\n", {name: 1}, "wrong name")
 
 
 @pytest.mark.parametrize("text", ["é", "\ud800", "ª"])
 def test_sources_are_plain(text):
     with pytest.raises(ValueError, match="ASCII"):
-        codegen.function([f"def made(): return '{text}'"], {}, "strange source")
+        codegen.function([f"def generated(): return '{text}'"], {}, "strange source")
 
 
 @pytest.mark.parametrize("title", ["p/2", "a\0b", "\ud800", "x\ny", "'é'", "x" * 100_000, ""])
 def test_any_title_will_do_and_tracebacks_show_the_source(title):
-    made = codegen.function(["def made():", "    return missing_thing"], {}, title)
+    made = codegen.function(["def generated():", "    return missing_thing"], {}, title)
     try:
         made()
     except NameError:
@@ -99,13 +99,15 @@ def test_any_title_will_do_and_tracebacks_show_the_source(title):
 
 
 def test_functions_of_one_source_share_their_code():
-    one, two = (codegen.shared_function("def made():\n    return k\n", {"k": k}, "constant") for k in (1, 2))
+    one, two = (
+        codegen.shared_function("def generated():\n    return k\n", {"k": k}, "constant") for k in (1, 2)
+    )
     assert (one(), two()) == (1, 2)
     assert one.__code__ is two.__code__
 
 
 def test_long_sources_are_not_kept():
-    source = "def made():\n" + "    k\n" * 3000 + "    return k\n"
+    source = "def generated():\n" + "    k\n" * 3000 + "    return k\n"
     one, two = (codegen.shared_function(source, {"k": k}, "constant") for k in (1, 2))
     assert (one(), two()) == (1, 2)
     assert one.__code__ is not two.__code__
@@ -116,9 +118,9 @@ def test_a_function_that_nothing_holds_is_gone_at_once(make):
     gc.disable()
     try:
         if make == "function":
-            made = codegen.function(["def made(x):", "    return x + k"], {"k": 1}, "test")
+            made = codegen.function(["def generated(x):", "    return x + k"], {"k": 1}, "test")
         else:
-            made = codegen.shared_function("def made(x):\n    return x + k\n", {"k": 1}, "test")
+            made = codegen.shared_function("def generated(x):\n    return x + k\n", {"k": 1}, "test")
         assert made(1) == 2
         held = weakref.ref(made)
         space = made.__globals__
