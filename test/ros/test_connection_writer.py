@@ -147,13 +147,14 @@ def test_who_sends_waits_as_long_as_anything_is_taken(outlet, link, reports, mon
 
     def read_some(seconds):
         nonlocal now
-        now += 0.6 * connection_writer.RECEIVER_WAIT_SECONDS
+        # Some checks see no progress: the thread that writes has sent as much as was read, and not counted it yet.
+        now += 0.2 * connection_writer.RECEIVER_WAIT_SECONDS
         assert link.other.recv(8000)
 
     monkeypatch.setattr(connection_writer, "wallsleep", read_some)
     monkeypatch.setattr(connection_writer, "time", SimpleNamespace(monotonic=lambda: now))
     it = outlet(queue=5, patient=anybody)
-    for number in range(30):
+    for number in range(90):
         it.send(numbered(number))
     assert now > 10 * connection_writer.RECEIVER_WAIT_SECONDS
     assert reports.warnings == 0
