@@ -20,6 +20,7 @@ DECORATED = {
     ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
     ("prolog/syntax/operators.py", "standard_operators"): "one entry",
     ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",
+    ("serialization/codec.py", "_extension"): "1024 extension types of at most 4 bytes",
     ("prolog/terms/timestamps.py", "_day_fields"): "64 numbers",
     ("prolog/terms/timestamps.py", "_day_number"): "64 dates",
 }

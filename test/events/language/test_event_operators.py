@@ -89,7 +89,7 @@ ENTRY = """    EventOperator(
         comparisons=("s1 < s2", "s2 < e1", "e1 < e2"),
         start="s1",
         end="e2",
-        wrong="none of the first overlaps one of the second",
+        no_match_text="none of the first overlaps one of the second",
     ),
 """
 AFTER = """    EventOperator("fnot","""

@@ -343,9 +343,10 @@ def _matching(array: Term, condition: Term) -> "Array":
             low, high = number(condition[1]), number(condition[2])
             return _compared(values, ">=", low) & _compared(values, "=<", high)
     elif condition.__class__ is Atom:
-        test = {_NAN: np.isnan, _INF: np.isinf, _FINITE: np.isfinite}.get(condition)
+        test: Any = {_NAN: np.isnan, _INF: np.isinf, _FINITE: np.isfinite}.get(condition)
         if test is not None:
-            return test(values)
+            matching: Array = test(values)
+            return matching
     raise domain_error("array_condition", condition)
 
 
