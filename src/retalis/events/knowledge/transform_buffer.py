@@ -20,7 +20,7 @@ from bisect import bisect_left, bisect_right
 from math import acos, sin, sqrt
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from ...prolog.builtins.pose_predicates import Pose
+from ...prolog.builtins.pose_predicates import Pose, compose
 from ...prolog.terms.timestamps import SECOND
 from .memory import QueryQueue
 
@@ -136,16 +136,16 @@ class CoordinateFrame(QueryQueue):
             return 0
         return stamps[position + 1] - stamps[position]
 
-    def numbers_at(self, position: int, instant: int) -> Numbers:
+    def pose_at(self, position: int, instant: int) -> Pose:
         """Return the transform at an instant, given the position of the last sample before."""
-        numbers = self.poses[position]
+        pose = _pose(self.poses[position])
         if self.is_static or not instant:
-            return numbers
+            return pose
         start = self.stamps[position]
         if start == instant or self.parents[position] is not self.parents[position + 1]:
-            return numbers
+            return pose
         ratio = (instant - start) / (self.stamps[position + 1] - start)
-        return _interpolate(numbers, self.poses[position + 1], ratio)
+        return _interpolate(self.poses[position], self.poses[position + 1], ratio)
 
     def has(self, instant: int) -> bool:
         """Return whether there is a sample of an instant, which is not after the last one."""
@@ -533,8 +533,7 @@ class TransformBuffer:
             return f"its rotation {list(numbers[3:])} does not have length 1"
         if max(len(child), len(parent)) > MAX_NAME_LENGTH:
             return f"names of frames have at most {MAX_NAME_LENGTH} characters"
-        known = self._frames.keys()
-        if len(known | {child, parent}) > MAX_FRAMES:
+        if len(self._frames) + sum(name not in self._frames for name in (child, parent)) > MAX_FRAMES:
             return f"there are {MAX_FRAMES} frames already"
         return ""
 
@@ -552,15 +551,12 @@ class TransformBuffer:
             return None
         up, down, instant = path
         if not down:
-            x, y, z, i, j, k, w = _product(up, instant)
-            return (x, y, z), (i, j, k, w)
+            return _product(up, instant)
         # The inverse of the target's way: its rotation is the conjugate, as rotations have length 1.
-        x, y, z, i, j, k, w = _product(down, instant)
-        inverse = (*_rotate(-i, -j, -k, w, -x, -y, -z), -i, -j, -k, w)
-        if up:
-            inverse = _compose(inverse, _product(up, instant))
-        x, y, z, i, j, k, w = inverse
-        return (x, y, z), (i, j, k, w)
+        (x, y, z), (i, j, k, w) = _product(down, instant)
+        rotation = -i, -j, -k, w
+        inverse = compose((IDENTITY[0], rotation), ((-x, -y, -z), IDENTITY[1]))[0], rotation
+        return compose(inverse, _product(up, instant)) if up else inverse
 
 
 _NEVER = 1 << 100
@@ -590,28 +586,33 @@ def _assumed_way(frame: CoordinateFrame, instant: int) -> List[CoordinateFrame]:
     return way
 
 
-def _interpolate(first: Numbers, second: Numbers, ratio: float) -> Numbers:
-    """Return the pose at a part of the way from one pose to another, as tf2 interpolates."""
+def _pose(numbers: Numbers) -> Pose:
+    return numbers[:3], numbers[3:]
+
+
+def _interpolate(first: Numbers, second: Numbers, ratio: float) -> Pose:
+    """Return the pose at a part of the way from one pose to another.
+
+    Rotations that are equal up to rounding are not interpolated, in contrast to `pose_predicates.interpolate`: tf2
+    returns the first one, and the results must be equal.
+    """
     ax, ay, az, ai, aj, ak, aw = first
     bx, by, bz, bi, bj, bk, bw = second
     rest = 1.0 - ratio
-    x, y, z = rest * ax + ratio * bx, rest * ay + ratio * by, rest * az + ratio * bz
+    position = rest * ax + ratio * bx, rest * ay + ratio * by, rest * az + ratio * bz
     dot = ai * bi + aj * bj + ak * bk + aw * bw
     lengths = sqrt((ai * ai + aj * aj + ak * ak + aw * aw) * (bi * bi + bj * bj + bk * bk + bw * bw))
     cosine = abs(dot) / lengths
-    # Equal up to rounding: the sine would be zero. tf2 returns the first rotation then.
+    # Equal up to rounding: the sine would be zero.
     angle = acos(cosine) if cosine < 1.0 else 0.0
     if not angle:
-        return x, y, z, ai, aj, ak, aw
+        return position, (ai, aj, ak, aw)
     scale = 1.0 / sin(angle)
     near, far = sin(rest * angle) * scale, sin(ratio * angle) * scale
     # q and -q are the same rotation; the negative one of them is on the shorter arc.
     if dot < 0:
         far = -far
-    return (
-        x,
-        y,
-        z,
+    return position, (
         ai * near + bi * far,
         aj * near + bj * far,
         ak * near + bk * far,
@@ -619,44 +620,10 @@ def _interpolate(first: Numbers, second: Numbers, ratio: float) -> Numbers:
     )
 
 
-def _product(links: List[Link], instant: int) -> Numbers:
+def _product(links: List[Link], instant: int) -> Pose:
     """Return the pose of the first frame of a way in the frame above the last one."""
-    product: Optional[Numbers] = None
+    product: Optional[Pose] = None
     for frame, position in links:
-        numbers = frame.numbers_at(position, instant)
-        product = numbers if product is None else _compose(numbers, product)
-    return _IDENTITY_NUMBERS if product is None else product
-
-
-_IDENTITY_NUMBERS: Numbers = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-
-
-def _rotate(
-    i: float, j: float, k: float, w: float, x: float, y: float, z: float
-) -> Tuple[float, float, float]:
-    """Return a vector rotated by a quaternion that is not normalized (``q v q*``)."""
-    ti = w * x + j * z - k * y
-    tj = w * y + k * x - i * z
-    tk = w * z + i * y - j * x
-    tw = i * x + j * y + k * z
-    return (
-        tw * i + ti * w - tj * k + tk * j,
-        tw * j + tj * w - tk * i + ti * k,
-        tw * k + tk * w - ti * j + tj * i,
-    )
-
-
-def _compose(first: Numbers, second: Numbers) -> Numbers:
-    """Return the pose that ``second``, given relative to ``first``, has in the frame of ``first``."""
-    x, y, z, i, j, k, w = first
-    px, py, pz, pi, pj, pk, pw = second
-    rx, ry, rz = _rotate(i, j, k, w, px, py, pz)
-    return (
-        x + rx,
-        y + ry,
-        z + rz,
-        w * pi + i * pw + j * pk - k * pj,
-        w * pj + j * pw + k * pi - i * pk,
-        w * pk + k * pw + i * pj - j * pi,
-        w * pw - i * pi - j * pj - k * pk,
-    )
+        pose = frame.pose_at(position, instant)
+        product = pose if product is None else compose(pose, product)
+    return IDENTITY if product is None else product

@@ -104,7 +104,10 @@ class AwaitedTransform:
         return list(self.queries.pop(instant, {}).values())
 
 
-Reached = List[Tuple[AwaitedTransform, int]]
+AwaitedCondition = Tuple[AwaitedTransform, int]
+"""A transform that queries wait for, and its instant; the entry of a frame's queue."""
+
+Reached = List[AwaitedCondition]
 """Transforms that have become available, with their instants."""
 
 
@@ -199,7 +202,7 @@ class Transforms:
                 reached += self._determine_paths()
         return reached
 
-    def _continue(self, entries: Iterable[PendingQuery]) -> Reached:
+    def _continue(self, entries: Iterable[AwaitedCondition]) -> Reached:
         """Register conditions with the next frame of their path; return those that are fulfilled."""
         reached: Reached = []
         for awaited, instant in entries:
@@ -214,7 +217,7 @@ class Transforms:
 
     def _determine_paths(self) -> Reached:
         """Register all conditions again, because the tree has changed; return those that are fulfilled."""
-        entries: List[PendingQuery] = []
+        entries: List[AwaitedCondition] = []
         for awaited in self._waiting:
             for instant, frame in awaited.frames.items():
                 frame.remove_query(instant, awaited)
