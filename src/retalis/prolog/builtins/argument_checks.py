@@ -6,12 +6,12 @@ ISO 13211-1 prescribes: an instantiation error for an unbound argument, a type o
 
 from typing import TYPE_CHECKING, List, Optional
 
-from ...foundation.cancellation import check_limits, watched
+from ...foundation.cancellation import BULK, check_limits, watched
 from ...foundation.errors import MessageError
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
 from ..machine.machine import Machine
-from ..terms.array_terms import lazy_array, view
+from ..terms.array_terms import ELEMENTS_PER_INFERENCE, lazy_array, view
 from ..terms.byte_texts import text_bytes
 from ..terms.list_terms import list_parts
 from ..terms.types import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor
@@ -156,6 +156,9 @@ def option_values(term: Term) -> List[Term]:
 
 _NUMBER_CLASSES = {int, float}
 
+_CHECKED_ELEMENTS = ELEMENTS_PER_INFERENCE * len(BULK)
+"""Number of elements from which the limits are checked."""
+
 
 def array_of(term: Term) -> "Array":
     """Return the numbers of an array term, a list of numbers or a byte array as a one-dimensional array.
@@ -192,6 +195,16 @@ def array_of(term: Term) -> "Array":
             except OverflowError:
                 pass
     return np.array(values, "f8")
+
+
+def count_work(elements: int) -> None:
+    """Count the work on the elements of an array as inferences, if there are many; check the limits of the goal.
+
+    Raises:
+        PrologError: if the goal must end.
+    """
+    if elements >= _CHECKED_ELEMENTS:
+        check_limits(elements // ELEMENTS_PER_INFERENCE)
 
 
 def _item(item: Term, position: int) -> Number:

@@ -15,7 +15,7 @@ but no result of arithmetic, as in ``is/2``.
 import operator
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Union
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import check_limits
 from ..machine.arithmetic import Number, evaluate
 from ..machine.errors import domain_error, evaluation_error, instantiation_error
 from ..machine.machine import Machine
@@ -23,17 +23,11 @@ from ..terms.array_terms import array_term, element, lazy_array
 from ..terms.list_terms import make_list
 from ..terms.types import CONS, Atom, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import unify
-from .argument_checks import array_of, natural, number, option_values
+from .argument_checks import array_of, count_work, natural, number, option_values
 from .builtin_registry import deterministic, function
 
 if TYPE_CHECKING:
     from ..terms.array_terms import Array
-
-_ELEMENTS_PER_INFERENCE = 64
-"""Elements that numpy processes in about the time of an inference."""
-
-_CHECKED_ELEMENTS = _ELEMENTS_PER_INFERENCE * len(BULK)
-"""Number of elements from which the limits are checked."""
 
 _LEAST_INTEGER, _GREATEST_INTEGER = -(1 << 63), (1 << 63) - 1
 
@@ -45,8 +39,7 @@ def _numbers(term: Term) -> "Array":
         PrologError: an instantiation or type error for a term that is not an array.
     """
     array = array_of(term)
-    if len(array) >= _CHECKED_ELEMENTS:
-        check_limits(len(array) // _ELEMENTS_PER_INFERENCE)
+    count_work(len(array))
     return array
 
 

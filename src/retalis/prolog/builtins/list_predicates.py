@@ -80,7 +80,7 @@ from ..terms.types import (
     serial,
 )
 from ..terms.unification import compare, undo, unify
-from .argument_checks import atom_of, integer, is_iso, items, natural, partial_items
+from .argument_checks import atom_of, count_work, integer, is_iso, items, natural, partial_items
 from .builtin_registry import Outcome, Solutions, control, deterministic, nondeterministic
 
 if TYPE_CHECKING:
@@ -564,9 +564,7 @@ def _fold_predicate(
     def run(machine: Machine, list_term: Term, result: Term) -> bool:
         array = None if list_term.__class__ is tuple else list_array(list_term)
         if array is not None:
-            count = element_count(array)
-            if count >= _CHECKED_ELEMENTS:
-                check_limits(count // _ELEMENTS_PER_INFERENCE)
+            count_work(element_count(array))
             folded = fold_array(view(array))
             if folded is not None:
                 return unify(result, folded, machine.trail)
@@ -585,13 +583,6 @@ def _fold_predicate(
 
 def _extremum(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
     return lambda best, item: function(evaluate(best), evaluate(item))
-
-
-_ELEMENTS_PER_INFERENCE = 64
-"""Elements of an array that are folded in about the time of an inference."""
-
-_CHECKED_ELEMENTS = _ELEMENTS_PER_INFERENCE * len(BULK)
-"""Number of elements from which the limits are checked."""
 
 
 def _array_sum(values: "Array") -> Optional[Number]:

@@ -25,7 +25,7 @@ from ..machine.errors import (
     instantiation_error,
     type_error,
 )
-from ..terms.array_terms import array_term, lazy_array
+from ..terms.array_terms import ELEMENTS_PER_INFERENCE, array_term, lazy_array
 from ..terms.byte_texts import text_bytes
 from ..terms.list_terms import list_parts, make_list
 from ..terms.types import (
@@ -61,9 +61,6 @@ _QUATERNION = functor("geometry_msgs__0__Quaternion", 4)
 _MAX_BYTE = 255
 _BLOCK = 1 << 14
 """Points that are tested at once: three coordinates as float64 take 384 KiB."""
-
-_ELEMENTS_PER_INFERENCE = 64
-"""Elements that numpy processes in about the time of an inference."""
 
 
 def _size_error(slot: str, value: Term, reason: str) -> PrologError:
@@ -180,7 +177,7 @@ def _text_bytes(term: Term) -> bytes:
 
 def _term(values: Array) -> Term:
     """Return the term of all elements of an array, row by row."""
-    check_limits(1 + values.size // _ELEMENTS_PER_INFERENCE, values.nbytes)
+    check_limits(1 + values.size // ELEMENTS_PER_INFERENCE, values.nbytes)
     return array_term(values.reshape(-1))
 
 
@@ -252,7 +249,7 @@ class _Cloud(NamedTuple):
         for top in range(0, height, rows):
             for left in range(0, width, _BLOCK):
                 x, y, z = [values[top : top + rows, left : left + _BLOCK] for values in coordinates]
-                check_limits(1 + x.size // _ELEMENTS_PER_INFERENCE)
+                check_limits(1 + x.size // ELEMENTS_PER_INFERENCE)
                 yield x.astype("f8"), y.astype("f8"), z.astype("f8")
 
 
@@ -435,7 +432,7 @@ def image_region_mean(image: Term, left: Term, top: Term, width: Term, height: T
     if x >= x_end or y >= y_end:
         return None
     region = pixels.rows[y:y_end, x * pixels.channels : x_end * pixels.channels]
-    check_limits(1 + region.size // _ELEMENTS_PER_INFERENCE)
+    check_limits(1 + region.size // ELEMENTS_PER_INFERENCE)
     means = (
         _finite_means(region, pixels.channels)
         if region.dtype.kind == "f"

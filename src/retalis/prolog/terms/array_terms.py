@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 MAX_EAGER_ELEMENTS = 4
 """Arrays up to this length are lists from the start, because a lazy term would cost as much."""
 
+ELEMENTS_PER_INFERENCE = 64
+"""Elements that numpy processes in about the time of an inference."""
+
 LAZY_STRING_FUNCTOR: Functor = functor("", 0)
 """Functor of a lazy string: an atom whose name is not known yet. No pattern has this functor."""
 
