@@ -19,7 +19,7 @@ from ...foundation.cancellation import check_limits
 from ..machine.arithmetic import Number, evaluate
 from ..machine.errors import domain_error, evaluation_error, instantiation_error
 from ..machine.machine import Machine
-from ..terms.array_terms import array_term, element, lazy_array
+from ..terms.array_terms import array_term, element, lazy_array, sum_of_integers
 from ..terms.list_terms import make_list
 from ..terms.types import CONS, Atom, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import unify
@@ -85,8 +85,7 @@ def _sum(values: "Array") -> Number:
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
     if values.dtype.kind != "f":
-        # Integers of 32 bits cannot exceed 64 bits: that would take more elements than a message can have.
-        return int(values.sum(dtype="i8")) if values.dtype.itemsize < 8 else sum(values.tolist())  # noqa: PLR2004
+        return sum_of_integers(values)
     with np.errstate(all="ignore"):
         return _finite(values.sum(dtype="f8").item())
 

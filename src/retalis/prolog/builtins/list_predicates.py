@@ -58,7 +58,7 @@ from ..machine.errors import (
     type_error,
 )
 from ..machine.machine import LAST, RESUME, Code, Machine
-from ..terms.array_terms import element, element_count, list_array, view
+from ..terms.array_terms import element, element_count, list_array, sum_of_integers, view
 from ..terms.list_terms import list_items, list_parts, make_list
 from ..terms.term_traversal import LATE_ROUND, MAX_STEPS, ROUNDS, refuse_cycles
 from ..terms.types import (
@@ -588,8 +588,7 @@ def _extremum(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
 def _array_sum(values: "Array") -> Optional[Number]:
     """Return the sum of an array, added from left to right; None if it is not finite."""
     if values.dtype.kind != "f":
-        # A sum of 64-bit integers can have more bits.
-        return int(values.sum(dtype="i8")) if values.dtype.itemsize < 8 else sum(values.tolist())  # noqa: PLR2004
+        return sum_of_integers(values)
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
     # `numpy.sum` adds in pairs, which rounds differently.

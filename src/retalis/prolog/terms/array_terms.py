@@ -113,6 +113,12 @@ def element(lazy: Lazy, position: int) -> Optional[Term]:
     return layout.unpack_from(lazy.source, offset)[0] if offset < len(lazy.source) else None
 
 
+def sum_of_integers(array: "Array") -> int:
+    """Return the exact sum of an array of integers, which may have more than 64 bits."""
+    # Integers of 32 bits cannot exceed 64 bits: that would take more elements than a message can have.
+    return int(array.sum(dtype="i8")) if array.dtype.itemsize < 8 else sum(array.tolist())  # noqa: PLR2004
+
+
 def array_term(array: "Array") -> Term:
     """Return the term of a one-dimensional array of integers or floats; the numbers are copied.
 
