@@ -214,6 +214,17 @@ def test_blocking_frames():
     assert blocking("root", "x", SECOND) == ""
 
 
+def test_a_loop_of_frames_blocks_no_transform_that_is_there():
+    """tf2 follows the parents of the source, and if one has no transform, those of the target."""
+    loop = buffer_of(("b", "a", 3 * SECOND, at(1)), ("c", "b", 5, at(1), True), ("a", "c", SECOND, at(1)))
+    assert loop.find_fault("c", "a", 3 * SECOND) is None
+    assert loop.find_blocking("c", "a", 3 * SECOND) is None
+    pair = buffer_of(("b", "a", SECOND, at(1)), ("a", "b", 3 * SECOND, at(1)))
+    assert pair.find_fault("b", "a", 3 * SECOND) is None
+    assert pair.find_blocking("b", "a", 3 * SECOND) is None
+    assert pair.find_blocking("b", "a", 4 * SECOND).name == "a"
+
+
 @given(st.integers(0, 10**6))
 def test_what_is_not_blocked_is_there_or_lies_before_the_history(seed):
     buffer = TransformBuffer()

@@ -17,6 +17,7 @@ frames that are unknown or not connected are registered with `TransformBuffer.to
 """
 
 from bisect import bisect_left, bisect_right
+from itertools import islice
 from math import acos, sin, sqrt
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
@@ -446,12 +447,13 @@ class TransformBuffer:
         if target_frame is None or source_frame is None:
             return self.topology
         up = _assumed_way(source_frame, instant)
-        positions = {frame: position for position, frame in enumerate(up)}
         down: List[CoordinateFrame] = []
         for frame in _assumed_way(target_frame, instant):
-            if frame in positions:
-                links = (*up[: positions[frame]], *down)
-                return next((link for link in links if not link.has_reached(instant)), None)
+            if frame in up:
+                links = (*islice(up, up[frame]), *down)
+                behind = next((link for link in links if not link.has_reached(instant)), None)
+                # In a loop of frames, another way may lead from one to the other.
+                return behind if behind is None or self.find_fault(target, source, instant) else None
             down.append(frame)
         return self.topology
 
@@ -576,12 +578,15 @@ def _extrapolation(frame: CoordinateFrame, instant: int) -> TransformFault:
     return TransformFault("after", frame.name, "", frame.stamps[-1])
 
 
-def _assumed_way(frame: CoordinateFrame, instant: int) -> List[CoordinateFrame]:
-    """Return a frame and its ancestors at an instant, as far as they are known."""
-    way = [frame]
+def _assumed_way(frame: CoordinateFrame, instant: int) -> Dict[CoordinateFrame, int]:
+    """Return a frame and its ancestors at an instant, as far as they are known, with their distances in links.
+
+    In a loop, each frame is visited once.
+    """
+    way = {frame: 0}
     parent = frame.assumed_parent(instant) if frame.is_child else None
-    while parent is not None and len(way) <= MAX_TREE_DEPTH:
-        way.append(parent)
+    while parent is not None and parent not in way:
+        way[parent] = len(way)
         parent = parent.assumed_parent(instant) if parent.is_child else None
     return way
 
