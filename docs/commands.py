@@ -10,6 +10,7 @@ DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "src"))
 
 from retalis.cli.command_line import import_commands  # noqa: E402
+from retalis.cli.node_commands import DESCRIPTION  # noqa: E402
 
 PAGE = DOCS / "reference" / "commands.md"
 
@@ -26,6 +27,9 @@ In a clone, `PYTHONPATH=src python3 -m retalis` is the same command. In a worksp
 
 The exit status is 0 for success, 1 for errors, 2 for wrong usage, and 130 after ctrl-C, unless a
 command states other values.
+
+Without the option `--node`, the commands `query`, `explain`, `list`, `status`, `watch` and `reload` use
+the only node in the namespace of `ROS_NAMESPACE`.
 """
 
 HEADER = ["| argument | meaning |", "| --- | --- |"]
@@ -61,7 +65,8 @@ def page_text() -> str:
         lines += [
             f"## retalis {name}",
             "",
-            escaped(str(parser.description)),
+            # The introduction says this for all commands.
+            escaped(str(parser.description).replace(DESCRIPTION, "")),
             "",
             f"`{usage(name, parser)}`",
             "",

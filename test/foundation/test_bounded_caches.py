@@ -55,7 +55,7 @@ HELD = {
     ),  # in its place where what the texts go with is kept too
     ("messages/field_values.py", "text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
 }
-"""Bounds of the caches by file and name: entries and bytes. ``docs/explanation/security.md`` lists them for users."""
+"""Bounds of the caches by file and name: entries and bytes."""
 
 
 def caches():
