@@ -1,9 +1,10 @@
 """Configuration of Sphinx for the documentation site; ``./install.py docs`` builds the site.
 
-The pages are plain Markdown that can be read without Sphinx. This file therefore adds two things that would need
+The pages are plain Markdown that can be read without Sphinx. This file therefore adds three things that would need
 markup of MyST in the pages:
 
 * The contents of a section are the pages that its ``index.md`` links to, in the order of their first links.
+* The words that ``how-to/index.md`` lists for a guide are index entries of the guide, which the search ranks first.
 * A link to a file of the repository that is not a page of the site is a download.
 """
 
@@ -40,6 +41,9 @@ napoleon_use_ivar = True
 
 myst_heading_anchors = 4
 
+# A search for "picture's" finds only the straight apostrophe.
+smartquotes = False
+
 html_theme = "furo"
 html_title = f"retalis {release}"
 # The site is a part of the wheel: leave out copies of the pages' sources.
@@ -58,6 +62,12 @@ OWN_LANGUAGES = ("goals", "outputs", "stream")
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+\.md)")
 """Link to a page in Markdown, with the path of the page."""
+
+
+GUIDES = DOCS / "how-to" / "index.md"
+"""Page with a table of the guides: words that people search for, and the guide."""
+
+GUIDE_ROW = re.compile(r"^\| ([^|]+) \| \[[^]]+\]\(([\w-]+)\.md\) \|$", re.MULTILINE)
 
 
 REMOTE = re.compile(
@@ -107,6 +117,26 @@ def add_contents(app: Sphinx, name: str, source: List[str]) -> None:
         return
     pages = linked_pages(source[0], path.parent)
     source[0] += "\n".join(["", "```{toctree}", ":hidden:", ":maxdepth: 1", "", *pages, "```", ""])
+
+
+def add_search_words(app: Sphinx, name: str, source: List[str]) -> None:
+    """Add the words for a guide to its text as main index entries, after its heading.
+
+    Args:
+        app: Running Sphinx.
+        name: Name of the page: its path relative to the folder of the documentation, without suffix.
+        source: List of one element, the text of the page.
+    """
+    folder, _, guide = name.rpartition("/")
+    if folder != GUIDES.parent.name or guide == GUIDES.stem:
+        return
+    words = {row[2]: row[1] for row in GUIDE_ROW.finditer(GUIDES.read_text(encoding="utf-8"))}.get(guide)
+    if words is None:
+        logger.warning("%s has no row for the guide '%s': expected words for the search", GUIDES, guide)
+        return
+    heading, _, text = source[0].partition("\n")
+    entries = ", ".join(f"! {word}" for word in words.split(", "))
+    source[0] = f"{heading}\n\n```{{index}} {entries}\n```\n{text}"
 
 
 class DownloadOtherFiles(SphinxTransform):
@@ -164,6 +194,7 @@ def check_site(app: Sphinx, error: Optional[Exception]) -> None:
 def setup(app: Sphinx) -> None:
     """Register the additions of this file with Sphinx."""
     app.connect("source-read", add_contents)
+    app.connect("source-read", add_search_words)
     app.connect("autodoc-skip-member", skip_field)
     app.connect("build-finished", check_site)
     app.add_transform(DownloadOtherFiles)
