@@ -181,7 +181,7 @@ def test_a_program_elsewhere_is_refused(folder):
 
 
 def test_another_version_is_refused(folder, monkeypatch):
-    monkeypatch.setattr("retalis.engine.checkpoints.LAYOUT", 7)
+    monkeypatch.setattr("retalis.engine.checkpoints.LAYOUT_CHECKSUM", 7)
     checkpoints(begun(folder), folder).write()
     with pytest.raises(UsageError, match="another version of the package"):
         resumed(folder)
@@ -247,9 +247,12 @@ def test_a_database_that_is_another_one_is_refused(folder, statements, message):
     ("about", "message"),
     [
         (lambda old: b"\x80\x04}\x94.", "format 5 or older, a pickle, which is never read"),
-        (lambda old: to_bytes({**old, "made": "abc"}), "made: 'abc': expected a number of seconds"),
+        (
+            lambda old: to_bytes({**old, "written_at": "abc"}),
+            "written_at: 'abc': expected a number of seconds",
+        ),
         (lambda old: to_bytes({**old, "files": [["x"]]}), "files: .*expected 2 items"),
-        (lambda old: to_bytes({**old, "format": 99}), "format 99: this version reads format 7"),
+        (lambda old: to_bytes({**old, "format": 99}), "format 99: this version reads format 8"),
         (lambda old: to_bytes({**old, "memories": old["memories"] * 2}), "two memories"),
     ],
 )

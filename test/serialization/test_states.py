@@ -7,7 +7,7 @@ import pytest
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
 from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, FloatSeconds, Stamp
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
-from retalis.serialization.state_file_format import pack, unpack
+from retalis.serialization.state_file_format import pack_sections, unpack_sections
 
 RULES = """
 p(X, Y) <- a(X) seq b(Y).
@@ -23,7 +23,7 @@ def state():
     engine.load(RULES, GOALS)
     for now, event in enumerate(("a(1)", "a(2)", "b(1)"), 1):
         engine.event(event, now)
-    return unpack(engine.snapshot())
+    return unpack_sections(engine.snapshot())
 
 
 def changed(state, section, path, value):
@@ -38,52 +38,54 @@ def changed(state, section, path, value):
             return [[name, put(one, rest)] if name == first else [name, one] for name, one in old]
         return [put(one, rest) if at == first else one for at, one in enumerate(old)]
 
-    return pack({**state, section: to_bytes(put(data, path))})
+    return pack_sections({**state, section: to_bytes(put(data, path))})
 
 
 def test_unchanged_it_is_taken(state):
-    assert Engine.restore(changed(state, "run", ["taken"], 3)).query("memory_size(as, N)") == [{"N": 10}]
+    assert Engine.restore(changed(state, "run", ["event_count"], 3)).query("memory_size(as, N)") == [
+        {"N": 10}
+    ]
 
 
 @pytest.mark.parametrize(
     ("section", "path", "value", "message"),
     [
-        ("run", ["taken"], "x", "section run: taken: 'x': expected an integer"),
-        ("run", ["taken"], True, "expected an integer"),
+        ("run", ["event_count"], "x", "section run: event_count: 'x': expected an integer"),
+        ("run", ["event_count"], True, "expected an integer"),
         ("run", ["clock"], [1], "expected 4 items"),
         ("run", ["clock", 0], 1 << 100, "expected an instant"),
         ("run", ["clock", 0], 1 << 80, "expected an instant that a clock can reach"),
-        ("run", ["sent"], [], "expected a count of outputs"),
+        ("run", ["sent_counts"], [], "expected a count of outputs"),
         ("run", [], [], "expected the fields clock"),
         ("values", [0], [["double_quotes", atom("x")]], "Prolog flag 'double_quotes'"),
         ("values", [3], [["other", 1]], "a kind of state of built-in predicates"),
-        ("program", ["network", "rules", 0, 0], atom("x"), "expected an event rule"),
-        ("program", ["network", "rules", 0, 4], 7, "expected rules with increasing serials"),
-        ("program", ["network", "flags"], [["no_flag", 1]], "no flag"),
+        ("program", ["rules", "definitions", 0, 0], atom("x"), "expected an event rule"),
+        ("program", ["rules", "definitions", 0, 4], 7, "expected rules with increasing serials"),
+        ("program", ["rules", "flags"], [["no_flag", 1]], "no flag"),
         ("program", ["memories", 0, 0], atom("x"), "a term of memorize/5"),
-        ("program", ["standings"], [["\0", []]], "expected a path"),
+        ("program", ["deployments"], [["\0", []]], "expected a path"),
         ("clauses", [0], [[1201, "xfx", "near"]], "expected an integer from 0 to 1200"),
         ("clauses", [0], [[700, "fff", "near"]], "'fff': expected one of "),
-        ("matches", ["states"], [], "the states of 3 rules"),
-        ("matches", ["states", 0, 3, 0, 0], 10_000, "expected references to event match or match"),
-        ("matches", ["states", 0, 3, 0, 0], 2, "expected references to event match or match"),
-        ("matches", ["states", 0, 3, 0, 0], Ref(0), "expected an integer"),
-        ("matches", ["states", 0, 3, 1, 0], 99, "expected an integer from -1"),
-        ("matches", ["states", 0, 3, 2, 0], 10**20, "has a sequence number that was not assigned"),
-        ("matches", ["states", 0, 3, 2], [], "expected 0 partial matches"),
+        ("matches", ["rules"], [], "the states of 3 rules"),
+        ("matches", ["rules", 0, 3, 0, 0], 10_000, "expected references to event match or match"),
+        ("matches", ["rules", 0, 3, 0, 0], 2, "expected references to event match or match"),
+        ("matches", ["rules", 0, 3, 0, 0], Ref(0), "expected an integer"),
+        ("matches", ["rules", 0, 3, 1, 0], 99, "expected an integer from -1"),
+        ("matches", ["rules", 0, 3, 2, 0], 10**20, "has a sequence number that was not assigned"),
+        ("matches", ["rules", 0, 3, 2], [], "expected 0 partial matches"),
         (
             "matches",
-            ["states", 0, 3],
+            ["rules", 0, 3],
             lambda old: [column + column for column in old],
             "two partial matches have the same sequence number",
         ),
         (
             "matches",
-            ["states", 0, 3],
+            ["rules", 0, 3],
             lambda old: [old[0] * 2, old[1] * 2, [*old[2], 0]],
             "a partial match is stored twice",
         ),
-        ("matches", ["states", 0, 2, 0, 0], "Leaves", "its nodes differ from those in the state"),
+        ("matches", ["rules", 0, 2, 0, 0], "Leaves", "its nodes differ from those in the state"),
         ("matches", ["objects", 0], b"\x63", "expected codes of kinds"),
         ("matches", ["objects", 0], b"", "kind match: values: '3': expected 0 values"),
         ("matches", ["objects", 0], b"\0", "'event match': expected a kind with columns"),
@@ -105,7 +107,7 @@ def test_unchanged_it_is_taken(state):
         ("matches", ["objects", 1, "run", 8], None, "kind run: last: 'None': expected a sequence"),
         ("matches", ["timers", 0], lambda old: old + old, "alarms with distinct sequence numbers"),
         ("matches", ["timers", 0, 0, 1], functor("no", 1)(1), "expected every"),
-        ("matches", ["waiting"], [[0, atom("x"), atom("y"), 1, 2, [], None]], "waits for a memory"),
+        ("matches", ["pending_queries"], [[0, atom("x"), atom("y"), 1, 2, [], None]], "waits for a memory"),
         ("memory 0", [3, 1], [None, None], "expected a term"),
         ("memory 0", [3, 1], [], "expected 2 terms"),
         ("memory 0", [3], ["floats", bytes(8)], "expected 2 terms"),
@@ -131,23 +133,23 @@ def test_what_is_wrong_is_refused_and_said(state, section, path, value, message)
 @pytest.mark.parametrize("left_out", ["program", "clauses", "values", "matches", "run", "memory 0"])
 def test_a_section_that_is_missing_is_said(state, left_out):
     with pytest.raises(UsageError, match="no section|expected records for each memory"):
-        Engine.restore(pack({name: data for name, data in state.items() if name != left_out}))
+        Engine.restore(pack_sections({name: data for name, data in state.items() if name != left_out}))
 
 
 def test_a_section_that_no_state_has_is_refused(state):
     with pytest.raises(UsageError, match="section 'more' is unknown"):
-        Engine.restore(pack({**state, "more": to_bytes(1)}))
+        Engine.restore(pack_sections({**state, "more": to_bytes(1)}))
 
 
 def test_an_older_state_is_refused_by_its_format(state):
-    data = pack(state).replace(b'"format": 7', b'"format": 5')
-    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 7"):
+    data = pack_sections(state).replace(b'"format": 8', b'"format": 5')
+    with pytest.raises(UsageError, match="format 5, a pickle .* never read: this version reads format 8"):
         Engine.restore(data)
 
 
 def test_a_state_of_another_layout_of_this_package_is_refused_by_its_format(state):
-    data = pack(state).replace(b'"format": 7', b'"format": 6')
-    with pytest.raises(UsageError, match="the state is of format 6: this version reads format 7"):
+    data = pack_sections(state).replace(b'"format": 8', b'"format": 7')
+    with pytest.raises(UsageError, match="the state is of format 7: this version reads format 8"):
         Engine.restore(data)
 
 
@@ -226,12 +228,12 @@ def test_a_row_pattern_that_could_lose_its_last_state_is_refused():
     engine = Engine(StreamClock())
     engine.load("s(N) <- aggregate(count, v(X), N, steps([up where X > 3, down(2) where X < 3])).")
     engine.event("v(5)", 1)
-    state = unpack(engine.snapshot())
+    state = unpack_sections(engine.snapshot())
     data = from_bytes(state["matches"])
     assert without_scanning(data) != data
-    Engine.restore(pack(state)).event("v(1)", 2)
+    Engine.restore(pack_sections(state)).event("v(1)", 2)
     with pytest.raises(UsageError, match="valid computation states of a row pattern"):
-        Engine.restore(pack({**state, "matches": to_bytes(without_scanning(data))}))
+        Engine.restore(pack_sections({**state, "matches": to_bytes(without_scanning(data))}))
 
 
 def test_a_state_after_the_largest_timestamp_is_restored():
@@ -253,9 +255,9 @@ def test_a_partial_match_of_two_rules_is_refused():
     engine = Engine()
     engine.load(rules="p(X) <- a(X) seq b(X).\nq(X) <- a(X) seq c(X).\n")
     engine.event("a(1)", 1)
-    state = unpack(engine.snapshot())
-    states = dict(from_bytes(state["matches"]))["states"]
-    shared = changed(state, "matches", ["states", 1, 3, 0], states[0][3][0])
+    state = unpack_sections(engine.snapshot())
+    states = dict(from_bytes(state["matches"]))["rules"]
+    shared = changed(state, "matches", ["rules", 1, 3, 0], states[0][3][0])
     with pytest.raises(UsageError, match="a partial match is stored twice"):
         Engine.restore(shared)
 
@@ -266,7 +268,7 @@ def state_of(rules, events, goals=""):
     engine.load(rules, goals)
     for now, event in enumerate(events, 1):
         engine.event(event, now)
-    return unpack(engine.snapshot())
+    return unpack_sections(engine.snapshot())
 
 
 def columns(state, kind):
@@ -275,7 +277,7 @@ def columns(state, kind):
 
 
 def refused(state, path, value, message):
-    Engine.restore(pack(state))
+    Engine.restore(pack_sections(state))
     with pytest.raises(UsageError, match=message):
         Engine.restore(changed(state, "matches", path, value))
 
@@ -347,14 +349,14 @@ def test_sequences_with_several_repetitions_of_their_own_are_restored():
 )
 def test_a_window_without_deadline_has_none(window, due):
     state = state_of(f"p(N) <- aggregate(count, a(_), N, {window}).", ["a(1)"])
-    refused(state, ["states", 0, 2, 1, 1, 0, 1], due, "expected nothing")
+    refused(state, ["rules", 0, 2, 1, 1, 0, 1], due, "expected nothing")
 
 
 @pytest.mark.parametrize("due", [None, 0, 1, 4 * SECOND + 1, -(1 << 62)])
 def test_the_next_window_ends_after_its_elements(due):
     state = state_of("p(N) <- aggregate(count, a(_), N, last(4, every(2))).", ["a(1)", "a(2)", "a(3)"])
     refused(
-        state, ["states", 0, 2, 1, 1, 0, 1], due, "expected the end of the next window|expected an instant"
+        state, ["rules", 0, 2, 1, 1, 0, 1], due, "expected the end of the next window|expected an instant"
     )
 
 
@@ -362,8 +364,8 @@ def test_the_deadline_of_an_anchored_window_follows_from_its_elements():
     engine = Engine()
     engine.load("p(N) <- aggregate(count, a(_), N, every(5, first)).")
     engine.event("a(1)", 1)
-    state = unpack(engine.snapshot())
-    engine = Engine.restore(changed(state, "matches", ["states", 0, 2, 1, 1, 0, 1], None))
+    state = unpack_sections(engine.snapshot())
+    engine = Engine.restore(changed(state, "matches", ["rules", 0, 2, 1, 1, 0, 1], None))
     heard = []
     engine.on_event(lambda term, start, end: heard.append(term))
     engine.event("b(1)", 10)
@@ -388,14 +390,14 @@ def test_a_suppressed_match_that_its_node_could_not_retry_is_refused():
 def test_a_header_that_is_no_text_of_utf8_is_refused(header):
     imported = set(sys.modules)
     with pytest.raises(UsageError, match="its header is malformed"):
-        unpack(b"retalis state\n%d\n%s" % (len(header), header))
+        unpack_sections(b"retalis state\n%d\n%s" % (len(header), header))
     assert set(sys.modules) == imported
 
 
 def test_a_header_with_a_number_of_many_digits_is_refused():
     header = b'{"format": %s}' % (b"9" * 4000)
     with pytest.raises(UsageError, match="its header is malformed"):
-        unpack(b"retalis state\n%d\n%s" % (len(header), header))
+        unpack_sections(b"retalis state\n%d\n%s" % (len(header), header))
 
 
 def test_an_output_without_elements_is_refused():
@@ -405,6 +407,6 @@ def test_an_output_without_elements_is_refused():
         ["a(1)", "a(2)"],
         "set_etalis_flag(revision_flag, on)",
     )
-    emitted = ["states", 0, 2, 1, 1, 2, 2, 0, 0]
+    emitted = ["rules", 0, 2, 1, 1, 2, 2, 0, 0]
     refused(state, [*emitted, 0], [], "expected the elements of an output")
     refused(state, emitted, [], "expected")

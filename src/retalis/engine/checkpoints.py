@@ -4,7 +4,7 @@ A checkpoint consists of sections (the program's clauses, rules with their parti
 the records of each memory. Only the difference to the previous checkpoint is written: a section if it has changed,
 and the records that a memory has stored since. Each checkpoint is one transaction in write-ahead mode (SQLite manual,
 "Write-Ahead Logging"), so a process that is killed leaves the last complete checkpoint. `Checkpointer` takes the
-state in its own thread while the engine is idle for that moment, and encodes and writes it afterwards.
+state in its own thread between two events, which blocks the engine briefly, and encodes and writes it afterwards.
 
 A file is not trusted when it is read: its schema, sizes and checksums are verified, no SQL of the file is executed,
 and data is decoded by a codec that creates only known types. `resume` creates an engine from a file if the program's
@@ -21,19 +21,19 @@ from random import SystemRandom
 from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from zlib import crc32
 
-from ..events.knowledge.memory import NEVER, MemoryInstance
+from ..events.knowledge.memory import NO_POSITION, MemoryInstance
 from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
-from ..serialization.memory_state import NewRecords, keep_records, new_records
-from ..serialization.schema import anything, dict_of, text
+from ..serialization.memory_state import MemoryRecords, encode_records, records_since
+from ..serialization.schema import any_value, dict_of, text
 from ..serialization.state_file_format import (
-    FORMAT,
-    LAYOUT,
+    FORMAT_NUMBER,
+    LAYOUT_CHECKSUM,
     SECTIONS,
-    about,
     check_version,
+    checkpoint_header,
     read_records,
     read_section,
 )
@@ -45,7 +45,7 @@ from .program_loader import REQUEST
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
 
-APPLICATION = 0x72746C73
+APPLICATION_ID = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""
 
 _TABLE_DEFINITIONS = """
@@ -68,9 +68,9 @@ MAX_FILE_BYTES = (1 << 31) - 1
 """Maximum size of a checkpoint in bytes. SQLite accepts no higher length limit."""
 
 _INSTRUCTIONS_PER_STEP, _MIN_STEPS, _BYTES_PER_STEP = 1000, 200, 250
-"""Limits of the SQLite instructions for reading: a minimum number of steps, plus one step per so many bytes.
+"""Limit of SQLite instructions for reading: `_MIN_STEPS` steps, and one per `_BYTES_PER_STEP` bytes of the file.
 
-A crafted file cannot make a query run forever.
+One step is `_INSTRUCTIONS_PER_STEP` instructions. The limit ends queries that a crafted file makes run forever.
 """
 
 _DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
@@ -80,7 +80,7 @@ _PICKLE_PREFIX = b"\x80\x04"
 """First bytes of a section in files of format 5 and older, which were pickles."""
 
 
-class CheckpointFileTaken(UsageError):
+class CheckpointFileInUse(UsageError):
     """Another process has opened the checkpoint file for writing; this process writes no more."""
 
 
@@ -89,14 +89,14 @@ class RecordBatch(NamedTuple):
 
     Attributes:
         memory: number of the memory in the file.
-        first: number of records that the memory had stored before the first one of the batch.
-        number: count of records in the batch.
+        first_position: number of records that the memory had stored before the first one of the batch.
+        record_count: number of records in the batch.
         data: the encoded records.
     """
 
     memory: int
-    first: int
-    number: int
+    first_position: int
+    record_count: int
     data: bytes
 
 
@@ -140,7 +140,7 @@ class CheckpointStorage:
             # One transaction creates all tables and the application id, so that a reader, also after a kill, finds
             # either an empty database or a complete schema.
             self._database.executescript(
-                f"BEGIN; PRAGMA application_id = {APPLICATION}; {_TABLE_DEFINITIONS} COMMIT;"
+                f"BEGIN; PRAGMA application_id = {APPLICATION_ID}; {_TABLE_DEFINITIONS} COMMIT;"
             )
             _check_schema(self._database)
             newest = _query_value(self._database, "SELECT max(memory) FROM records")
@@ -153,25 +153,25 @@ class CheckpointStorage:
             raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error
 
     def write(
-        self, sections: Dict[str, bytes], batches: Iterable[RecordBatch], oldest: Dict[int, int]
+        self, sections: Dict[str, bytes], batches: Iterable[RecordBatch], first_positions: Dict[int, int]
     ) -> None:
         """Write the changes since the previous checkpoint in one transaction.
 
         Args:
             sections: the sections that have changed, encoded.
             batches: new records; a batch replaces all records of its memory from its first record on.
-            oldest: for each existing memory the number of records that were stored before the oldest one that it
-                still has.
+            first_positions: for each existing memory, by its number, the number of records that were stored before
+                the oldest one that it still has.
 
         Raises:
-            CheckpointFileTaken: if another process writes to the file.
+            CheckpointFileInUse: if another process writes to the file.
             UsageError: if the transaction fails; the file keeps the previous checkpoint.
         """
         database = self._database
         try:
             database.execute("BEGIN IMMEDIATE")
             if _query_value(database, "PRAGMA user_version") != self._owner:
-                raise CheckpointFileTaken(
+                raise CheckpointFileInUse(
                     f"{self.path}: another process writes to this file: this one writes no more"
                 )
             database.executemany(
@@ -182,14 +182,15 @@ class CheckpointStorage:
                 # An event out of order is inserted between older records and moves them. All records from there on
                 # are new in the batch, so older batches of the same range are replaced.
                 database.execute(
-                    "DELETE FROM records WHERE memory = ? AND first >= ?", (batch.memory, batch.first)
+                    "DELETE FROM records WHERE memory = ? AND first >= ?",
+                    (batch.memory, batch.first_position),
                 )
                 database.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*batch, crc32(batch.data)))
             # A batch is deleted when the memory has evicted all records of it; batches are never split.
             database.executemany(
-                "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(oldest.items())
+                "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(first_positions.items())
             )
-            self._delete_missing(oldest)
+            self._delete_records_of_missing_memories(first_positions)
             database.execute("COMMIT")
         except _DATABASE_ERRORS as error:
             raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
@@ -206,9 +207,11 @@ class CheckpointStorage:
             # transaction.
             return
 
-    def _delete_missing(self, existing: Dict[int, int]) -> None:
-        stored = [memory for (memory,) in self._database.execute("SELECT DISTINCT memory FROM records")]
-        deleted = [(memory,) for memory in stored if memory not in existing]
+    def _delete_records_of_missing_memories(self, existing_memories: Dict[int, int]) -> None:
+        stored_memories = [
+            memory for (memory,) in self._database.execute("SELECT DISTINCT memory FROM records")
+        ]
+        deleted = [(memory,) for memory in stored_memories if memory not in existing_memories]
         if deleted:
             self._database.executemany("DELETE FROM records WHERE memory = ?", deleted)
 
@@ -294,13 +297,13 @@ def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoi
     if not _query_value(database, "SELECT count(*) FROM sqlite_master"):
         # The file was created, and its tables are not committed yet.
         return None
-    if _query_value(database, "PRAGMA application_id") != APPLICATION:
+    if _query_value(database, "PRAGMA application_id") != APPLICATION_ID:
         raise UsageError("it is another database: its application id is not that of a checkpoint")
     _check_schema(database)
     _check_lengths(database, size)
     data_by_name = {
-        name: _verify_checksum(data, check)
-        for name, data, check in database.execute("SELECT name, data, checked FROM sections")
+        name: _verify_checksum(data, checksum)
+        for name, data, checksum in database.execute("SELECT name, data, checked FROM sections")
     }
     if not data_by_name:
         return None
@@ -314,7 +317,7 @@ def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoi
     if len({number for number, _, _ in header["memories"]}) != len(header["memories"]):
         raise UsageError("it is damaged: two memories have the same records")
     records = [_read_batches(database, *memory) for memory in header["memories"]]
-    return Checkpoint(sections, records, header["files"], header["made"])
+    return Checkpoint(sections, records, header["files"], header["written_at"])
 
 
 def _read_header(data: bytes) -> Dict[str, Any]:
@@ -326,13 +329,13 @@ def _read_header(data: bytes) -> Dict[str, Any]:
     if data.startswith(_PICKLE_PREFIX):
         raise UsageError(
             "it was written by an older version of the package: it has format 5 or older, a pickle, which is never "
-            f"read; this version reads format {FORMAT}"
+            f"read; this version reads format {FORMAT_NUMBER}"
         )
     fields = from_bytes(data)
     # The version is checked before the full schema: a file of another version has other fields.
-    unchecked = dict_of(text, anything)(fields)
+    unchecked = dict_of(text, any_value)(fields)
     check_version(unchecked.get("format"), unchecked.get("layout"))
-    header: Dict[str, Any] = about(fields)
+    header: Dict[str, Any] = checkpoint_header(fields)
     return header
 
 
@@ -345,25 +348,27 @@ def _query_value(database: sqlite3.Connection, query: str) -> Any:
     return value
 
 
-def _read_batches(database: sqlite3.Connection, number: int, oldest: int, end_batch: Any) -> List[Any]:
+def _read_batches(
+    database: sqlite3.Connection, number: int, oldest_position: int, end_batch: Any
+) -> List[Any]:
     """Return the batches of records of a memory.
 
     Args:
         database: the open file.
         number: number of the memory in the file.
-        oldest: number of records that were stored before the oldest one of the memory.
+        oldest_position: number of records that were stored before the oldest one of the memory.
         end_batch: an empty batch, positioned after the newest record.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
     batches = [read_records(_verify_checksum(*row)) for row in database.execute(query, (number,))]
-    first = batches[0][0] if batches else end_batch[0]
-    if first > oldest:
+    first_position = batches[0][0] if batches else end_batch[0]
+    if first_position > oldest_position:
         raise UsageError("it is damaged: records of a memory are missing")
     return [*batches, end_batch]
 
 
-def _verify_checksum(data: bytes, check: int) -> bytes:
-    if not isinstance(data, bytes) or crc32(data) != check:
+def _verify_checksum(data: bytes, checksum: int) -> bytes:
+    if not isinstance(data, bytes) or crc32(data) != checksum:
         raise UsageError("it is damaged: a checksum is wrong")
     return data
 
@@ -378,7 +383,13 @@ def make_header(files: ProgramFiles, memories: List[Any], written_at: float) -> 
         written_at: time of writing, in seconds since the epoch.
     """
     file_rows = [list(file) for file in files]
-    return {"format": FORMAT, "layout": LAYOUT, "files": file_rows, "memories": memories, "made": written_at}
+    return {
+        "format": FORMAT_NUMBER,
+        "layout": LAYOUT_CHECKSUM,
+        "files": file_rows,
+        "memories": memories,
+        "written_at": written_at,
+    }
 
 
 def rename_refused_file(path: Path) -> Path:
@@ -396,8 +407,8 @@ def rename_refused_file(path: Path) -> Path:
     new_path = next((candidate for candidate in candidates if not candidate.exists()), candidates[-1])
     try:
         # The main file is renamed last: after a crash in between, the next start finds and refuses it again.
-        for ending in ("-wal", "-shm", ""):
-            source, target = Path(f"{path}{ending}"), Path(f"{new_path}{ending}")
+        for suffix in ("-wal", "-shm", ""):
+            source, target = Path(f"{path}{suffix}"), Path(f"{new_path}{suffix}")
             if source.exists():
                 os.replace(source, target)
             elif target.exists():
@@ -505,11 +516,11 @@ class Checkpointer:
             self.write()
         except Exception as error:
             # The thread continues, because the next attempt may succeed, for example when the disk has space again.
-            # The failed attempt has consumed the change marks, so the next one writes the complete state.
+            # The failed attempt has reset the change marks, so the next one writes the complete state.
             self._snapshot = EngineSnapshot(self._engine)
             self._memories = {}
             self._reports.error(error)
-            return not isinstance(error, CheckpointFileTaken)
+            return not isinstance(error, CheckpointFileInUse)
         return True
 
     def write(self) -> None:
@@ -519,18 +530,23 @@ class Checkpointer:
             UsageError: if the file cannot be written.
         """
         engine = self._engine
-        # Only taking the state blocks the engine; encoding of clauses and records and the disk access do not.
-        state = engine.executor.call(lambda: engine.dispatcher.run_restoring_context(self._take), (REQUEST,))
+        # Only capturing the state blocks the engine; encoding of clauses and records and the disk access do not.
+        state = engine.executor.call(
+            lambda: engine.dispatcher.run_restoring_context(self._capture_state), (REQUEST,)
+        )
         sections, clauses, records = state
         if clauses is not None:
             sections["clauses"] = to_bytes(clauses)
         self._update_digests()
         batches = [batch for number, unwritten in records for batch in _encode_batches(number, unwritten)]
         memories = [
-            (number, unwritten.oldest, keep_records(unwritten.end())) for number, unwritten in records
+            (number, unwritten.oldest_position, encode_records(unwritten.empty_end()))
+            for number, unwritten in records
         ]
         sections["about"] = to_bytes(make_header(list(self._files.items()), memories, time.time()))
-        self._file.write(sections, batches, {number: unwritten.oldest for number, unwritten in records})
+        self._file.write(
+            sections, batches, {number: unwritten.oldest_position for number, unwritten in records}
+        )
         self.checkpoint_count += 1
 
     def _update_digests(self) -> None:
@@ -549,12 +565,17 @@ class Checkpointer:
         if any(name not in self._files for name in names):
             self._files = {name: self._files.get(name) or file_digest(name) for name in names}
 
-    def _take(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, NewRecords]]]":
-        """Return what has changed since the previous checkpoint; the engine must not work meanwhile."""
+    def _capture_state(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, MemoryRecords]]]":
+        """Return the changes since the previous checkpoint; the engine must be idle during the call.
+
+        Returns:
+            The encoded sections that have changed; the clauses or None; for each memory, its number in the file and
+            the records that are not in the file.
+        """
         start_time = time.monotonic()
-        data_by_name = self._snapshot.take(include_program=False)
+        data_by_name = self._snapshot.capture(include_program=False)
         clauses = data_by_name.pop("clauses", None)
-        # Variables of matches and values may be bound only for the moment, so these sections are encoded before the
+        # Variables of matches and values may be bound temporarily, so these sections are encoded before the
         # engine continues. Clauses and records are immutable and can be encoded later.
         sections = {name: to_bytes(data) for name, data in data_by_name.items()}
         memories: Dict[MemoryInstance, _FilePosition] = {}
@@ -562,23 +583,25 @@ class Checkpointer:
         for instance in self._engine.knowledge.memories:
             file_position = self._memories.get(instance)
             memory = instance.memory
-            # `memory.first_moved` is the lowest position that an insertion out of order has moved since the previous
-            # checkpoint; everything from there on is written again.
-            first_changed = 0 if file_position is None else min(file_position.added, memory.first_moved)
-            memory.first_moved = NEVER
+            # `first_changed_position` is the lowest position that an insertion out of order has moved since the
+            # previous checkpoint; everything from there on is written again.
+            first_changed = (
+                0 if file_position is None else min(file_position.added, memory.first_changed_position)
+            )
+            memory.first_changed_position = NO_POSITION
             number = next(self._numbers) if file_position is None else file_position.number
             memories[instance] = _FilePosition(number, memory.added_count)
-            records.append((number, new_records(instance, first_changed)))
+            records.append((number, records_since(instance, first_changed)))
         self._memories = memories
         self.longest_pause_seconds = max(self.longest_pause_seconds, time.monotonic() - start_time)
         return sections, clauses, records
 
 
-def _encode_batches(number: int, unwritten: NewRecords) -> Iterator[RecordBatch]:
+def _encode_batches(number: int, unwritten: MemoryRecords) -> Iterator[RecordBatch]:
     """Yield records in encoded batches, and let other Python threads run between two batches."""
     for position in range(0, len(unwritten.records), RECORDS_PER_STEP):
-        batch = unwritten.part(position, position + RECORDS_PER_STEP)
-        yield RecordBatch(number, batch.first, len(batch.records), to_bytes(keep_records(batch)))
+        batch = unwritten.slice(position, position + RECORDS_PER_STEP)
+        yield RecordBatch(number, batch.first_position, len(batch.records), to_bytes(encode_records(batch)))
         time.sleep(0)
 
 
@@ -593,12 +616,12 @@ def program_files(folder: Path, loaded: Sequence[str]) -> List[str]:
     return [*fixed_files, *(path for path in sorted(loaded) if path not in fixed_files)]
 
 
-def file_digest(name: str) -> str:
+def file_digest(path: str) -> str:
     """Return the SHA-256 digest of a file, or "none" if it cannot be read."""
     from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, which only nodes with checkpoints need
 
     try:
-        return sha256(Path(name).read_bytes()).hexdigest()
+        return sha256(Path(path).read_bytes()).hexdigest()
     except OSError:
         return "none"
 

@@ -220,7 +220,7 @@ def save_deployments(
             "dynamic": [predicate.functor for predicate in deployment.dynamic],
             "replaced": list(deployment.replaced),
             "files": sorted(map(str, deployment.files)),
-            "declared": [states[id(state)] for state in deployment.states.values() if id(state) in states],
+            "states": [states[id(state)] for state in deployment.states.values() if id(state) in states],
             "timers": [(timer.event, timer.schedule.term) for timer in deployment.timers.values()],
         }
         for folder, deployment in deployments.items()
@@ -262,7 +262,7 @@ def restore_deployments(
                 for timer in (timers.find(*key) for key in saved["timers"])
                 if timer is not None
             },
-            dict(states[position] for position in saved["declared"]),
+            dict(states[position] for position in saved["states"]),
         )
     return deployments
 

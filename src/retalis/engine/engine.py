@@ -41,7 +41,7 @@ from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import copy, variables
 from ..prolog.terms.timestamps import FloatSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
-from ..serialization.state_file_format import pack, read_records, unpack
+from ..serialization.state_file_format import pack_sections, read_records, unpack_sections
 from .deployments import Deployment
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
@@ -718,9 +718,11 @@ class Engine:
             # The state is encoded within the exclusive call, because the variables of rules may be bound to other
             # values as soon as the engine continues.
             engine_snapshot = EngineSnapshot(self)
-            return encode_state(engine_snapshot.take(), engine_snapshot.records())
+            return encode_state(engine_snapshot.capture(), engine_snapshot.encode_records())
 
-        return pack(self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (REQUEST,)))
+        return pack_sections(
+            self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (REQUEST,))
+        )
 
     @classmethod
     def restore(
@@ -756,7 +758,7 @@ class Engine:
         Raises:
             UsageError: if the data is not a snapshot, is damaged, or has another format version.
         """
-        encoded = convert_errors(lambda: unpack(data))
+        encoded = convert_errors(lambda: unpack_sections(data))
         sections = convert_errors(lambda: decode_sections(encoded))
 
         def create() -> EngineType:

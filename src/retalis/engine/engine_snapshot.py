@@ -8,25 +8,25 @@ from ..foundation.errors import RetalisError, UsageError
 from ..prolog.swi.use_swi import SwiFile, use_swi
 from ..prolog.system.foreign_functions import define_foreign, load_module
 from ..prolog.system.logic_state import (
-    KeptLogic,
-    KeptValues,
-    keep_logic,
-    keep_values,
-    restore_logic,
+    ProgramSnapshot,
+    ValuesSnapshot,
+    restore_program,
     restore_values,
+    snapshot_program,
+    snapshot_values,
 )
 from ..serialization.codec import to_bytes
 from ..serialization.memory_state import (
-    keep_memories,
-    keep_records,
-    keep_sent,
-    keep_subscriptions,
-    new_records,
+    encode_records,
+    records_since,
     restore_memories,
     restore_records,
     restore_subscriptions,
+    snapshot_memories,
+    snapshot_sent_counts,
+    snapshot_subscriptions,
 )
-from ..serialization.network_state import keep_matches, keep_rules, restore_matches, restore_rules
+from ..serialization.network_state import restore_matches, restore_rules, snapshot_matches, snapshot_rules
 from ..serialization.state_file_format import SECTIONS, read_section
 from .deployments import restore_deployments, save_deployments
 from .event_input import TopicRequest
@@ -36,57 +36,57 @@ if TYPE_CHECKING:
     from .engine import Engine
 
 Sections = Dict[str, Any]
-"""Parts of a state by name, as data that `to_bytes` accepts."""
-
+"""Sections of a state by name, as data that `to_bytes` accepts."""
 
 Result = TypeVar("Result")
 
 
 class EngineSnapshot:
-    """Reads the state of an engine, or restores a state into it.
+    """Snapshot of an engine: reads its state, or restores a state into it.
 
     Args:
-        engine: the engine; it must be idle meanwhile.
+        engine: the engine. No event or goal may be active during a call.
     """
 
     def __init__(self, engine: "Engine"):
         self._engine = engine
         self._signature: Any = None
 
-    def take(self, include_program: bool = True) -> Sections:
-        """Return the state without the records of memories, which are separate sections; see `keep_records`.
+    def capture(self, include_program: bool = True) -> Sections:
+        """Return the state without the records of memories, which are separate sections; see `encode_records`.
 
         Args:
-            include_program: include the program also if it has not changed since the last call.
+            include_program: whether the program is included even if it has not changed since the last call.
 
         Raises:
             UsageError: if an event or goal is active.
         """
         engine = self._engine
         logic, rules, knowledge = engine.logic, engine.rules, engine.knowledge
-        # In the middle of a goal, choice points and bindings on the trail would belong to the state.
+        # While a goal runs, choice points and bindings on the trail belong to its state, and they cannot be saved.
         if engine.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
-        matches, named_rules = keep_matches(rules, knowledge, engine.clock, rules.rules)
+        matches, named_rules = snapshot_matches(rules, knowledge, engine.clock, rules.rules)
         counters = {
             "clock": engine.clock.snapshot(),
-            "followed": engine.event_input.followed is not None,
-            "taken": engine.event_input.taken,
-            "dropped": engine.executor.dropped,
-            "tokens": engine.dispatcher.next_token_number,
-            "sent": keep_sent(knowledge),
+            "clock_follows_events": engine.event_input.followed is not None,
+            "event_count": engine.event_input.taken,
+            "dropped_count": engine.executor.dropped,
+            "next_token_number": engine.dispatcher.next_token_number,
+            "sent_counts": snapshot_sent_counts(knowledge),
         }
-        sections = {"values": tuple(keep_values(logic)), "matches": matches, "run": counters}
+        sections = {"values": tuple(snapshot_values(logic)), "matches": matches, "run": counters}
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
-        signature = self._sign(named_rules)
+        signature = self._program_signature(named_rules)
         if include_program or signature != self._signature:
             self._signature = signature
             sections["program"] = self._collect_program(named_rules)
-            # A section of its own, because it is large and its variables are never bound: it can be encoded later.
-            sections["clauses"] = tuple(keep_logic(logic))
+            # Clauses are a separate section, because it is large, and its variables are never bound: the caller can
+            # encode it after the engine has continued.
+            sections["clauses"] = tuple(snapshot_program(logic))
         return sections
 
-    def _sign(self, named_rules: List[EventRule]) -> object:
+    def _program_signature(self, named_rules: List[EventRule]) -> object:
         """Return a value that changes whenever the program changes."""
         engine = self._engine
         rules, knowledge = engine.rules, engine.knowledge
@@ -117,26 +117,26 @@ class EngineSnapshot:
         engine = self._engine
         knowledge = engine.knowledge
         return {
-            "network": keep_rules(engine.rules, named_rules),
-            "memories": keep_memories(knowledge),
-            "subscriptions": keep_subscriptions(knowledge),
-            "declared": [state.form.term for state in knowledge.states],
-            "standings": save_deployments(engine.deployments, engine.logic, knowledge, named_rules),
+            "rules": snapshot_rules(engine.rules, named_rules),
+            "memories": snapshot_memories(knowledge),
+            "subscriptions": snapshot_subscriptions(knowledge),
+            "states": [state.form.term for state in knowledge.states],
+            "deployments": save_deployments(engine.deployments, engine.logic, knowledge, named_rules),
             "topics": [tuple(item) for item in engine.input_topics.snapshot()],
-            "events": dict(engine.slots.events),
-            "foreign": list(engine.logic.foreign_modules),
-            "swi": [tuple(item) for item in engine.logic.swi_files.values()],
+            "event_types": dict(engine.slots.events),
+            "foreign_modules": list(engine.logic.foreign_modules),
+            "swi_files": [tuple(item) for item in engine.logic.swi_files.values()],
         }
 
-    def records(self) -> List[Any]:
-        """Return the records of each memory."""
-        return [keep_records(new_records(instance)) for instance in self._engine.knowledge.memories]
+    def encode_records(self) -> List[Any]:
+        """Return the encoded records of each memory."""
+        return [encode_records(records_since(instance)) for instance in self._engine.knowledge.memories]
 
     def restore(self, sections: Sections, records: Sequence[Sequence[Any]], folder: Optional[Path]) -> None:
         """Restore a state into a new engine.
 
         Args:
-            sections: a result of `take`.
+            sections: a result of `capture`.
             records: the records of each memory, in batches.
             folder: folder from which Python modules of the program may be loaded.
 
@@ -152,36 +152,36 @@ class EngineSnapshot:
         # The order matters: event types and foreign predicates are needed to compile clauses, clauses to compile
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
-        engine.slots.events.update(program["events"])
-        self._load_foreign(program["foreign"], folder)
-        self._load_swi([SwiFile(*item) for item in program.get("swi", ())], folder)
-        restore_logic(logic, KeptLogic(*sections["clauses"]))
-        restore_values(logic, KeptValues(*sections["values"]))
+        engine.slots.events.update(program["event_types"])
+        self._load_foreign(program["foreign_modules"], folder)
+        self._load_swi([SwiFile(*item) for item in program["swi_files"]], folder)
+        restore_program(logic, ProgramSnapshot(*sections["clauses"]))
+        restore_values(logic, ValuesSnapshot(*sections["values"]))
         with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
-            named_rules = restore_rules(rules, program["network"])
+            named_rules = restore_rules(rules, program["rules"])
             memories = restore_memories(knowledge, program["memories"])
-            restore_subscriptions(knowledge, program["subscriptions"], counters["sent"])
-            for definition in program["declared"]:
+            restore_subscriptions(knowledge, program["subscriptions"], counters["sent_counts"])
+            for definition in program["states"]:
                 knowledge.states.declare(definition)
-        if len(counters["sent"]) != len(knowledge.subscriptions.items()):
+        if len(counters["sent_counts"]) != len(knowledge.subscriptions.items()):
             raise UsageError("the state is damaged: expected a count of outputs for each subscription")
         if len(memories) != len(records):
             raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
         restore_matches(rules, knowledge, engine.clock, sections["matches"], named_rules)
-        rules.files.loaded = set(map(Path, program["network"]["loaded"]))
+        rules.files.loaded = set(map(Path, program["rules"]["loaded_files"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared.in_use = True
         engine.deployments.update(
-            restore_deployments(program["standings"], logic, knowledge, rules.timers, named_rules)
+            restore_deployments(program["deployments"], logic, knowledge, rules.timers, named_rules)
         )
         engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(counters["clock"])
-        engine.event_input.taken = counters["taken"]
-        engine.executor.dropped = counters["dropped"]
-        engine.dispatcher.next_token_number = counters["tokens"]
+        engine.event_input.taken = counters["event_count"]
+        engine.executor.dropped = counters["dropped_count"]
+        engine.dispatcher.next_token_number = counters["next_token_number"]
 
     def _load_foreign(self, modules: Sequence[str], folder: Optional[Path]) -> None:
         """Load the Python modules of the program again; they must be in its folder."""
@@ -220,8 +220,15 @@ class EngineSnapshot:
 
 
 def create_clock(counters: Dict[str, Any]) -> Optional[StreamClock]:
-    """Return the clock for an engine without one; None for the default, which follows the timestamps of events."""
-    return None if counters["followed"] else StreamClock()
+    """Return the clock with which an engine must be created to restore its state.
+
+    Args:
+        counters: section ``run`` of the state.
+
+    Returns:
+        A `StreamClock`, or None for the default clock of an engine, which follows the timestamps of events.
+    """
+    return None if counters["clock_follows_events"] else StreamClock()
 
 
 def encode_state(sections: Sections, records: Sequence[Any]) -> Dict[str, bytes]:

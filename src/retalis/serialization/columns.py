@@ -2,9 +2,8 @@
 
 A memory can have hundreds of thousands of records, and a rule as many partial matches. Their terms are encoded in
 columns: terms with the same functor become one column per argument, recursively. A column of floats is packed as
-64-bit numbers, and a column in which the same objects recur as positions in the list of distinct ones. Columns are
-created and read with functions that are implemented in C. The representation resembles the dictionary encoding of
-Apache Parquet.
+64-bit numbers. A column with repeated objects is stored as indexes into a list of distinct objects, as in the
+dictionary encoding of Apache Parquet. Columns are created and read with functions that are implemented in C.
 """
 
 from itertools import chain, repeat
@@ -15,7 +14,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
-from .schema import Decoded, anything, each, fixed, functor, instant, invalid_value, items, term
+from .schema import Decoded, any_value, functor, instant, invalid_value, items, sequence_of, term, tuple_of
 
 _MIN_COLUMN_TERMS, _MAX_COLUMN_DEPTH, _MAX_COLUMNS = 50, 4, 64
 """Minimum number of terms that are encoded in columns; maximum nesting and total number of columns."""
@@ -26,13 +25,13 @@ _SAMPLE_SIZE = 200
 _PART_SIZE = 1000
 """Number of terms that are encoded together: their arguments fit into the processor's cache, which halves the time.
 
-Positions have 16 bits.
+Must not exceed 65,536, because positions have 16 bits.
 """
 
 _MAX_BYTE_POSITIONS = 256
 """Maximum number of distinct terms in a column for positions of 8 bits."""
 
-_FORMS: Dict[Any, int] = {int: 0, FloatSeconds: 1, Stamp: 2}
+_CLASS_CODES: Dict[Any, int] = {int: 0, FloatSeconds: 1, Stamp: 2}
 """Codes of the classes of instants, which print differently."""
 
 
@@ -49,43 +48,44 @@ def encode_terms(terms: List[Term]) -> List[Any]:
     ]
 
 
-def _encode_part(terms: List[Term], depth: int = 0, columns_left: Optional[List[None]] = None) -> List[Any]:
+def _encode_part(terms: List[Term], depth: int = 0, column_budget: Optional[List[None]] = None) -> List[Any]:
     """Return the encoding of terms: as columns of their arguments if all have the same functor.
 
-    Columns of floats are packed. A column in which the same objects recur, such as atoms, is encoded as positions in
-    the list of distinct objects.
+    Columns of floats are packed. A column with repeated objects, such as atoms, is encoded as indexes into a list of
+    distinct objects.
     """
-    columns_left = [None] * _MAX_COLUMNS if columns_left is None else columns_left
+    column_budget = [None] * _MAX_COLUMNS if column_budget is None else column_budget
     if len(terms) < _MIN_COLUMN_TERMS:
-        return _listed(terms)
+        return _encode_list(terms)
     column: Any = terms
     first_class = column[0].__class__
     if first_class is float:
         if set(map(type, column)) == {float}:
             return ["floats", pack(f"{len(column)}d", *column)]
-        return _listed(terms)
+        return _encode_list(terms)
     if first_class is Atom and set(map(type, column)) == {Atom}:
-        return _indexed(column, dict.fromkeys(column))
+        return _encode_indexed(column, dict.fromkeys(column))
     # A sample decides between columns and positions: comparing all objects would cost as much as encoding them.
     mostly_distinct = 10 * len(set(map(id, column[:_SAMPLE_SIZE]))) >= 9 * min(len(column), _SAMPLE_SIZE)
     if first_class is tuple and mostly_distinct:
         # Deeper arguments are rare in messages, and many short columns would cost more than they save.
-        rows = _rows(column) if depth < _MAX_COLUMN_DEPTH else None
+        flat_terms = _flatten_terms(column) if depth < _MAX_COLUMN_DEPTH else None
         width = len(column[0])
-        if rows is not None and width <= len(columns_left) + 1:
-            # A list as a counter that nested calls share.
-            del columns_left[: width - 1]
-            encoded = [
-                _encode_part(rows[position::width], depth + 1, columns_left) for position in range(1, width)
+        if flat_terms is not None and width <= len(column_budget) + 1:
+            # The list is a mutable counter that nested calls share: one item per column that may still be created.
+            del column_budget[: width - 1]
+            encoded_columns = [
+                _encode_part(flat_terms[position::width], depth + 1, column_budget)
+                for position in range(1, width)
             ]
-            return ["columns", column[0][0], encoded]
+            return ["columns", column[0][0], encoded_columns]
     elif first_class is not int and not mostly_distinct:
         keys = list(map(id, column))
-        return _indexed(column, dict(zip(keys, column)), keys)
-    return _listed(terms)
+        return _encode_indexed(column, dict(zip(keys, column)), keys)
+    return _encode_list(terms)
 
 
-def _listed(terms: List[Term]) -> List[Any]:
+def _encode_list(terms: List[Term]) -> List[Any]:
     """Return terms as a list, with instants as integers."""
     classes = set(map(type, terms))
     if FloatSeconds in classes or Stamp in classes:
@@ -93,7 +93,9 @@ def _listed(terms: List[Term]) -> List[Any]:
     return ["terms", terms]
 
 
-def _indexed(terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[int]] = None) -> List[Any]:
+def _encode_indexed(
+    terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[int]] = None
+) -> List[Any]:
     """Return terms as positions in the list of distinct terms.
 
     Args:
@@ -102,25 +104,29 @@ def _indexed(terms: List[Term], distinct: Dict[Any, Any], keys: Optional[List[in
         keys: ids of terms other than atoms, because hashing a compound term would visit its arguments.
     """
     positions = dict(zip(distinct, range(len(distinct))))
-    places = itemgetter(*(keys or terms))(positions)
-    packed = bytes(places) if len(distinct) <= _MAX_BYTE_POSITIONS else pack(f"{len(places)}H", *places)
-    return ["indexed", _listed(list(distinct.values() if keys else distinct))[1], packed]
+    term_indexes = itemgetter(*(keys or terms))(positions)
+    packed = (
+        bytes(term_indexes)
+        if len(distinct) <= _MAX_BYTE_POSITIONS
+        else pack(f"{len(term_indexes)}H", *term_indexes)
+    )
+    return ["indexed", _encode_list(list(distinct.values() if keys else distinct))[1], packed]
 
 
-def _rows(terms: Sequence[Any]) -> Optional[List[Any]]:
+def _flatten_terms(terms: Sequence[Any]) -> Optional[List[Any]]:
     """Return functors and arguments of compound terms in one list, or None if the functors differ.
 
     Functors only occur as the first item of a term. Therefore all terms have the functor that is found at each
     multiple of the width.
     """
     try:
-        rows = list(chain.from_iterable(terms))
+        flat_terms = list(chain.from_iterable(terms))
     except TypeError:  # a term that is not compound
         return None
     width = len(terms[0])
-    if len(rows) != width * len(terms) or rows[::width].count(rows[0]) != len(terms):
+    if len(flat_terms) != width * len(terms) or flat_terms[::width].count(flat_terms[0]) != len(terms):
         return None
-    return rows
+    return flat_terms
 
 
 def decode_terms(value: Decoded, count: int, depth: int = 0) -> Sequence[Term]:
@@ -129,29 +135,34 @@ def decode_terms(value: Decoded, count: int, depth: int = 0) -> Sequence[Term]:
     Raises:
         UsageError: if the encoding is invalid.
     """
-    form, *rest = items(value) or [None]
+    encoding, *content = items(value) or [None]
     # Parts cannot be nested, so their sizes follow from the number of terms.
-    if form == "parts" and len(rest) == 1 and not depth:
+    if encoding == "parts" and len(content) == 1 and not depth:
         sizes = [min(_PART_SIZE, count - start) for start in range(0, count, _PART_SIZE)]
-        if len(items(rest[0])) == len(sizes):
-            parts = [decode_terms(part, size, 1) for part, size in zip(rest[0], sizes)]
+        if len(items(content[0])) == len(sizes):
+            parts = [decode_terms(part, size, 1) for part, size in zip(content[0], sizes)]
             return list(chain.from_iterable(parts))
-    if form == "floats" and len(rest) == 1 and rest[0].__class__ is bytes and len(rest[0]) == 8 * count:
-        return unpack(f"{count}d", rest[0])
-    if form == "indexed" and len(rest) == 2 and rest[1].__class__ is bytes:
-        terms: Sequence[Term] = _decode_indexed(each(term)(rest[0]), rest[1])
+    if (
+        encoding == "floats"
+        and len(content) == 1
+        and content[0].__class__ is bytes
+        and len(content[0]) == 8 * count
+    ):
+        return unpack(f"{count}d", content[0])
+    if encoding == "indexed" and len(content) == 2 and content[1].__class__ is bytes:
+        terms: Sequence[Term] = _decode_indexed(sequence_of(term)(content[0]), content[1])
         if len(terms) == count:
             return terms
-    if form == "columns" and len(rest) == 2 and depth <= _MAX_COLUMN_DEPTH + 1:
-        term_functor = functor(rest[0])
-        columns = [decode_terms(column, count, depth + 1) for column in items(rest[1])]
+    if encoding == "columns" and len(content) == 2 and depth <= _MAX_COLUMN_DEPTH + 1:
+        term_functor = functor(content[0])
+        columns = [decode_terms(column, count, depth + 1) for column in items(content[1])]
         if len(columns) == term_functor.arity > 0:
             return list(zip(repeat(term_functor, count), *columns))
-    if form == "terms" and len(rest) == 1:
-        terms = each(term)(rest[0])
+    if encoding == "terms" and len(content) == 1:
+        terms = sequence_of(term)(content[0])
         if len(terms) == count:
             return terms
-    raise invalid_value(form, f"{count} terms")
+    raise invalid_value(encoding, f"{count} terms")
 
 
 def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
@@ -161,7 +172,7 @@ def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
         if len(packed) % 2:
             raise invalid_value(len(packed), "positions of 2 bytes")
         positions = unpack(f"{len(packed) // 2}H", packed)
-    # The file is not trusted: a position out of range must be refused with a clear error.
+    # The file is not trusted: a position out of range must raise an error that names it.
     if positions and max(positions) >= len(distinct):
         raise invalid_value(max(positions), f"a position among {len(distinct)} terms")
     return list(map(distinct.__getitem__, positions))
@@ -180,21 +191,21 @@ def are_same_instants(first: Sequence[Any], second: Sequence[Any]) -> bool:
 
 
 def encode_instants(instants: Sequence[Any]) -> Any:
-    """Return columns of instants: nanoseconds as 64-bit integers if they fit, forms, and the terms of stamps."""
+    """Return columns of instants: nanoseconds as 64-bit integers if they fit, class codes, terms of stamps."""
     classes = set(map(type, instants))
     # Integers, float seconds and stamps with their own text print differently. Usually all instants are alike.
     if len(classes) == 1:
-        forms = bytes([_FORMS[classes.pop()]]) * len(instants)
+        class_codes = bytes([_CLASS_CODES[classes.pop()]]) * len(instants)
     else:
-        forms = bytes(map(_FORMS.__getitem__, map(type, instants)))
-    stamps = [instant.term for instant in instants if instant.__class__ is Stamp] if 2 in forms else []
+        class_codes = bytes(map(_CLASS_CODES.__getitem__, map(type, instants)))
+    stamps = [instant.term for instant in instants if instant.__class__ is Stamp] if 2 in class_codes else []
     try:
-        return pack(f"{len(instants)}q", *instants), forms, stamps
+        return pack(f"{len(instants)}q", *instants), class_codes, stamps
     except StructError:
-        return [int(instant) for instant in instants], forms, stamps
+        return [int(instant) for instant in instants], class_codes, stamps
 
 
-_instant_column = fixed(anything, anything, each(term))
+_check_instant_columns = tuple_of(any_value, any_value, sequence_of(term))
 
 
 def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
@@ -207,25 +218,33 @@ def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
     Raises:
         UsageError: if the columns are invalid.
     """
-    numbers, forms, stamps = _instant_column(value)
-    if forms.__class__ is not bytes or forms.translate(None, b"\0\1\2") or forms.count(2) != len(stamps):
-        raise invalid_value(forms, "the forms of instants")
-    if count not in (None, len(forms)):
-        raise invalid_value(len(forms), f"{count} instants")
+    numbers, class_codes, stamps = _check_instant_columns(value)
+    if (
+        class_codes.__class__ is not bytes
+        or class_codes.translate(None, b"\0\1\2")
+        or class_codes.count(2) != len(stamps)
+    ):
+        raise invalid_value(class_codes, "the forms of instants")
+    if count not in (None, len(class_codes)):
+        raise invalid_value(len(class_codes), f"{count} instants")
     if numbers.__class__ is bytes:
-        if len(numbers) != 8 * len(forms):
-            raise invalid_value(len(numbers), f"{len(forms)} instants")
-        numbers = unpack(f"{len(forms)}q", numbers)
-    elif len(each(instant)(numbers)) != len(forms):
-        raise invalid_value(numbers, f"{len(forms)} instants")
-    if not any(forms):
+        if len(numbers) != 8 * len(class_codes):
+            raise invalid_value(len(numbers), f"{len(class_codes)} instants")
+        numbers = unpack(f"{len(class_codes)}q", numbers)
+    elif len(sequence_of(instant)(numbers)) != len(class_codes):
+        raise invalid_value(numbers, f"{len(class_codes)} instants")
+    if not any(class_codes):
         return list(numbers)
-    if forms.count(1) == len(forms):
+    if class_codes.count(1) == len(class_codes):
         return list(map(FloatSeconds, numbers))
     terms = iter(stamps)
     instants: List[int] = []
-    for number, form in zip(numbers, forms):
+    for number, class_code in zip(numbers, class_codes):
         instants.append(
-            number if form == 0 else FloatSeconds(number) if form == 1 else Stamp.of(number, next(terms))
+            number
+            if class_code == 0
+            else FloatSeconds(number)
+            if class_code == 1
+            else Stamp.of(number, next(terms))
         )
     return instants

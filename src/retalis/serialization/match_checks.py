@@ -116,29 +116,29 @@ def group_fits(node: RepeatNode, group: RunGroup) -> bool:
         return False
     child = MatchShape(node.child)
     present = [
-        (number, token)
-        for number, token in enumerate(group.cursors, 1)
-        if token is not None and token.buffer is group
+        (number, cursor)
+        for number, cursor in enumerate(group.cursors, 1)
+        if cursor is not None and cursor.buffer is group
     ]
     return (
         bool(present)
-        and all(_cursor_fits(node, child, number, token) for number, token in present)
+        and all(_cursor_fits(node, child, number, cursor) for number, cursor in present)
         and all(map(child.fits, group.log.items))
     )
 
 
-def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, token: RunCursor) -> bool:
-    first = MatchShape(node, times=token.prefix_length) if token.prefix_length > 1 else child
-    return token.prefix_length <= number and len(token.values) == first.width and first.fits(token.first)
+def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, cursor: RunCursor) -> bool:
+    first = MatchShape(node, times=cursor.prefix_length) if cursor.prefix_length > 1 else child
+    return cursor.prefix_length <= number and len(cursor.values) == first.width and first.fits(cursor.first)
 
 
-def _negated_shapes(absence: NegationBuffer, node: NetworkNode) -> List[Any]:
+def _negation_shapes(absence: NegationBuffer, node: NetworkNode) -> List[Any]:
     """Return the shapes for `NegationBuffer.buffers`."""
     return [MatchShape(node), *_carried_shapes(absence.carried)]
 
 
 def _carried_shapes(carried: Iterable[Tuple[NegationBuffer, NetworkNode]]) -> List[Any]:
-    return [shape for absence, node in carried for shape in _negated_shapes(absence, node)]
+    return [shape for absence, node in carried for shape in _negation_shapes(absence, node)]
 
 
 def buffer_shapes(node: Any, saved: Any) -> List[Any]:
@@ -155,7 +155,7 @@ def buffer_shapes(node: Any, saved: Any) -> List[Any]:
             for times in node.buffer_lengths(saved)
         ]
     if isinstance(node, NotNode):
-        return _negated_shapes(node.absence, node.negated)
+        return _negation_shapes(node.absence, node.negated)
     if isinstance(node, (EarlyTestNode, StreamNode)):
         return _carried_shapes(node.carried)
     return [_NoMatches() for _ in node.buffers()]
@@ -233,13 +233,21 @@ def check_lineage(graph: GraphReader) -> None:
                 raise UsageError("a match with repetitions does not fit its node")
 
 
-def _can_retry(node: Any, what: Any) -> bool:
+def _can_retry(node: Any, suppressed: Any) -> bool:
     """Return whether `retry` of a node accepts a suppressed match or pair."""
-    is_pair = what.__class__ is tuple
+    is_pair = suppressed.__class__ is tuple
     if isinstance(node, JoinNode):
-        return is_pair and MatchShape(node.left).fits(what[0]) and MatchShape(node.right).fits(what[1])
+        return (
+            is_pair
+            and MatchShape(node.left).fits(suppressed[0])
+            and MatchShape(node.right).fits(suppressed[1])
+        )
     if isinstance(node, KleeneNode):
-        return is_pair and MatchShape(node, Run).fits(what[0]) and MatchShape(node.repeated).fits(what[1])
+        return (
+            is_pair
+            and MatchShape(node, Run).fits(suppressed[0])
+            and MatchShape(node.repeated).fits(suppressed[1])
+        )
     if isinstance(node, (NotNode, EarlyTestNode)):
-        return not is_pair and MatchShape(node.child).fits(what)
+        return not is_pair and MatchShape(node.child).fits(suppressed)
     return False

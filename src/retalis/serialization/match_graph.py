@@ -38,12 +38,10 @@ from .columns import decode_instants, encode_instants
 from .schema import (
     Decoded,
     ValueCheck,
-    anything,
+    any_value,
     boolean,
     count,
     dict_of,
-    each,
-    fixed,
     integer,
     integers,
     invalid_value,
@@ -52,14 +50,16 @@ from .schema import (
     match_orders,
     one_of,
     optional,
+    sequence_of,
     term,
+    tuple_of,
     value_of_match,
     variable,
 )
 
 
-class _Form(Enum):
-    """Encoding of the column of an attribute."""
+class _ColumnEncoding(Enum):
+    """Encoding of a column with the values of an attribute."""
 
     DATA = "data"
     """Values that contain no objects."""
@@ -75,7 +75,7 @@ class _Form(Enum):
     """Any data, with objects as `Ref`."""
 
 
-_DATA, _INSTANTS, _OBJECT, _PARTS, _MIXED = _Form
+_DATA, _INSTANTS, _OBJECT, _PARTS, _MIXED = _ColumnEncoding
 _INTERVAL = {"start": _INSTANTS, "end": _INSTANTS}
 _MATCH = {
     "values": _DATA,
@@ -93,7 +93,7 @@ _TRACKED = {
     "suppressed": _MIXED,
 }
 
-FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
+FIELDS: Dict[str, Tuple[Any, Dict[str, _ColumnEncoding]]] = {
     "event match": (EventMatch, {**_INTERVAL, "term": _DATA}),
     "match": (PartialMatch, _MATCH),
     "run": (
@@ -137,8 +137,8 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
         },
     ),
     "log": (SharedLog, {"items": _MIXED}),
-    "log slices": (BufferSlice, {"pieces": _MIXED}),
-    "tracked match": (
+    "buffer slice": (BufferSlice, {"pieces": _MIXED}),
+    "repetition chain": (
         TrackedMatch,
         {"match": _OBJECT, "earlier": _OBJECT, "number": _DATA, "linked": _DATA, **_TRACKED},
     ),
@@ -164,10 +164,10 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _Form]]] = {
         {"node": _OBJECT, "match_or_pair": _MIXED, "number": _DATA, "is_released": _DATA},
     ),
 }
-"""Kinds of objects: their class, and the attributes that are stored. Other attributes are derived when read."""
+"""Classes of objects by kind, with the encodings of their stored attributes. Other attributes are derived."""
 
-_KINDS = [*FIELDS, "nothing", "rule", "node"]
-"""All kinds, in the order of their codes: `NO_REPETITIONS`, rules and nodes exist before objects are read."""
+_KINDS = [*FIELDS, "no repetitions", "rule", "node"]
+"""All kinds in the order of their codes. `NO_REPETITIONS`, rules and nodes exist before objects are read."""
 
 _CODES = {kind: code for code, kind in enumerate(_KINDS)}
 _KIND_BY_CLASS = {
@@ -220,57 +220,58 @@ class GraphWriter:
         """Return the encoding of all objects that were reached: codes of their kinds, and columns by kind."""
         # Objects are reached in a loop instead of recursively, because chains of objects can be very long.
         while self._unexplored:
-            self._explore()
+            self._collect_unexplored()
         return bytes(self._kinds), [
             [kind, self._encode_columns(kind)] for kind in _KINDS if self._objects[kind]
         ]
 
-    def _explore(self) -> None:
-        """Collect the objects that have got a number, and give numbers to those that they refer to."""
+    def _collect_unexplored(self) -> None:
+        """Collect the objects that were numbered last, and assign numbers to the objects that they refer to."""
         reached, self._unexplored = self._unexplored, []
-        kinds = [self._kind(item) for item in reached]
+        kinds = [self._register_kind(item) for item in reached]
         self._kinds += bytes(map(_CODES.__getitem__, kinds))
         by_kind: DefaultDict[str, List[Any]] = defaultdict(list)
         for kind, item in zip(kinds, reached):
             by_kind[kind].append(item)
         for kind, objects in by_kind.items():
             self._objects[kind] += objects
-            for field, form in FIELDS[kind][1].items() if kind in FIELDS else ():
+            for field, encoding in FIELDS[kind][1].items() if kind in FIELDS else ():
                 values = map(attrgetter(field), objects)
                 column = self._columns[kind, field]
-                if form is _OBJECT:
+                if encoding is _OBJECT:
                     column += [None if value is None else self.number(value) for value in values]
-                elif form is _PARTS:
+                elif encoding is _PARTS:
                     column += map(self._to_parts, values)
-                elif form is _MIXED:
+                elif encoding is _MIXED:
                     column += map(self.write, values)
 
-    def _kind(self, item: Any) -> str:
+    def _register_kind(self, item: Any) -> str:
+        """Return the kind of an object, and assign a number to its rule."""
         if item is NO_REPETITIONS:
-            return "nothing"
+            return "no repetitions"
         kind = _KIND_BY_CLASS.get(item.__class__, "node")
         # Numbers of rules and nodes are assigned here, because those of deleted rules are not known before.
         if kind == "rule":
-            self._rule(item)
+            self._rule_number(item)
         elif kind == "node" and id(item) not in self._nodes:
-            self._rule(item.rule)
+            self._rule_number(item.rule)
         return kind
 
     def _encode_columns(self, kind: str) -> List[Any]:
         objects = self._objects[kind]
-        if kind == "nothing":
+        if kind == "no repetitions":
             return []
         if kind == "rule":
-            return [[self._rule(rule) for rule in objects]]
+            return [[self._rule_number(rule) for rule in objects]]
         if kind == "node":
             return list(zip(*[self._nodes[id(node)] for node in objects]))
         columns: List[Any] = []
         fields = FIELDS[kind][1]
-        for field, form in fields.items():
+        for field, encoding in fields.items():
             column: Any = self._columns.get((kind, field)) or list(map(attrgetter(field), objects))
             if field == "end" and "start" in fields and _are_starts(objects, column):
                 column = None
-            elif form is _INSTANTS:
+            elif encoding is _INSTANTS:
                 column = encode_instants(column)
             # An attribute that is not used by any object takes no space.
             columns.append(
@@ -278,7 +279,7 @@ class GraphWriter:
             )
         return columns
 
-    def _rule(self, rule: EventRule) -> int:
+    def _rule_number(self, rule: EventRule) -> int:
         number = self._rule_numbers.get(id(rule))
         if number is None:
             number = len(self.rules)
@@ -298,7 +299,7 @@ class GraphWriter:
         return [self._to_part(part) for part in parts]
 
     def _to_part(self, part: Any) -> Any:
-        """Return the encoding of a part of a match, see `_Form.PARTS`."""
+        """Return the encoding of a part of a match, see `_ColumnEncoding.PARTS`."""
         if part.__class__ in _KIND_BY_CLASS:
             return self.number(part)
         # `ComputedValues` is a sequence of one item already. A branch becomes one: its number is no number of an
@@ -313,7 +314,7 @@ _ColumnCheck = Callable[[Decoded, Sequence[int]], Sequence[Any]]
 
 
 class GraphReader:
-    """Reader that creates objects from columns, with a check of each attribute.
+    """Reader that creates objects from columns and checks each attribute.
 
     Attributes refer to other objects by their numbers; checks restrict the kinds of these objects. No object may
     directly or indirectly consist of itself (`_sources`), otherwise traversals would not terminate.
@@ -328,26 +329,28 @@ class GraphReader:
 
     def __init__(self, value: Decoded, rules: Sequence[EventRule]):
         self._rules = rules
-        self._kinds, columns_by_kind = fixed(_kind_codes, dict_of(one_of(*_KINDS), items))(value)
+        self._kinds, columns_by_kind = tuple_of(_check_kind_codes, dict_of(one_of(*_KINDS), items))(value)
         self._objects: List[Any] = []
         self._sources: DefaultDict[int, List[int]] = defaultdict(list)
-        self._current: List[int] = []
-        self.match = self.ref(*MATCH_KINDS)
+        self._current_sources: List[int] = []
+        self.check_match = self.reference_to(*MATCH_KINDS)
         """Check of a reference to a match of any kind."""
-        self._refer_to_event = self.ref("event")
+        self._read_event = self.reference_to("event")
         # Objects exist before their attributes are set, since references form cycles.
         objects_by_kind = {kind: self._create(kind, columns) for kind, columns in columns_by_kind.items()}
-        numbers_by_kind = self._arrange(objects_by_kind)
+        numbers_by_kind = self._order_objects(objects_by_kind)
         # Most states have no partial matches.
-        checks = self._checks() if columns_by_kind else {}
+        checks = self._column_checks() if columns_by_kind else {}
         for kind, objects in objects_by_kind.items():
             if kind in FIELDS:
-                self._fill(kind, objects, numbers_by_kind[kind], columns_by_kind[kind], checks[kind])
+                self._set_attributes(
+                    kind, objects, numbers_by_kind[kind], columns_by_kind[kind], checks[kind]
+                )
         self._check_acyclic()
         for kind, objects in objects_by_kind.items():
-            if kind in _FINISH:
+            if kind in _COMPLETIONS:
                 for item in objects:
-                    _FINISH[kind](item)
+                    _COMPLETIONS[kind](item)
 
     def objects(self, *object_classes: type) -> List[Any]:
         """Return all objects of some classes."""
@@ -360,35 +363,34 @@ class GraphReader:
             # An `EventMatch` has one slot for its interval and its order, which is assigned later.
             object_class = PartialMatch if kind == "event match" else FIELDS[kind][0]
             return [object_class.__new__(object_class) for _ in range(size)]
-        if kind == "nothing":
-            fixed()(columns)
+        if kind == "no repetitions":
+            tuple_of()(columns)
             return [NO_REPETITIONS] * size
         rule_numbers = integers(0, len(self._rules) - 1)
         if kind == "rule":
-            (numbers,) = fixed(rule_numbers)(columns)
+            (numbers,) = tuple_of(rule_numbers)(columns)
             return [self._rules[number] for number in numbers]
-        rules_of_nodes, node_numbers = fixed(rule_numbers, integers())(columns)
+        rules_of_nodes, node_numbers = tuple_of(rule_numbers, integers())(columns)
         nodes = []
         for rule_number, node_number in zip(rules_of_nodes, node_numbers):
             nodes_of_rule = self._rules[rule_number].nodes
             nodes.append(nodes_of_rule[integer(0, len(nodes_of_rule) - 1)(node_number)][0])
         return nodes
 
-    def _arrange(self, objects_by_kind: Dict[str, List[Any]]) -> Dict[str, List[int]]:
-        """Put the objects in the order of their numbers; return the numbers by kind."""
+    def _order_objects(self, objects_by_kind: Dict[str, List[Any]]) -> Dict[str, List[int]]:
+        """Store the objects in the order of their numbers, and return the numbers by kind."""
         for code in set(self._kinds):
             if _KINDS[code] not in objects_by_kind:
                 raise invalid_value(_KINDS[code], "a kind with columns")
         numbers_by_kind: Dict[str, List[int]] = {kind: [] for kind in objects_by_kind}
-        # By the code of the kind.
-        arranged = [(iter(objects_by_kind.get(kind, ())), numbers_by_kind.get(kind, [])) for kind in _KINDS]
+        by_code = [(iter(objects_by_kind.get(kind, ())), numbers_by_kind.get(kind, [])) for kind in _KINDS]
         for number, code in enumerate(self._kinds):
-            objects, numbers = arranged[code]
+            objects, numbers = by_code[code]
             self._objects.append(next(objects))
             numbers.append(number)
         return numbers_by_kind
 
-    def _fill(
+    def _set_attributes(
         self,
         kind: str,
         objects: Sequence[Any],
@@ -416,7 +418,7 @@ class GraphReader:
             for item, value in zip(objects, values):
                 setattr(item, field, value)
 
-    def ref(self, *kinds: str) -> ValueCheck:
+    def reference_to(self, *kinds: str) -> ValueCheck:
         """Return a check of a reference to an object of one of the given kinds; the result is the object."""
         codes = frozenset(map(_CODES.__getitem__, kinds))
 
@@ -431,7 +433,7 @@ class GraphReader:
 
         return check
 
-    def numbered(self, *kinds: str) -> ValueCheck:
+    def objects_by_number(self, *kinds: str) -> ValueCheck:
         """Return a check of a sequence of numbers of objects of the given kinds; the result is the objects."""
         codes = frozenset(map(_CODES.__getitem__, kinds))
 
@@ -452,7 +454,7 @@ class GraphReader:
             is_source: if the objects with the column consist of these objects.
             is_optional: if a number can be None.
         """
-        check_numbers = self.numbered(*kinds)
+        check_numbers = self.objects_by_number(*kinds)
 
         def check(column: Decoded, numbers: Sequence[int]) -> Sequence[Any]:
             if column is None and is_optional:
@@ -479,67 +481,69 @@ class GraphReader:
                 return [check_value(None)] * len(numbers)
             values = []
             for number, value in zip(numbers, items(column)):
-                # References to what the object consists of are added by `_event` and `_source`.
-                self._current = self._sources[number]
+                # References to what the object consists of are added by `_check_event` and `_source_reference`.
+                self._current_sources = self._sources[number]
                 values.append(check_value(value))
             return values
 
         return check
 
-    def _source(self, *kinds: str) -> ValueCheck:
+    def _source_reference(self, *kinds: str) -> ValueCheck:
         """Return a check of a reference to an object that the current object consists of."""
-        refer = self.ref(*kinds)
+        read_reference = self.reference_to(*kinds)
 
         def check(value: Decoded) -> Decoded:
-            item = refer(value)
-            self._current.append(value.number)
+            item = read_reference(value)
+            self._current_sources.append(value.number)
             return item
 
         return check
 
-    def token(self, value: Decoded) -> Decoded:
+    def check_token(self, value: Decoded) -> Decoded:
         """Check the identity of an event: a number, or the event itself if lineage is recorded."""
-        return self._event(value) if value.__class__ is Ref else _NUMBER(value)
+        return self._check_event(value) if value.__class__ is Ref else _NUMBER(value)
 
-    def token_key(self, value: Decoded) -> Decoded:
+    def check_token_key(self, value: Decoded) -> Decoded:
         """Check a key that consists of terms, or of identities of events."""
         if value.__class__ is Ref:
-            return self._event(value)
+            return self._check_event(value)
         if value.__class__ is list and any(item.__class__ is Ref for item in value):
-            return tuple([self.token_key(item) for item in value])
+            return tuple([self.check_token_key(item) for item in value])
         return key(value)
 
-    def _event(self, value: Decoded) -> Decoded:
-        event = self._refer_to_event(value)
-        self._current.append(value.number)
+    def _check_event(self, value: Decoded) -> Decoded:
+        event = self._read_event(value)
+        self._current_sources.append(value.number)
         return event
 
-    def _origin(self, value: Decoded) -> Decoded:
+    def _check_origin(self, value: Decoded) -> Decoded:
         """Check the origin of a stream element: a match, the event of a subscription, or None."""
-        return self.match(value) if value.__class__ is Ref else optional(term)(value)
+        return self.check_match(value) if value.__class__ is Ref else optional(term)(value)
 
-    def _part(self, value: Decoded) -> Decoded:
-        """Check a part of a match, see `_Form.PARTS`."""
+    def _check_part(self, value: Decoded) -> Decoded:
+        """Check a part of a match, see `_ColumnEncoding.PARTS`."""
         if value.__class__ is int:
-            part = self._part_objects([value])[0]
-            self._current.append(value)
+            part = self._read_parts([value])[0]
+            self._current_sources.append(value)
             return part
-        (content,) = fixed(anything)(value)
-        return count(content) if content.__class__ is int else ComputedValues(_match_values(content))
+        (content,) = tuple_of(any_value)(value)
+        return count(content) if content.__class__ is int else ComputedValues(_check_match_values(content))
 
-    def _checks(self) -> Dict[str, List[_ColumnCheck]]:
+    def _column_checks(self) -> Dict[str, List[_ColumnCheck]]:
         """Return the checks of the attributes of each kind of object, in the order of `FIELDS`."""
-        self._part_objects = self.numbered(*MATCH_KINDS, "tracked match", "nothing", "log slices")
-        match_ref = self.match
-        node_entry = fixed(
-            self.ref("node"),
-            self.ref("run", "node", "run group"),
-            lambda value: match_ref(value) if value.__class__ is Ref else count(value),
+        self._read_parts = self.objects_by_number(
+            *MATCH_KINDS, "repetition chain", "no repetitions", "buffer slice"
+        )
+        check_match = self.check_match
+        node_entry = tuple_of(
+            self.reference_to("node"),
+            self.reference_to("run", "node", "run group"),
+            lambda value: check_match(value) if value.__class__ is Ref else count(value),
         )
 
-        def holder(value: Decoded) -> Decoded:
+        def check_dependent(value: Decoded) -> Decoded:
             if value.__class__ is Ref:
-                return match_ref(value)
+                return check_match(value)
             node, owner, entry = node_entry(value)
             # A buffer entry is identified by a number in repeat nodes, and by the match itself elsewhere.
             by_number = (
@@ -552,62 +556,89 @@ class GraphReader:
                 raise invalid_value(value, "a buffer entry of a node")
             return node, owner, entry
 
-        tried = fixed(match_ref, match_ref)
-        numbers, booleans, terms = _column(integers()), _column(each(boolean)), _column(each(term))
+        match_pair = tuple_of(check_match, check_match)
+        numbers, booleans, terms = (
+            _column(integers()),
+            _column(sequence_of(boolean)),
+            _column(sequence_of(term)),
+        )
         first = self._object_column(*MATCH_KINDS, is_source=True)
         optional_match = self._object_column(*MATCH_KINDS, is_optional=True)
         log, node = self._object_column("log"), self._object_column("node")
         # The order of the checks is that of the attributes in `FIELDS`.
         interval: List[_ColumnCheck] = [_instant_column, _instant_column]
         match = [
-            *(_column(each(_match_values)), *interval, self._mixed_column(self.token)),
-            *(_optional_column(each(optional(term))), self._mixed_column(optional(each(self._part, tuple)))),
+            *(_column(sequence_of(_check_match_values)), *interval, self._mixed_column(self.check_token)),
+            *(
+                _optional_column(sequence_of(optional(term))),
+                self._mixed_column(optional(sequence_of(self._check_part, tuple))),
+            ),
             optional_match,
         ]
         tracked = [
-            self._mixed_column(each(self.ref("event", "tracked match"))),
-            *(self._mixed_column(each(holder)), booleans, booleans),
-            self._mixed_column(each(self.ref("suppressed"))),
+            self._mixed_column(sequence_of(self.reference_to("event", "repetition chain"))),
+            *(self._mixed_column(sequence_of(check_dependent)), booleans, booleans),
+            self._mixed_column(sequence_of(self.reference_to("suppressed"))),
         ]
-        slices = each(fixed(self._source("log"), count, count), tuple)
+        pieces = sequence_of(tuple_of(self._source_reference("log"), count, count), tuple)
         return {
-            "event match": [*interval, _column(each(_compound))],
+            "event match": [*interval, _column(sequence_of(_check_compound))],
             "match": match,
             "run": [
-                *(*match, first, _instant_column, _optional_column(each(optional(_match_values)))),
-                *(_optional_column(each(_state)), terms, self._mixed_column(each(match_ref))),
-                self._object_column("tracked match", "nothing", is_source=True),
-                *(_column(each(each(fixed(_match_values, _match_values)))), numbers),
-                _column(each(each(variable, tuple))),
+                *(
+                    *match,
+                    first,
+                    _instant_column,
+                    _optional_column(sequence_of(optional(_check_match_values))),
+                ),
+                *(
+                    _optional_column(sequence_of(_check_aggregate_state)),
+                    terms,
+                    self._mixed_column(sequence_of(check_match)),
+                ),
+                self._object_column("repetition chain", "no repetitions", is_source=True),
+                *(
+                    _column(sequence_of(sequence_of(tuple_of(_check_match_values, _check_match_values)))),
+                    numbers,
+                ),
+                _column(sequence_of(sequence_of(variable, tuple))),
             ],
             "run cursor": [
                 *(*match, first, numbers, log, numbers, numbers),
                 self._object_column("run group", is_optional=True),
             ],
             "run group": [
-                *(node, _column(each(key)), self._mixed_column(each(optional(self.ref("run cursor"))))),
+                *(
+                    node,
+                    _column(sequence_of(key)),
+                    self._mixed_column(sequence_of(optional(self.reference_to("run cursor")))),
+                ),
                 *(_instant_column, _column(match_orders), log, numbers),
             ],
-            "log": [self._mixed_column(each(self._source(*MATCH_KINDS)))],
-            "log slices": [self._mixed_column(slices)],
-            "tracked match": [
+            "log": [self._mixed_column(sequence_of(self._source_reference(*MATCH_KINDS)))],
+            "buffer slice": [self._mixed_column(pieces)],
+            "repetition chain": [
                 self._object_column(*MATCH_KINDS, is_source=True, is_optional=True),
-                self._object_column("tracked match", "nothing", is_source=True, is_optional=True),
+                self._object_column("repetition chain", "no repetitions", is_source=True, is_optional=True),
                 *(numbers, booleans, *tracked),
             ],
             "event": [
                 *(numbers, terms, *interval, self._object_column("rule", is_optional=True)),
                 *(self._object_column(*MATCH_KINDS, is_source=True, is_optional=True), booleans),
-                *(self._mixed_column(optional(each(self.ref("event")))), *tracked),
+                *(self._mixed_column(optional(sequence_of(self.reference_to("event")))), *tracked),
             ],
             "element": [
-                *(self._mixed_column(self._origin), *interval, _column(each(_match_values))),
-                *(_column(each(each(optional(term), tuple))), numbers),
+                *(
+                    self._mixed_column(self._check_origin),
+                    *interval,
+                    _column(sequence_of(_check_match_values)),
+                ),
+                *(_column(sequence_of(sequence_of(optional(term), tuple))), numbers),
             ],
             "suppressed": [
                 node,
                 self._mixed_column(
-                    lambda value: self.match(value) if value.__class__ is Ref else tried(value)
+                    lambda value: self.check_match(value) if value.__class__ is Ref else match_pair(value)
                 ),
                 *(numbers, booleans),
             ],
@@ -635,63 +666,63 @@ class GraphReader:
 
 
 def _are_starts(objects: Sequence[Any], ends: Sequence[Any]) -> bool:
-    """Return whether the ends are the starts of the objects, compared by identity as in `keep_records`."""
+    """Return whether the ends are the starts of the objects, compared by identity as in `encode_records`."""
     return all(map(is_, map(attrgetter("start"), objects), ends))
 
 
-def _finish_event_match(match: Any) -> None:
+def _complete_event_match(match: Any) -> None:
     match.values = match.term[1:]
     match.event = match.parts = match.consumed_by = None
 
 
-def _finish_match(match: Any) -> None:
+def _complete_match(match: Any) -> None:
     if match.parts is None and match.term is None:
         raise UsageError("a match has neither an event nor parts")
 
 
-def _finish_run(run: Any) -> None:
-    _finish_match(run)
+def _complete_run(run: Any) -> None:
+    _complete_match(run)
     run.after_restore()
 
 
-def _finish_cursor(cursor: Any) -> None:
-    _finish_match(cursor)
+def _complete_cursor(cursor: Any) -> None:
+    _complete_match(cursor)
     if cursor.log_position > len(cursor.log.items):
         raise UsageError("a run has more repetitions than its buffer")
 
 
-def _finish_group(group: Any) -> None:
+def _complete_group(group: Any) -> None:
     if not isinstance(group.node, RepeatNode):
         raise UsageError("a group of runs belongs to a node of another type")
     group.cursor_count = sum(cursor is not None and cursor.buffer is group for cursor in group.cursors)
     group.after_restore()
 
 
-def _finish_slices(slices: Any) -> None:
-    if not all(start <= end <= len(log.items) for log, start, end in slices.pieces):
+def _complete_slice(buffer_slice: Any) -> None:
+    if not all(start <= end <= len(log.items) for log, start, end in buffer_slice.pieces):
         raise UsageError("a slice of repetitions exceeds their buffer")
-    slices.length = sum(end - start for _, start, end in slices.pieces)
+    buffer_slice.length = sum(end - start for _, start, end in buffer_slice.pieces)
 
 
-def _finish_tracked(tracked: Any) -> None:
+def _check_repetition_chain(tracked: Any) -> None:
     if (tracked.earlier is None) != (tracked.match is None):
         raise UsageError("a tracked match of repetitions has no beginning")
 
 
-_FINISH: Dict[str, Callable[[Any], None]] = {
-    "event match": _finish_event_match,
-    "match": _finish_match,
-    "run": _finish_run,
-    "run cursor": _finish_cursor,
-    "run group": _finish_group,
+_COMPLETIONS: Dict[str, Callable[[Any], None]] = {
+    "event match": _complete_event_match,
+    "match": _complete_match,
+    "run": _complete_run,
+    "run cursor": _complete_cursor,
+    "run group": _complete_group,
     "log": SharedLog.after_restore,
-    "log slices": _finish_slices,
-    "tracked match": _finish_tracked,
+    "buffer slice": _complete_slice,
+    "repetition chain": _check_repetition_chain,
 }
 """By kind: checks of relations between the attributes of an object, and derivation of those that are not stored."""
 
 
-def _kind_codes(value: Decoded) -> bytes:
+def _check_kind_codes(value: Decoded) -> bytes:
     """Check the codes of the kinds of all objects."""
     if value.__class__ is not bytes or (value and max(value) >= len(_KINDS)):
         raise invalid_value(value, "codes of kinds")
@@ -712,18 +743,18 @@ def _instant_column(column: Decoded, numbers: Sequence[int]) -> Sequence[Any]:
     return decode_instants(column, len(numbers))
 
 
-_match_values = each(value_of_match, tuple)
+_check_match_values = sequence_of(value_of_match, tuple)
 """Check of the values of the variables of a match."""
 
 
-def _compound(value: Decoded) -> Decoded:
+def _check_compound(value: Decoded) -> Decoded:
     """Check the term of an event whose arguments are the values of a match."""
     if value.__class__ is not tuple:
         raise invalid_value(value, "a compound term")
     return value
 
 
-def _state(value: Decoded) -> Decoded:
+def _check_aggregate_state(value: Decoded) -> Decoded:
     """Check the state of an aggregate: a number, None, or nested pairs of an earlier state and a term."""
     pairs = []
     while value.__class__ is list and len(value) == 2:

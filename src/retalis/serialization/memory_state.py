@@ -12,59 +12,62 @@ from ..events.knowledge.memory import MemoryInstance
 from ..foundation.errors import UsageError
 from ..prolog.terms.types import Term
 from .columns import are_same_instants, decode_instants, decode_terms, encode_instants, encode_terms
-from .schema import Decoded, anything, boolean, count, fixed, named
+from .schema import Decoded, any_value, boolean, count, tuple_of, with_name
 
-KeptRecords = Tuple[int, int, bool, Any, Any, Any]
-"""Number of earlier records, number of refused records, whether terms may contain variables; then the terms, the
-ends, and the starts unless they equal the ends."""
+EncodedRecords = Tuple[int, int, bool, Any, Any, Any]
+"""Number of earlier records, number of late records, whether terms may contain variables; then the encoded terms and
+ends, and the encoded starts or None if they equal the ends."""
 
 
-def keep_memories(knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
+def snapshot_memories(knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
     """Return the definition of each memory, and whether it is active, in their order."""
     return [(instance.definition, instance.active) for instance in knowledge.memories]
 
 
-class NewRecords(NamedTuple):
+class MemoryRecords(NamedTuple):
     """Consecutive records of a memory.
 
     Attributes:
-        first: number of earlier records.
-        oldest: number of records before the oldest one that the memory still has.
-        late: number of records that were refused.
-        open: if terms may contain variables.
-        records: the records: term, start and end.
+        first_position: number of earlier records.
+        oldest_position: number of records before the oldest one that the memory still has.
+        late_count: number of records that were rejected because they were late.
+        has_variables: whether terms may contain variables.
+        records: term, start and end of each record.
     """
 
-    first: int
-    oldest: int
-    late: int
-    open: bool
+    first_position: int
+    oldest_position: int
+    late_count: int
+    has_variables: bool
     records: List[Tuple[Term, int, int]]
 
-    def part(self, begin: int, end: int) -> "NewRecords":
-        """Return the records between two positions."""
-        return self._replace(first=self.first + begin, records=self.records[begin:end])
+    def slice(self, begin: int, end: int) -> "MemoryRecords":
+        """Return the records between two indexes."""
+        return self._replace(first_position=self.first_position + begin, records=self.records[begin:end])
 
-    def end(self) -> "NewRecords":
-        """Return an empty part, positioned after the last record."""
-        return self.part(len(self.records), len(self.records))
+    def empty_end(self) -> "MemoryRecords":
+        """Return an empty slice, positioned after the last record."""
+        return self.slice(len(self.records), len(self.records))
 
 
-def new_records(instance: MemoryInstance, since: int = 0) -> NewRecords:
-    """Return the records of a memory, or only those after the first ``since`` records."""
+def records_since(instance: MemoryInstance, position: int = 0) -> MemoryRecords:
+    """Return the records of a memory, or only those after the first ``position`` records."""
     memory = instance.memory
-    first, records = memory.records_since(since)
-    return NewRecords(first, memory.oldest_number, memory.late_count, instance.has_variables, records)
+    first_position, records = memory.records_since(position)
+    return MemoryRecords(
+        first_position, memory.oldest_number, memory.late_count, instance.has_variables, records
+    )
 
 
-def keep_records(new: NewRecords) -> KeptRecords:
+def encode_records(unencoded: MemoryRecords) -> EncodedRecords:
     """Return the encoding of records."""
-    parts = list(chain.from_iterable(new.records))
-    terms, starts, ends = parts[0::3], parts[1::3], parts[2::3]
+    # One flat list of all items, sliced by column, is faster than a loop over the records.
+    flat_items = list(chain.from_iterable(unencoded.records))
+    terms, starts, ends = flat_items[0::3], flat_items[1::3], flat_items[2::3]
     return (
-        new.first,
-        new.late,
-        new.open,
+        unencoded.first_position,
+        unencoded.late_count,
+        unencoded.has_variables,
         encode_terms(terms),
         encode_instants(ends),
         # Most events have no duration.
@@ -72,65 +75,71 @@ def keep_records(new: NewRecords) -> KeptRecords:
     )
 
 
-_kept_records = fixed(count, count, boolean, anything, anything, anything)
+_check_records = tuple_of(count, count, boolean, any_value, any_value, any_value)
 
 
 def decode_records(value: Decoded) -> Decoded:
-    """Return consecutive records of a memory: as `KeptRecords`, with checked and decoded columns.
+    """Return consecutive records of a memory: as `EncodedRecords`, with checked and decoded columns.
 
     Raises:
         UsageError: if they are invalid.
     """
-    before, late, is_open, terms, ends, starts = _kept_records(value)
-    record_ends = decode_instants(ends)
-    number = len(record_ends)
-    record_starts = record_ends if starts is None else decode_instants(starts, number)
-    record_terms = named("terms", lambda encoded: decode_terms(encoded, number))(terms)
-    return before, late, is_open, record_terms, record_ends, record_starts
+    first_position, late_count, has_variables, encoded_terms, encoded_ends, encoded_starts = _check_records(
+        value
+    )
+    ends = decode_instants(encoded_ends)
+    record_count = len(ends)
+    starts = ends if encoded_starts is None else decode_instants(encoded_starts, record_count)
+    terms = with_name("terms", lambda encoded: decode_terms(encoded, record_count))(encoded_terms)
+    return first_position, late_count, has_variables, terms, ends, starts
 
 
-def restore_memories(knowledge: KnowledgeBase, kept: Sequence[Tuple[Any, ...]]) -> List[MemoryInstance]:
+def restore_memories(
+    knowledge: KnowledgeBase, definitions: Sequence[Tuple[Any, ...]]
+) -> List[MemoryInstance]:
     """Create memories from their definitions, without records and without emitting events."""
-    return [knowledge.memories.create_unreported(definition, active) for definition, active in kept]
+    return [knowledge.memories.create_unreported(definition, active) for definition, active in definitions]
 
 
-def restore_records(instance: MemoryInstance, parts: Sequence[KeptRecords]) -> None:
-    """Restore the records of a memory from consecutive parts, see `decode_records`."""
+def restore_records(instance: MemoryInstance, batches: Sequence[EncodedRecords]) -> None:
+    """Restore the records of a memory from consecutive batches, see `decode_records`."""
     records: List[Tuple[Term, int, int]] = []
-    dropped = late = 0
-    for before, refused, is_open, terms, ends, starts in parts:
-        late = refused
-        instance.has_variables = instance.has_variables or is_open
+    dropped_count = late_count = 0
+    for first_position, late_count_of_batch, has_variables, terms, ends, starts in batches:
+        late_count = late_count_of_batch
+        instance.has_variables = instance.has_variables or has_variables
         if not records:
-            dropped = before
-        elif before > dropped + len(records):
+            dropped_count = first_position
+        elif first_position > dropped_count + len(records):
             raise UsageError("records of a memory are missing")
-        # Parts may overlap: the records of a later part replace those of earlier ones.
-        del records[max(0, before - dropped) :]
+        # Batches may overlap: the records of a later batch replace those of earlier ones.
+        del records[max(0, first_position - dropped_count) :]
         records += zip(terms, starts, ends)
-    # Parts may contain records that the memory had dropped by the time of the last part.
-    surplus = max(0, len(records) - max(instance.memory.size, 1))
-    records = records[surplus:]
-    kept_ends = list(map(int, map(itemgetter(2), records)))
+    # Batches may contain records that the memory had dropped by the time of the last batch.
+    surplus_count = max(0, len(records) - max(instance.memory.size, 1))
+    records = records[surplus_count:]
+    record_ends = list(map(int, map(itemgetter(2), records)))
     # Queries use binary search over the ends.
-    if kept_ends != sorted(kept_ends) or any(map(gt, map(itemgetter(1), records), kept_ends)):
+    if record_ends != sorted(record_ends) or any(map(gt, map(itemgetter(1), records), record_ends)):
         raise UsageError("the records of a memory are not ordered by their ends")
-    instance.memory.restore(dropped + surplus, late, kept_ends, records)
+    instance.memory.restore(dropped_count + surplus_count, late_count, record_ends, records)
 
 
-def keep_subscriptions(knowledge: KnowledgeBase) -> List[Term]:
+def snapshot_subscriptions(knowledge: KnowledgeBase) -> List[Term]:
     """Return the definitions of subscriptions in their order."""
     return [subscription.definition for _, subscription in knowledge.subscriptions.items()]
 
 
-def keep_sent(knowledge: KnowledgeBase) -> List[int]:
+def snapshot_sent_counts(knowledge: KnowledgeBase) -> List[int]:
     """Return the number of events that each subscription has sent."""
     return [subscription.tally.number for _, subscription in knowledge.subscriptions.items()]
 
 
-def restore_subscriptions(knowledge: KnowledgeBase, kept: Sequence[Term], sent: Sequence[int]) -> None:
+def restore_subscriptions(
+    knowledge: KnowledgeBase, definitions: Sequence[Term], sent_counts: Sequence[int]
+) -> None:
     """Create subscriptions from their definitions, with the numbers of events that they have sent."""
-    for definition in kept:
+    for definition in definitions:
         knowledge.subscriptions.create(definition)
-    for (_, subscription), number in zip(knowledge.subscriptions.items(), sent):
+    for (_, subscription), number in zip(knowledge.subscriptions.items(), sent_counts):
         subscription.tally.number = number

@@ -1,14 +1,16 @@
 """Serialization of rules and their state: partial matches, tracked events, alarms, pending queries, and timers.
 
 Each rule and node returns its state as data, and `GraphWriter` encodes the objects in it in columns. Reading checks
-the data against the loaded program before anything is restored. `rule_state` checks that the nodes of a rule have the
-same types as when the state was written, and that each partial match fits the buffer that it is put into
-(`match_checks`). `StreamCheck` checks the state of stream operators: windows, rate operators, absence timeouts and
-row patterns.
+the data against the loaded program before anything is restored. `check_rule_state` checks that the nodes of a rule
+have the same types as when the state was written, and that each partial match fits the buffer that it is restored
+into (`match_checks`). `StreamCheck` checks the state of stream operators: windows, rate operators, absence timeouts
+and row patterns.
 """
 
+from itertools import chain
+from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine.runtime.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
@@ -43,12 +45,10 @@ from .match_graph import MATCH_KINDS, GraphReader, GraphWriter
 from .schema import (
     Decoded,
     ValueCheck,
-    anything,
+    any_value,
     boolean,
     callable_term,
     count,
-    each,
-    fixed,
     instant,
     integer,
     integers,
@@ -57,12 +57,14 @@ from .schema import (
     key,
     match_order,
     match_orders,
-    named,
-    nothing,
+    none,
     optional,
     record,
+    sequence_of,
     term,
     text,
+    tuple_of,
+    with_name,
 )
 
 
@@ -71,10 +73,10 @@ class StreamCheck:
 
     Args:
         graph: contains the elements.
-        stream: an operator of the same part of the program.
-        widths: number of values of an element that form the key, and number of values that are measured.
-        of_terms: if elements consist of terms (those of a subscription) instead of matches.
-        needs: if each element has a match.
+        stream: operator that was compiled from the same pattern as the one that wrote the state.
+        value_counts: number of key values and number of measured values of an element.
+        elements_are_terms: whether elements contain terms (subscriptions) or matches (rules).
+        needs_match: whether each element must have a match.
         shapes: shapes of these matches, by channel.
     """
 
@@ -82,41 +84,42 @@ class StreamCheck:
         self,
         graph: GraphReader,
         stream: StreamOperator,
-        widths: Tuple[int, int],
-        of_terms: bool = False,
-        needs: bool = False,
+        value_counts: Tuple[int, int],
+        elements_are_terms: bool = False,
+        needs_match: bool = False,
         shapes: Sequence[MatchShape] = (),
     ):
-        self._refer = graph.ref("element")
+        self._read_element = graph.reference_to("element")
         self._stream = stream
-        self._widths = widths
-        self._of_terms = of_terms
-        self._needs = needs
+        self._value_counts = value_counts
+        self._elements_are_terms = elements_are_terms
+        self._needs_match = needs_match
         self._shapes = shapes
         make_accumulators: Callable[[], Sequence[Any]] = getattr(stream, "make", lambda: ())
         scopes = getattr(stream, "scopes", None)
+        # With scopes, a measure uses only elements of some steps, so the values of other elements need not suit it.
         self._checks = (
             [accumulator.check for accumulator in make_accumulators() if accumulator.checks_values]
             if scopes is None
             else []
         )
 
-    def item(self, value: Decoded, channel: int = 0) -> StreamElement:
+    def check_element(self, value: Decoded, channel: int = 0) -> StreamElement:
         """Check an element of a channel."""
-        element: StreamElement = self._refer(value)
-        key_width, value_width = self._widths
-        if len(element.by) != key_width or len(element.values) != value_width:
-            expected = f"an element with {key_width} key values and {value_width} measured values"
+        element: StreamElement = self._read_element(value)
+        key_count, value_count = self._value_counts
+        if len(element.by) != key_count or len(element.values) != value_count:
+            expected = f"an element with {key_count} key values and {value_count} measured values"
             raise invalid_value((element.by, element.values), expected)
         if element.match is None:
-            is_valid = not self._needs
-        elif self._of_terms:
+            is_valid = not self._needs_match
+        elif self._elements_are_terms:
             is_valid = not isinstance(element.match, EventMatch)
         else:
             is_valid = self._shapes[channel].fits(element.match)
         if not is_valid or element.start > element.end:
             raise invalid_value(element.match, "an element of the right type")
-        if not self._of_terms and any(item_value is None for item_value in element.values):
+        if not self._elements_are_terms and any(measured is None for measured in element.values):
             raise invalid_value(element.values, "values")
         for check in self._checks:
             check(element)
@@ -125,32 +128,32 @@ class StreamCheck:
 
     def _check_distinct(self, elements: Sequence[StreamElement], order: int) -> None:
         """Check that elements are distinct and have distinct sequence numbers."""
-        orders = {item.order for item in elements}
+        orders = {element.order for element in elements}
         if len(orders) != len(elements) or not all(1 <= number <= order for number in orders):
             raise invalid_value(
-                sorted(item.order for item in elements), "elements with distinct sequence numbers"
+                sorted(element.order for element in elements), "elements with distinct sequence numbers"
             )
 
-    def operator_state(self, value: Decoded) -> Decoded:
+    def check_state(self, value: Decoded) -> Decoded:
         """Check the complete state of the operator; see `StreamOperator.snapshot`."""
         stream = self._stream
-        elements = each(self.item)
+        elements = sequence_of(self.check_element)
         if isinstance(stream, RowPatternWindow):
-            return self._row_pattern_state(stream, value)
+            return self._check_row_pattern_state(stream, value)
         if isinstance(stream, Throttle):
-            return fixed(instant, elements)(value)
+            return tuple_of(instant, elements)(value)
         if isinstance(stream, DistinctUntilChanged):
-            state = fixed(each(instant), elements)(value)
+            state = tuple_of(sequence_of(instant), elements)(value)
             if len(state[0]) != len(state[1]):
                 raise invalid_value(len(state[0]), f"{len(state[1])} instants")
             return state
         if isinstance(stream, Debounce):
-            state = fixed(count, instant, elements)(value)
+            state = tuple_of(count, instant, elements)(value)
             self._check_distinct(state[2], state[0])
             return state
         if isinstance(stream, AbsenceTimeout):
-            forbidden_elements = each(lambda element: self.item(element, 1))
-            state = fixed(count, instant, elements, forbidden_elements)(value)
+            forbidden_elements = sequence_of(lambda element: self.check_element(element, 1))
+            state = tuple_of(count, instant, elements, forbidden_elements)(value)
             self._check_distinct([*state[2], *state[3]], state[0])
             return state
         # The remaining operators are windows, which have the same state except for the items appended here.
@@ -159,98 +162,133 @@ class StreamCheck:
         )
         future_elements: List[ValueCheck] = [elements] if isinstance(stream, HoppingWindow) else []
         # Only these windows emit when the clock reaches an instant.
-        due = optional(instant) if window_time else nothing
-        group = fixed(instant, elements)
-        state = fixed(instant, due, count, count, each(group), *window_time, *future_elements)(value)
-        self._groups(
-            [members for _, members in state[4]],
-            sum((list(elements_of_window) for elements_of_window in state[6:]), []),
-            state[3],
+        next_end = optional(instant) if window_time else none
+        keyed_window = tuple_of(instant, elements)
+        checked_state = tuple_of(
+            instant, next_end, count, count, sequence_of(keyed_window), *window_time, *future_elements
+        )(value)
+        self._check_partitions(
+            [elements_of_key for _, elements_of_key in checked_state[4]],
+            sum(map(list, checked_state[6:]), []),
+            checked_state[3],
         )
         if isinstance(stream, HoppingWindow):
-            _check_next_window(stream, state)
-        return state
+            _check_next_window(stream, checked_state)
+        return checked_state
 
-    def _groups(
-        self, groups: List[List[StreamElement]], future_elements: List[StreamElement], order: int
+    def _check_partitions(
+        self, partitions: List[List[StreamElement]], future_elements: List[StreamElement], order: int
     ) -> None:
-        self._check_distinct([item for members in groups for item in members] + future_elements, order)
-        keys = [{item.key for item in members} for members in groups]
-        if any(len(group_keys) != 1 for group_keys in keys) or len(set().union(*keys)) != len(keys):
+        self._check_distinct([*chain.from_iterable(partitions), *future_elements], order)
+        keys = [{element.key for element in partition} for partition in partitions]
+        if any(len(partition_keys) != 1 for partition_keys in keys) or len(set().union(*keys)) != len(keys):
             raise invalid_value(len(keys), "distinct partitions, each with one key")
 
-    def _row_pattern_state(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
+    def _check_row_pattern_state(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
         step = integer(0, len(stream.nfa.steps) - 1)
-        steps = each(step, tuple)
-        pairs = each(fixed(count, step), tuple)
-        computation_state = fixed(
-            integer(-1, len(stream.nfa.steps) - 1),
-            count,
-            optional(steps),
-            each(optional(count), tuple),
-            pairs,
-            count,
+        steps = sequence_of(step, tuple)
+        pairs = sequence_of(tuple_of(count, step), tuple)
+        computation_state = record(
+            _ComputationStateData,
+            step=integer(SCANNING, len(stream.nfa.steps) - 1),
+            element_count=count,
+            remaining_steps=optional(steps),
+            targets=sequence_of(optional(count), tuple),
+            assigned=pairs,
+            preceding_matches=count,
         )
-        group = fixed(instant, each(self.item), each(computation_state, tuple), each(pairs, tuple))
-        state = fixed(count, count, instant, each(group))(value)
+        partition = tuple_of(
+            instant,
+            sequence_of(self.check_element),
+            sequence_of(computation_state, tuple),
+            sequence_of(pairs, tuple),
+        )
+        checked_state = tuple_of(count, count, instant, sequence_of(partition))(value)
+        _, last_order, _, partitions = checked_state
         # The operator relies on these invariants: computation states and completed matches refer to elements of
         # their partition, in order, and each state has an element for each navigation.
-        self._groups([entry[1] for entry in state[3]], [], state[1])
-        for _, members, states, complete in state[3]:
-            orders = [item.order for item in members]
-            marked = [order for entry in states for order in entry[3] if order is not None]
-            assigned = [order for entry in states for order, _ in entry[4]] + [
-                order for entry in complete for order, _ in entry
+        self._check_partitions([elements for _, elements, _, _ in partitions], [], last_order)
+        for _, elements, states, completed in partitions:
+            orders = [element.order for element in elements]
+            target_orders = [order for state in states for order in state.targets if order is not None]
+            assigned_orders = [
+                order for pairs in (*(state.assigned for state in states), *completed) for order, _ in pairs
             ]
-            positions = [entry[5] for entry in states]
+            preceding_matches = [state.preceding_matches for state in states]
             if (
                 not states
-                or not all(complete)
+                or not all(completed)
                 or orders != sorted(orders)
-                or not {*marked, *assigned} <= set(orders)
-                or any(len(entry[3]) != len(stream.nfa.navigations) for entry in states)
-                or any(bool(entry[4]) != (entry[0] >= 0) for entry in states)
-                or any(entry[2] is not None and not entry[2] for entry in states)
-                or any(list(entry[4]) != sorted(entry[4], key=lambda pair: pair[0]) for entry in states)
-                or positions != sorted(positions)
-                or len(complete) != positions[-1] - positions[0]
-                # Without either, a partition could lose its last state, and have none to continue with.
-                or not any(entry[0] == SCANNING or _is_certain(stream.nfa, entry) for entry in states)
+                or not {*target_orders, *assigned_orders} <= set(orders)
+                or any(len(state.targets) != len(stream.nfa.navigations) for state in states)
+                or any(bool(state.assigned) != (state.step != SCANNING) for state in states)
+                or any(state.remaining_steps is not None and not state.remaining_steps for state in states)
+                or any(list(state.assigned) != sorted(state.assigned, key=itemgetter(0)) for state in states)
+                or preceding_matches != sorted(preceding_matches)
+                or len(completed) != preceding_matches[-1] - preceding_matches[0]
+                # At least one state must be scanning or certain to complete. Otherwise all states of the partition
+                # could fail, and no state would remain to process the next element.
+                or not any(state.step == SCANNING or _is_certain(stream.nfa, state) for state in states)
             ):
                 raise invalid_value(states, "valid computation states of a row pattern")
-        return state
+        return checked_state
+
+
+class _ComputationStateData(NamedTuple):
+    """Saved `ComputationState`, which refers to elements by their order.
+
+    Attributes:
+        step: step of the last element, or `SCANNING`.
+        element_count: number of elements of that step.
+        remaining_steps: after a skipped element, the steps that can still accept one; otherwise None.
+        targets: order of the element of each navigation, or None if there is none yet.
+        assigned: order and step of each element of the match.
+        preceding_matches: see `ComputationState`.
+    """
+
+    step: int
+    element_count: int
+    remaining_steps: Optional[Tuple[int, ...]]
+    targets: Tuple[Optional[int], ...]
+    assigned: Tuple[Tuple[int, int], ...]
+    preceding_matches: int
 
 
 def _check_next_window(stream: HoppingWindow, state: Decoded) -> None:
-    """Check that the next window ends after its elements, and is not separated from them by many empty windows."""
-    due, ahead = state[1], state[6]
-    members = [element for _, elements in state[4] for element in elements]
-    if due is None:
-        is_valid = not members and not ahead
-    elif members:
-        is_valid = all(element.end < due for element in members)
+    """Check that the end of the next window is a multiple of the step and follows its elements.
+
+    If the window is empty, the first element of a later window must end before it. Otherwise the clock would have to
+    close many empty windows.
+    """
+    next_end, future_elements = state[1], state[6]
+    elements = [element for _, elements_of_key in state[4] for element in elements_of_key]
+    if next_end is None:
+        is_valid = not elements and not future_elements
+    elif elements:
+        is_valid = all(element.end < next_end for element in elements)
     else:
-        is_valid = not ahead or min(element.end for element in ahead) < due
-    if not is_valid or (due is not None and due % stream.every):
-        raise invalid_value(due, "the end of the next window")
+        is_valid = not future_elements or min(element.end for element in future_elements) < next_end
+    if not is_valid or (next_end is not None and next_end % stream.every):
+        raise invalid_value(next_end, "the end of the next window")
 
 
-def _is_certain(nfa: RowPatternNFA, entry: Decoded) -> bool:
-    """Return whether a computation state, given as data, is certain to complete."""
-    step, count, remaining = entry[:3]
-    steps = nfa.transitions_after(step, count).steps if remaining is None else tuple(remaining)
+def _is_certain(nfa: RowPatternNFA, state: _ComputationStateData) -> bool:
+    """Return whether a computation state is certain to complete."""
+    steps = state.remaining_steps
+    if steps is None:
+        steps = nfa.transitions_after(state.step, state.element_count).steps
     return bool(steps) and nfa.is_certain_to_complete(steps)
 
 
-def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:
+def check_rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:
     """Check the state of a rule; see `EventRule.state`."""
     nodes = [node for node, _, _ in rule.nodes]
-    named_states = each(fixed(text, anything))(items(value)[2]) if len(items(value)) == 7 else []
+    named_states = sequence_of(tuple_of(text, any_value))(items(value)[2]) if len(items(value)) == 7 else []
     # A rule with the same text can be compiled to other nodes by another version of the package.
     if [type_name for type_name, _ in named_states] != [type(node).__name__ for node in nodes]:
         raise UsageError(f"{rule.name}: its nodes differ from those in the state")
     checked_states = [
-        (type_name, named(type_name, _node_check(graph, node))(node_state))
+        (type_name, with_name(type_name, _node_check(graph, node))(node_state))
         for node, (type_name, node_state) in zip(nodes, named_states)
     ]
     # Buffers are numbered across all nodes of the rule, and a match names its buffer by that number.
@@ -262,13 +300,13 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
     buffer_number = integer(0, len(shapes) - 1)
     state: RuleState = record(
         RuleState,
-        counts=fixed(count, optional(instant), count, count, count, count, count),
-        times=fixed(instant, match_order, optional(instant)),
+        counts=tuple_of(count, optional(instant), count, count, count, count, count),
+        times=tuple_of(instant, match_order, optional(instant)),
         nodes=lambda _: checked_states,
-        arrivals=fixed(graph.numbered(*MATCH_KINDS), integers(-1, len(shapes) - 1), match_orders),
-        deferred_matches=each(fixed(buffer_number, graph.match)),
-        deferring_event=graph.token,
-        skipped=optional(fixed(instant, each(instant, tuple))),
+        arrivals=tuple_of(graph.objects_by_number(*MATCH_KINDS), integers(-1, len(shapes) - 1), match_orders),
+        deferred_matches=sequence_of(tuple_of(buffer_number, graph.check_match)),
+        deferring_event=graph.check_token,
+        skipped=optional(tuple_of(instant, sequence_of(instant, tuple))),
     )(value)
     check_arrivals(rule, state, shapes)
     return state
@@ -277,14 +315,14 @@ def rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState
 def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
     """Return a check of the state of a node; see `NetworkNode.snapshot`."""
     if isinstance(node, JoinNode):
-        return fixed(each(graph.token_key), each(_match_check(graph, node.right)))
+        return tuple_of(sequence_of(graph.check_token_key), sequence_of(_match_check(graph, node.right)))
     if isinstance(node, KleeneNode):
-        return each(_match_check(graph, node.repeated))
+        return sequence_of(_match_check(graph, node.repeated))
     if isinstance(node, RepeatNode):
         return _repeat_node_check(graph, node)
     if isinstance(node, StreamNode):
         return _stream_node_check(graph, node)
-    return nothing
+    return none
 
 
 def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
@@ -292,7 +330,7 @@ def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
     shape = MatchShape(node)
 
     def check(value: Decoded) -> Decoded:
-        match = graph.match(value)
+        match = graph.check_match(value)
         if not shape.fits(match):
             raise invalid_value(
                 match.values, f"a match with {shape.width} values and the event of its pattern"
@@ -304,16 +342,17 @@ def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
 
 def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     # Complete sequences are not stored.
-    number = integer(1, node.times - 1)
-    group_of = graph.ref("run group")
+    length = integer(1, node.times - 1)
+    read_run_group = graph.reference_to("run group")
 
-    def own_group(value: Decoded) -> Decoded:
-        group = group_of(value)
-        if not group_fits(node, group):
+    def check_run_group(value: Decoded) -> Decoded:
+        run_group = read_run_group(value)
+        if not group_fits(node, run_group):
             raise invalid_value(value, "runs of this node")
-        return group
+        return run_group
 
-    return fixed(boolean, each(number), each(own_group), each(fixed(key, each(number))))
+    lengths_by_key = sequence_of(tuple_of(key, sequence_of(length)))
+    return tuple_of(boolean, sequence_of(length), sequence_of(check_run_group), lengths_by_key)
 
 
 def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
@@ -321,31 +360,38 @@ def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     keys, values = node.spec.item((1,) * len(child.vars))
     needs_match = node.spec.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
     shapes = [MatchShape(child) for child in node.children]
-    stream = StreamCheck(graph, node.stream, (len(keys), len(values)), False, needs_match, shapes)
+    stream = StreamCheck(
+        graph,
+        node.stream,
+        (len(keys), len(values)),
+        elements_are_terms=False,
+        needs_match=needs_match,
+        shapes=shapes,
+    )
+    channel = integer(0, len(node.children) - 1)
+    received = tuple_of(channel, any_value, instant)
 
-    def received(value: Decoded) -> Decoded:
-        channel, element, at = _received(value)
-        return channel, stream.item(element, channel), at
+    def check_received(value: Decoded) -> Decoded:
+        channel_number, element, received_at = received(value)
+        return channel_number, stream.check_element(element, channel_number), received_at
 
-    def contributors(value: Decoded) -> Decoded:
-        # The last element identifies an output when the operator runs again.
+    def check_contributors(value: Decoded) -> Decoded:
+        # An output must have an element: a replay identifies outputs by their last element.
         if not items(value):
             raise invalid_value(value, "the elements of an output")
-        return each(stream.item)(value)
+        return sequence_of(stream.check_element)(value)
 
-    channel = integer(0, len(node.children) - 1)
-    _received = fixed(channel, anything, instant)
-    output = fixed(contributors, instant, instant, each(term, tuple), nothing)
-    emitted = fixed(output, graph.ref("tracked match"))
+    output = tuple_of(check_contributors, instant, instant, sequence_of(term, tuple), none)
+    emitted = tuple_of(output, graph.reference_to("repetition chain"))
 
-    def base(value: Decoded) -> Decoded:
-        return stream.operator_state(value) if items(value) else ()
+    def check_initial_state(value: Decoded) -> Decoded:
+        return stream.check_state(value) if items(value) else ()
 
-    replay = fixed(base, each(received), each(emitted))
-    return fixed(stream.operator_state, count, optional(replay))
+    replay = tuple_of(check_initial_state, sequence_of(check_received), sequence_of(emitted))
+    return tuple_of(stream.check_state, count, optional(replay))
 
 
-def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, Any]:
+def snapshot_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, Any]:
     """Return the definitions of rules, the properties of labels, and the flags.
 
     Args:
@@ -361,63 +407,73 @@ def keep_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, A
         for rule in graph_rules
     ]
     return {
-        "rules": definitions,
+        "definitions": definitions,
         "properties": [
             label_property for properties in rules.all_properties().values() for label_property in properties
         ],
         "flags": rules.flags.changed_flags(),
-        "loaded": sorted(str(path) for path in rules.files.loaded),
-        "own": list(rules.files.sandbox.program_folders),
+        "loaded_files": sorted(str(path) for path in rules.files.loaded),
+        "program_folders": list(rules.files.sandbox.program_folders),
     }
 
 
-def restore_rules(rules: RuleBase, kept: Dict[str, Any]) -> List[EventRule]:
-    """Create and activate rules in another program; return all rules in order, including deleted ones.
+def restore_rules(rules: RuleBase, saved_rules: Dict[str, Any]) -> List[EventRule]:
+    """Create rules in another program, and activate them.
+
+    Args:
+        rules: the rule base of the other program.
+        saved_rules: a result of `snapshot_rules`.
+
+    Returns:
+        All rules: active ones in the order of their serials, then deleted ones.
 
     Raises:
         RetalisError: if a rule is invalid, or a flag does not exist.
     """
-    # Rules are kept in the order of their serials.
-    serials = [serial for _, _, _, _, serial, _, active in kept["rules"] if active]
+    serials = [serial for _, _, _, _, serial, _, active in saved_rules["definitions"] if active]
     if serials != sorted(set(serials)):
         raise invalid_value(serials, "rules with increasing serials")
     # Flags first: they determine how rules are compiled.
-    for name, value in kept["flags"].items():
+    for name, value in saved_rules["flags"].items():
         rules.flags.set(name, value)
-    restored = []
-    for rule_term, label, place, names, serial, name, active in kept["rules"]:
+    restored_rules = []
+    for rule_term, label, place, names, serial, name, active in saved_rules["definitions"]:
         definition = reread_rule(rule_term, label, place, names)
         rule = EventRule(rules, definition._replace(names=MappingProxyType(names)), serial, name)
-        restored.append(rule)
+        restored_rules.append(rule)
         # Deleted rules are only created for their pending alarms.
         if active:
             rules.activate(rule)
-    for label_property in kept["properties"]:
+    for label_property in saved_rules["properties"]:
         rules.set_property(label_property)
-    for folder in kept["own"]:
+    for folder in saved_rules["program_folders"]:
         rules.files.sandbox.add_program_folder(folder)
-    return restored
+    return restored_rules
 
 
-def keep_matches(
+def snapshot_matches(
     rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, active: Sequence[EventRule]
 ) -> Tuple[Any, List[EventRule]]:
-    """Return partial matches and recorded events, and the rules that they refer to, active ones first."""
+    """Return partial matches and recorded events as data.
+
+    Returns:
+        The data, and all rules that it refers to: active ones, then deleted ones.
+    """
     graph = GraphWriter(active)
     states = [_write_state(graph, rule) for rule in active]
     queries = knowledge.pending_queries
-    order, waiting = queries.snapshot()
+    next_query_order, pending_queries = queries.snapshot()
     data = {
-        "states": states,
-        "tracked": graph.write(rules.tracker.snapshot()),
+        "rules": states,
+        "occurrences": graph.write(rules.tracker.snapshot()),
         "alarms": [graph.write(entry) for entry in _alarms(clock, knowledge)],
-        "order": order,
-        "waiting": [graph.write(entry) for entry in waiting],
-        "held": [graph.write(entry) for entry in knowledge.states.snapshot()],
-        "rates": [graph.write(entry) for entry in knowledge.subscriptions.snapshot()],
+        "next_query_order": next_query_order,
+        "pending_queries": [graph.write(entry) for entry in pending_queries],
+        "state_intervals": [graph.write(entry) for entry in knowledge.states.snapshot()],
+        "rate_limiters": [graph.write(entry) for entry in knowledge.subscriptions.snapshot()],
         "timeouts": queries.timeouts.snapshot(),
         "timers": (rules.timers.snapshot(), rules.timers.omitted_count),
-        "stored": rules.store.stored(),
+        "stored_events": rules.store.stored(),
         "counts": (rules.serial, rules.fired_before, rules.failed_retraction_count),
     }
     data["objects"] = graph.encode()
@@ -429,23 +485,23 @@ def _write_state(graph: GraphWriter, rule: EventRule) -> Any:
     matches, buffer_numbers, orders = state.arrivals
     # A rule can have many partial matches, so they are columns of numbers instead of references.
     arrivals: Any = list(map(graph.number, matches)), buffer_numbers, orders
-    others = graph.write(tuple(state._replace(arrivals=([], [], []))))
-    return tuple(RuleState(*others)._replace(arrivals=arrivals))
+    other_fields = graph.write(tuple(state._replace(arrivals=([], [], []))))
+    return tuple(RuleState(*other_fields)._replace(arrivals=arrivals))
 
 
 def _alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
-    """Return the alarms of rules and queries; timers, states and Python programs restore their own."""
+    """Return the alarms of rules and pending queries; timers and declared states set theirs when restored."""
     alarms: List[Tuple[Any, ...]] = []
-    for due, order, alarm in sorted(clock.alarms, key=lambda entry: entry[:2]):
+    for due_at, order, alarm in sorted(clock.alarms, key=lambda entry: entry[:2]):
         if isinstance(alarm, RuleAlarm):
-            alarms.append((due, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
+            alarms.append((due_at, order, alarm.rule, alarm.term, alarm.start, alarm.instant, alarm.token))
         elif isinstance(alarm, TimeoutAlarm) and alarm.timeouts is knowledge.pending_queries.timeouts:
-            alarms.append((due, order, alarm.set_for))
+            alarms.append((due_at, order, alarm.alarm_instant))
     return alarms
 
 
 def restore_matches(
-    rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, data: Any, restored: Sequence[EventRule]
+    rules: RuleBase, knowledge: KnowledgeBase, clock: Clock, data: Any, restored_rules: Sequence[EventRule]
 ) -> None:
     """Restore matches, events, alarms and queries.
 
@@ -453,24 +509,29 @@ def restore_matches(
         rules: the rule base, with restored rules.
         knowledge: the knowledge base, with restored memories.
         clock: the clock of the engine.
-        data: data from `keep_matches`.
-        restored: rules from `restore_rules`.
+        data: data from `snapshot_matches`.
+        restored_rules: rules from `restore_rules`.
     """
-    # All checks come first: invalid data must not leave rules and alarms half restored.
-    checked = _CheckedState(rules, knowledge, data, restored)
-    for rule, state in zip(restored, checked.states):
+    # All checks come first: invalid data must not leave rules and alarms partly restored.
+    checked = _CheckedState(rules, knowledge, data, restored_rules)
+    for rule, state in zip(restored_rules, checked.rule_states):
         rule.restore(state)
-    rules.tracker.restore(checked.tracked)
+    rules.tracker.restore(checked.occurrences)
     queries = knowledge.pending_queries
-    queries.restore(checked.order, checked.waiting)
+    queries.restore(checked.next_query_order, checked.pending_queries)
     queries.timeouts.restore(*checked.timeouts)
-    for due, order, *rest in checked.alarms:
-        alarm: Any = TimeoutAlarm(queries.timeouts, *rest) if len(rest) == 1 else RuleAlarm(rules, *rest)
-        clock.put_back(due, order, alarm)
+    for due_at, order, *arguments in checked.alarms:
+        # The alarm of a rule has five arguments, see `_alarms`.
+        alarm: Any = (
+            TimeoutAlarm(queries.timeouts, *arguments)
+            if len(arguments) == 1
+            else RuleAlarm(rules, *arguments)
+        )
+        clock.restore_alarm(due_at, order, alarm)
     rules.timers.restore(*checked.timers)
-    knowledge.states.restore(checked.held)
-    knowledge.subscriptions.restore_rates(checked.rates)
-    rules.store.restore(checked.stored)
+    knowledge.states.restore(checked.state_intervals)
+    knowledge.subscriptions.restore_rates(checked.rate_limiters)
+    rules.store.restore(checked.stored_events)
     rules.serial, rules.fired_before, rules.failed_retraction_count = checked.counts
 
 
@@ -480,108 +541,124 @@ class _CheckedState:
     Args:
         rules: the rule base of the program.
         knowledge: the knowledge base of the program, with restored memories.
-        data: data from `keep_matches`.
-        restored: rules from `restore_rules`.
+        data: data from `snapshot_matches`.
+        restored_rules: rules from `restore_rules`.
 
     Raises:
-        UsageError: if the data does not fit the program, or cannot have been created by `keep_matches`.
+        UsageError: if the data does not fit the program, or cannot have been created by `snapshot_matches`.
     """
 
-    def __init__(self, rules: RuleBase, knowledge: KnowledgeBase, data: Any, restored: Sequence[EventRule]):
-        self._graph = graph = GraphReader(data["objects"], restored)
+    def __init__(
+        self, rules: RuleBase, knowledge: KnowledgeBase, data: Any, restored_rules: Sequence[EventRule]
+    ):
+        self._graph = graph = GraphReader(data["objects"], restored_rules)
         active = rules.rules
-        if len(items(data["states"])) != len(active):
-            raise invalid_value(len(data["states"]), f"the states of {len(active)} rules")
-        self.states = [rule_state(graph, rule, state) for rule, state in zip(restored, data["states"])]
-        check_stored_once(restored, self.states)
+        if len(items(data["rules"])) != len(active):
+            raise invalid_value(len(data["rules"]), f"the states of {len(active)} rules")
+        self.rule_states = [
+            check_rule_state(graph, rule, state) for rule, state in zip(restored_rules, data["rules"])
+        ]
+        check_stored_once(restored_rules, self.rule_states)
         check_lineage(graph)
-        event = graph.ref("event")
-        self.tracked = named("tracked", fixed(each(event), count, count))(data["tracked"])
-        self.alarms = each(self._alarm)(data["alarms"])
-        self.order = count(data["order"])
-        self.waiting = each(self._query(knowledge))(data["waiting"])
-        self.held = self._held(knowledge, data["held"])
-        self.rates = self._rates(knowledge, data["rates"])
-        self.timeouts = fixed(each(fixed(instant, count)), each(instant))(data["timeouts"])
-        timer = fixed(callable_term, term, optional(instant), instant, count)
-        self.timers = fixed(each(timer), count)(data["timers"])
-        self.stored = each(fixed(callable_term, instant, instant))(data["stored"])
-        self.counts = fixed(count, count, count)(data["counts"])
+        event = graph.reference_to("event")
+        occurrences = with_name("occurrences", tuple_of(sequence_of(event), count, count))
+        self.occurrences = occurrences(data["occurrences"])
+        self.alarms = sequence_of(self._check_alarm)(data["alarms"])
+        self.next_query_order = count(data["next_query_order"])
+        self.pending_queries = sequence_of(self._query_check(knowledge))(data["pending_queries"])
+        self.state_intervals = self._check_state_intervals(knowledge, data["state_intervals"])
+        self.rate_limiters = self._check_rate_limiters(knowledge, data["rate_limiters"])
+        self.timeouts = tuple_of(sequence_of(tuple_of(instant, count)), sequence_of(instant))(
+            data["timeouts"]
+        )
+        timer = tuple_of(callable_term, term, optional(instant), instant, count)
+        self.timers = tuple_of(sequence_of(timer), count)(data["timers"])
+        self.stored_events = sequence_of(tuple_of(callable_term, instant, instant))(data["stored_events"])
+        self.counts = tuple_of(count, count, count)(data["counts"])
         self._check_orders()
 
-    def _alarm(self, value: Decoded) -> Decoded:
+    def _check_alarm(self, value: Decoded) -> Decoded:
         graph = self._graph
         if len(items(value)) == 3:
-            return fixed(instant, count, instant)(value)
-        rule, token = graph.ref("rule"), optional(graph.ref("event"))
-        return fixed(instant, count, rule, callable_term, instant, instant, token)(value)
+            return tuple_of(instant, count, instant)(value)
+        rule, token = graph.reference_to("rule"), optional(graph.reference_to("event"))
+        return tuple_of(instant, count, rule, callable_term, instant, instant, token)(value)
 
-    def _query(self, knowledge: KnowledgeBase) -> ValueCheck:
-        pair = fixed(term, instant)
+    def _query_check(self, knowledge: KnowledgeBase) -> ValueCheck:
+        """Return a check of a pending query."""
+        pair = tuple_of(term, instant)
 
-        def lagging_memory(value: Decoded) -> Decoded:
-            name, until = entry = pair(value)
+        def check_awaited(value: Decoded) -> Decoded:
+            name, required_instant = entry = pair(value)
             memory = knowledge.memories.find(name)
-            # Transforms are not part of the state, so none has reached an instant.
+            # The transform buffer is not saved, so a restored query may wait for any transform.
             if memory is None and knowledge.transforms.awaited(name) is not None:
                 return entry
             # A query whose memory has already reached the time would never be run.
-            if memory is None or memory.has_reached(until):
+            if memory is None or memory.has_reached(required_instant):
                 raise invalid_value(value, "a memory that has not reached an instant")
             return entry
 
-        awaited = each(lagging_memory)
-        check = fixed(count, callable_term, term, instant, instant, awaited, self._graph.token)
+        awaited = sequence_of(check_awaited)
+        check_items = tuple_of(count, callable_term, term, instant, instant, awaited, self._graph.check_token)
 
-        def query(value: Decoded) -> Decoded:
-            entry = check(value)
-            if not entry[5]:
+        def check_query(value: Decoded) -> Decoded:
+            query = check_items(value)
+            *_, awaited_conditions, _ = query
+            if not awaited_conditions:
                 raise invalid_value(value, "a query that waits for a memory")
-            return entry
+            return query
 
-        return query
+        return check_query
 
-    def _held(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
-        token = optional(self._graph.ref("event"))
-        openings = each(fixed(instant, token))
-        check = fixed(
-            each(fixed(key, callable_term, key, openings)),
-            each(fixed(key, callable_term, instant, instant, token)),
+    def _check_state_intervals(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
+        token = optional(self._graph.reference_to("event"))
+        openings = sequence_of(tuple_of(instant, token))
+        check = tuple_of(
+            sequence_of(tuple_of(key, callable_term, key, openings)),
+            sequence_of(tuple_of(key, callable_term, instant, instant, token)),
             count,
         )
-        holding = each(check)(value)
-        if len(holding) != len(list(knowledge.states)):
-            raise invalid_value(len(holding), "the intervals of each declared state")
-        for declared, states in zip(knowledge.states, holding):
-            for own_key, state, _, opened in states[0]:
+        checked_intervals = sequence_of(check)(value)
+        if len(checked_intervals) != len(list(knowledge.states)):
+            raise invalid_value(len(checked_intervals), "the intervals of each declared state")
+        for declared_state, (open_states, _, _) in zip(knowledge.states, checked_intervals):
+            for stored_key, state, _, starts in open_states:
                 # The key is stored redundantly; a different one would make the state unreachable.
-                if not opened or own_key != term_key(state) or not may_unify(declared.form.state, state):
+                if (
+                    not starts
+                    or stored_key != term_key(state)
+                    or not may_unify(declared_state.form.state, state)
+                ):
                     raise invalid_value(state, "a declared state that has begun")
-            if len({one[0] for one in states[0]}) != len(states[0]):
-                raise invalid_value(len(states[0]), "distinct states")
-        return holding  # type: ignore[no-any-return]
+            if len({stored_key for stored_key, *_ in open_states}) != len(open_states):
+                raise invalid_value(len(open_states), "distinct states")
+        return checked_intervals  # type: ignore[no-any-return]
 
-    def _rates(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
+    def _check_rate_limiters(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
         subscriptions = [subscription for _, subscription in knowledge.subscriptions.items()]
         if len(items(value)) != len(subscriptions):
             raise invalid_value(len(value), f"the output rates of {len(subscriptions)} subscriptions")
         states: List[Any] = []
         for subscription, rate_state in zip(subscriptions, value):
             if subscription.rate is None:
-                nothing(rate_state)
+                none(rate_state)
                 states.append(None)
                 continue
             stream = StreamCheck(
-                self._graph, subscription.rate.stream, subscription.rate.widths, of_terms=True
+                self._graph, subscription.rate.stream, subscription.rate.widths, elements_are_terms=True
             )
-            states.append(optional(fixed(stream.operator_state, count, count))(rate_state))
+            states.append(optional(tuple_of(stream.check_state, count, count))(rate_state))
         return states
 
     def _check_orders(self) -> None:
         """Check that alarms, timers and queries have distinct sequence numbers."""
-        orders = [entry[1] for entry in self.alarms] + [entry[4] for entry in self.timers[0]]
-        queries = [entry[0] for entry in self.waiting]
-        if len(set(orders)) != len(orders):
-            raise invalid_value(orders, "alarms with distinct sequence numbers")
-        if queries != sorted(set(queries)) or any(entry >= self.order for entry in queries):
-            raise invalid_value(queries, "queries with increasing sequence numbers")
+        timers, _ = self.timers
+        alarm_orders = [order for _, order, *_ in self.alarms] + [order for *_, order in timers]
+        query_orders = [order for order, *_ in self.pending_queries]
+        if len(set(alarm_orders)) != len(alarm_orders):
+            raise invalid_value(alarm_orders, "alarms with distinct sequence numbers")
+        if query_orders != sorted(set(query_orders)) or any(
+            order >= self.next_query_order for order in query_orders
+        ):
+            raise invalid_value(query_orders, "queries with increasing sequence numbers")

@@ -1,12 +1,12 @@
 """Validators for decoded data, which return values in the form that the engine uses.
 
 State files are not trusted, so each value is checked before it reaches the engine. A check is a function that returns
-the value, or raises a `UsageError` that quotes it. `fields`, `fixed`, and `each` combine checks of items into checks
-of sequences, and prefix error messages with the name or the position of the item.
+the value, or raises a `UsageError` that quotes it. `mapping_with`, `tuple_of`, and `sequence_of` combine checks of
+items into checks of sequences, and prefix error messages with the name or the position of the item.
 """
 
 from math import isfinite
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Sequence, Tuple, cast
+from typing import Any, Callable, Dict, FrozenSet, List, Sequence, Tuple, cast
 
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
@@ -19,7 +19,7 @@ ValueCheck = Callable[[Decoded], Decoded]
 """Function that returns a value in the form that the engine uses, or raises a `UsageError`."""
 
 MAX_INSTANT = 1 << 80
-"""Limit of instants in ns: larger than any instant that the engine itself uses as a mark for "never"."""
+"""Limit of instants in ns: larger than any value by which the engine itself represents "never"."""
 
 MAX_COUNT = (1 << 63) - 1
 """Maximum of counts."""
@@ -37,7 +37,7 @@ class FlatKey(tuple):  # type: ignore[type-arg]
 _SEQUENCES = frozenset((list, tuple, FlatKey))
 _TERMS = frozenset((int, float, Atom, String, Var, tuple))
 _INSTANTS = frozenset((int, FloatSeconds, Stamp))
-_FORMS = frozenset((FloatSeconds, Stamp))
+_INSTANTS_OF_PARTS = frozenset((FloatSeconds, Stamp))
 _KEYS = frozenset((int, Atom, String, Functor))
 
 
@@ -50,22 +50,22 @@ def invalid_value(value: object, expected: str) -> UsageError:
     return UsageError(f"'{text_of_value[:80]}': expected {expected}")
 
 
-def anything(value: Decoded) -> Decoded:
+def any_value(value: Decoded) -> Decoded:
     """Return the value unchecked; it is checked later against the program."""
     return value
 
 
-def nothing(value: Decoded) -> None:
+def none(value: Decoded) -> None:
     """Check that a value is None."""
     if value is not None:
         raise invalid_value(value, "nothing")
 
 
-def instance_of(kind: type, expected: str) -> ValueCheck:
+def instance_of(expected_class: type, expected: str) -> ValueCheck:
     """Return a check for instances of exactly one class; ``expected`` describes it in the error."""
 
     def check(value: Decoded) -> Decoded:
-        if value.__class__ is not kind:
+        if value.__class__ is not expected_class:
             raise invalid_value(value, expected)
         return value
 
@@ -79,12 +79,12 @@ functor = instance_of(Functor, "a functor")
 variable = instance_of(Var, "a variable")
 
 
-def integer(least: int = -MAX_COUNT, most: int = MAX_COUNT) -> ValueCheck:
+def integer(minimum: int = -MAX_COUNT, maximum: int = MAX_COUNT) -> ValueCheck:
     """Return a check for integers in a range."""
 
     def check(value: Decoded) -> int:
-        if value.__class__ is not int or not least <= value <= most:
-            raise invalid_value(value, f"an integer from {least} to {most}")
+        if value.__class__ is not int or not minimum <= value <= maximum:
+            raise invalid_value(value, f"an integer from {minimum} to {maximum}")
         return value
 
     return check
@@ -128,7 +128,7 @@ def term(value: Decoded) -> Term:
 
 def value_of_match(value: Decoded) -> Term:
     """Check the value of a variable of a match: a term, or the start or end of a part of the match."""
-    return instant(value) if value.__class__ in _FORMS else term(value)
+    return instant(value) if value.__class__ in _INSTANTS_OF_PARTS else term(value)
 
 
 def callable_term(value: Decoded) -> Term:
@@ -177,47 +177,42 @@ def items(value: Decoded) -> Sequence[Decoded]:
 
 
 _CLASSES_ACCEPTED: Dict[ValueCheck, FrozenSet[type]] = {term: _TERMS, text: frozenset((str,))}
-"""Checks that return values of these classes unchanged, and refuse all others."""
+"""Checks that return values of these classes unchanged, and reject all others."""
 
 
-def each(
-    check: ValueCheck, make: Callable[[List[Decoded]], Decoded] = list, most: Optional[int] = None
-) -> ValueCheck:
+def sequence_of(check: ValueCheck, make: Callable[[List[Decoded]], Decoded] = list) -> ValueCheck:
     """Return a check for a sequence of items with the same check.
 
     Args:
         check: check of an item.
         make: creates the result from the list of checked items.
-        most: maximum number of items.
     """
     classes = _CLASSES_ACCEPTED.get(check, frozenset())
 
-    def check_each(value: Decoded) -> Decoded:
-        if most is not None and len(items(value)) > most:
-            raise invalid_value(value, f"at most {most} items")
+    def check_sequence(value: Decoded) -> Decoded:
         checked: List[Decoded] = []
         # Columns have thousands of terms: their classes are compared by functions that are implemented in C.
         if classes.issuperset(map(type, items(value))):
             return make(value)
         try:
-            # If an item is refused, those before it remain in the list, which gives its index.
+            # If an item is rejected, those before it remain in the list, which gives its index.
             checked += map(check, value)
         except UsageError as error:
             raise UsageError(f"item {len(checked)}: {error.message}") from None
         return checked if make is list else make(checked)
 
-    return check_each
+    return check_sequence
 
 
-def integers(least: int = 0, most: int = MAX_COUNT) -> ValueCheck:
+def integers(minimum: int = 0, maximum: int = MAX_COUNT) -> ValueCheck:
     """Return a check for a sequence of integers in a range."""
-    check_each = each(integer(least, most))
+    check_sequence = sequence_of(integer(minimum, maximum))
 
     def check(value: Decoded) -> Decoded:
         numbers = items(value)
-        if set(map(type, numbers)) == {int} and least <= min(numbers) and max(numbers) <= most:
+        if set(map(type, numbers)) == {int} and minimum <= min(numbers) and max(numbers) <= maximum:
             return numbers
-        return check_each(numbers)
+        return check_sequence(numbers)
 
     return check
 
@@ -226,7 +221,7 @@ match_orders = integers(0, 2 * MAX_INSTANT)
 """Check of a sequence of orders of matches."""
 
 
-def fixed(*checks: ValueCheck) -> ValueCheck:
+def tuple_of(*checks: ValueCheck) -> ValueCheck:
     """Return a check for a sequence with one check per item; the result is a tuple."""
     length = len(checks)
 
@@ -238,27 +233,27 @@ def fixed(*checks: ValueCheck) -> ValueCheck:
     return check
 
 
-def fields(**checks: ValueCheck) -> ValueCheck:
+def mapping_with(**checks: ValueCheck) -> ValueCheck:
     """Return a check for a mapping with exactly these names; the result is a dictionary."""
-    mapping = dict_of(text, anything)
-    named_checks = {name: named(name, check) for name, check in checks.items()}
+    unchecked = dict_of(text, any_value)
+    named_checks = {name: with_name(name, check) for name, check in checks.items()}
 
     def check(value: Decoded) -> Dict[str, Decoded]:
-        found = mapping(value)
-        if list(found) != list(checks):
-            raise invalid_value(list(found), f"the fields {', '.join(checks)}")
-        return {name: check(found[name]) for name, check in named_checks.items()}
+        mapping = unchecked(value)
+        if list(mapping) != list(checks):
+            raise invalid_value(list(mapping), f"the fields {', '.join(checks)}")
+        return {name: check(mapping[name]) for name, check in named_checks.items()}
 
     return check
 
 
 def record(make: Callable[..., Any], /, **checks: ValueCheck) -> ValueCheck:
     """Return a check for the items of a named tuple; the result is the named tuple."""
-    parts = fixed(*[named(name, check) for name, check in checks.items()])
-    return lambda value: make(*parts(value))
+    check_items = tuple_of(*[with_name(name, check) for name, check in checks.items()])
+    return lambda value: make(*check_items(value))
 
 
-def named(name: str, check: ValueCheck) -> ValueCheck:
+def with_name(name: str, check: ValueCheck) -> ValueCheck:
     """Return a check that prefixes error messages with a name."""
 
     def check_named(value: Decoded) -> Decoded:
@@ -272,12 +267,12 @@ def named(name: str, check: ValueCheck) -> ValueCheck:
 
 def dict_of(key_check: ValueCheck, value_check: ValueCheck) -> ValueCheck:
     """Return a check for a mapping, encoded as a sequence of pairs, without duplicate keys."""
-    pairs = each(fixed(key_check, value_check))
+    check_pairs = sequence_of(tuple_of(key_check, value_check))
 
     def check(value: Decoded) -> Dict[Decoded, Decoded]:
-        items_found = pairs(value)
-        result = dict(items_found)
-        if len(result) != len(items_found):
+        pairs = check_pairs(value)
+        result = dict(pairs)
+        if len(result) != len(pairs):
             raise invalid_value(value, "each key once")
         return result
 

@@ -1,8 +1,8 @@
 """Sections of a state file: container format with checksums, and the schema of each section.
 
-A state consists of a magic line, the length of a JSON header, the header, and the sections. The header has the format
-number, a checksum of the names of stored attributes (`LAYOUT`), and the name, length and CRC-32 of each section.
-Files of other versions are refused with a clear error instead of being misinterpreted.
+A state file consists of a magic line, the length of a JSON header, the header, and the sections. The header has the
+format number, a checksum of the names of stored attributes (`LAYOUT_CHECKSUM`), and the name, length and CRC-32 of
+each section. Files of other versions are rejected with an error that names the version.
 
 `read_section` decodes a section and checks it with its schema in `SECTIONS`. State that only makes sense together
 with a program (partial matches, streams) is checked in `network_state`.
@@ -18,7 +18,7 @@ from ..events.language.rule_head_parser import Property
 from ..events.network.event_rule import RuleState
 from ..foundation.errors import Place, UsageError
 from ..prolog.syntax.operators import TYPES
-from ..prolog.system.logic_state import KeptLogic, KeptValues
+from ..prolog.system.logic_state import ProgramSnapshot, ValuesSnapshot
 from ..prolog.terms.timestamps import MAX_TIMESTAMP, FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor
 from .codec import from_bytes
@@ -27,29 +27,29 @@ from .memory_state import decode_records
 from .schema import (
     Decoded,
     ValueCheck,
-    anything,
+    any_value,
     boolean,
     callable_term,
     count,
     dict_of,
-    each,
-    fields,
-    fixed,
     functor,
     instant,
     integer,
     invalid_value,
     items,
     key,
-    named,
+    mapping_with,
     one_of,
     optional,
     path,
     record,
     seconds,
+    sequence_of,
     term,
     text,
+    tuple_of,
     variable,
+    with_name,
 )
 
 MAGIC = b"retalis state\n"
@@ -60,31 +60,35 @@ _MAX_HEADER_BYTES = 16_000_000
 _MAX_HEADER_DIGITS = 20
 """Maximum number of digits of an integer in the header."""
 
-FORMAT = 7
+FORMAT_NUMBER = 8
 """Format number of state files, incremented when their structure changes."""
 
 
-def _layout() -> int:
+def _layout_checksum() -> int:
     """Return a checksum of the names of stored attributes, so that renamed or added attributes are detected."""
-    names = [(sys.byteorder,), *((name, *map(str, fields.items())) for name, (_, fields) in FIELDS.items())]
+    names = [
+        (sys.byteorder,),
+        *((kind, *map(str, attributes.items())) for kind, (_, attributes) in FIELDS.items()),
+    ]
     names += [
-        (named_tuple.__name__, *named_tuple._fields) for named_tuple in (RuleState, KeptLogic, KeptValues)
+        (named_tuple.__name__, *named_tuple._fields)
+        for named_tuple in (RuleState, ProgramSnapshot, ValuesSnapshot)
     ]
     names.append(("instant", "int", FloatSeconds.__name__, Stamp.__name__))
     return crc32(repr(names).encode())
 
 
-LAYOUT = _layout()
+LAYOUT_CHECKSUM = _layout_checksum()
 
 
-def pack(sections: Dict[str, bytes]) -> bytes:
+def pack_sections(sections: Dict[str, bytes]) -> bytes:
     """Return sections as the content of a state file."""
     entries = [[name, len(data), crc32(data)] for name, data in sections.items()]
-    header = json.dumps({"format": FORMAT, "layout": LAYOUT, "sections": entries}).encode()
+    header = json.dumps({"format": FORMAT_NUMBER, "layout": LAYOUT_CHECKSUM, "sections": entries}).encode()
     return b"".join([MAGIC, b"%d\n" % len(header), header, *sections.values()])
 
 
-def unpack(data: bytes) -> Dict[str, bytes]:
+def unpack_sections(data: bytes) -> Dict[str, bytes]:
     """Return the sections of a state file.
 
     Raises:
@@ -105,7 +109,7 @@ def unpack(data: bytes) -> Dict[str, bytes]:
 
 def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
     if not data.startswith(MAGIC):
-        raise UsageError("this is not a state of an engine")
+        raise UsageError("this is not a state file")
     end = data.find(b"\n", len(MAGIC), len(MAGIC) + 20)
     try:
         length = int(data[len(MAGIC) : end])
@@ -115,11 +119,11 @@ def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
         header = json.loads(str(data[end + 1 : end + 1 + length], "utf-8"), parse_int=_header_integer)
         # Negative lengths would pass the checksum of an empty section, and shift those that follow.
         names = [name for name, length, checksum in header["sections"] if length >= 0 and checksum >= 0]
-        memories = [name for name in names if name.startswith("memory ")]
+        memory_names = [name for name in names if name.startswith("memory ")]
         if (
             not all(number.__class__ is int for _, *numbers in header["sections"] for number in numbers)
             or len(set(names)) != len(header["sections"])
-            or memories != [f"memory {index}" for index in range(len(memories))]
+            or memory_names != [f"memory {index}" for index in range(len(memory_names))]
         ):
             raise ValueError
     except Exception as error:  # any error of malformed JSON, including excessive nesting
@@ -140,30 +144,32 @@ def check_version(format_number: object, layout: object) -> None:
     Raises:
         UsageError: if the state was written by another version of the package.
     """
-    if format_number != FORMAT:
+    if format_number != FORMAT_NUMBER:
         # Formats before 6 were pickles, which can execute code when they are read.
         is_pickle = format_number.__class__ is int and format_number < 6
         explanation = (
             ", a pickle of an older version of the package, which is never read" if is_pickle else ""
         )
         raise UsageError(
-            f"the state is of format {format_number}{explanation}: this version reads format {FORMAT}"
+            f"the state is of format {format_number}{explanation}: this version reads format {FORMAT_NUMBER}"
         )
-    if layout != LAYOUT:
+    if layout != LAYOUT_CHECKSUM:
         raise UsageError("the state was written by another version of the package")
 
 
-place = record(Place, source=text, line=count, column=count, text=text, before=count)
+check_place = record(Place, source=text, line=count, column=count, text=text, before=count)
 """Check of a position in a source file."""
 
-clause = fixed(callable_term, term, optional(place))
+check_clause = tuple_of(callable_term, term, optional(check_place))
 """Check of a clause: head, body, and place."""
 
-rule = fixed(callable_term, optional(term), optional(place), dict_of(variable, text), count, text, boolean)
+check_rule = tuple_of(
+    callable_term, optional(term), optional(check_place), dict_of(variable, text), count, text, boolean
+)
 """Check of a rule: term, label, place, names of variables, serial, name, and whether it is active."""
 
-_property = record(Property, label=term, name=text, value=term)
-_positions = each(count)
+_check_property_items = record(Property, label=term, name=text, value=term)
+_check_positions = sequence_of(count)
 
 
 def _definition(expected: Functor) -> ValueCheck:
@@ -177,18 +183,23 @@ def _definition(expected: Functor) -> ValueCheck:
     return check
 
 
-def _known_property(value: Decoded) -> Property:
-    label_property: Property = _property(value)
+def _check_property(value: Decoded) -> Property:
+    label_property: Property = _check_property_items(value)
     if label_property.label.__class__ is not Atom or label_property.problem is not None:
         raise invalid_value(value, label_property.problem or "a property of a label")
     return label_property
 
 
-def _clauses(value: Decoded) -> Decoded:
+_check_predicate_items = tuple_of(
+    functor, tuple_of(boolean, boolean, boolean, boolean), sequence_of(check_clause)
+)
+
+
+def _check_predicate(value: Decoded) -> Decoded:
     """Check a predicate and its clauses."""
-    predicate, properties, clauses = fixed(functor, fixed(boolean, boolean, boolean, boolean), each(clause))(
-        value
-    )
+    predicate, properties, clauses = tuple_of(
+        functor, tuple_of(boolean, boolean, boolean, boolean), sequence_of(check_clause)
+    )(value)
     for head, body, _ in clauses:
         arity = len(head) - 1 if head.__class__ is tuple else 0
         # A clause in the wrong predicate would be called with missing arguments.
@@ -199,29 +210,31 @@ def _clauses(value: Decoded) -> Decoded:
     return predicate, properties, clauses
 
 
-_network = fields(
-    rules=each(rule),
-    properties=each(_known_property),
+_check_network = mapping_with(
+    definitions=sequence_of(check_rule),
+    properties=sequence_of(_check_property),
     flags=dict_of(text, term),
-    loaded=each(path),
-    own=each(path),
+    loaded_files=sequence_of(path),
+    program_folders=sequence_of(path),
 )
-_deployment = fields(
-    rules=_positions,
-    clauses=each(fixed(functor, _positions)),
-    retracted=each(fixed(functor, each(clause))),
-    memories=_positions,
-    subscriptions=_positions,
-    properties=each(_known_property),
+_check_deployment = mapping_with(
+    rules=_check_positions,
+    clauses=sequence_of(tuple_of(functor, _check_positions)),
+    retracted=sequence_of(tuple_of(functor, sequence_of(check_clause))),
+    memories=_check_positions,
+    subscriptions=_check_positions,
+    properties=sequence_of(_check_property),
     flags=dict_of(text, optional(term)),
-    dynamic=each(functor),
-    replaced=each(functor),
-    files=each(path),
-    declared=_positions,
-    timers=each(fixed(term, term)),
+    dynamic=sequence_of(functor),
+    replaced=sequence_of(functor),
+    files=sequence_of(path),
+    states=_check_positions,
+    timers=sequence_of(tuple_of(term, term)),
 )
-_module = fixed(each(functor), each(functor), each(text), each(text))
-_kinds = each(lambda value: text(value) if value.__class__ is str else integer(0, 100)(value), tuple)
+_check_module = tuple_of(sequence_of(functor), sequence_of(functor), sequence_of(text), sequence_of(text))
+_argument_kinds = sequence_of(
+    lambda value: text(value) if value.__class__ is str else integer(0, 100)(value), tuple
+)
 _BUILTIN_STATE: Dict[str, ValueCheck] = {
     "counters": dict_of(text, integer()),
     "flags": dict_of(text, term),
@@ -229,20 +242,20 @@ _BUILTIN_STATE: Dict[str, ValueCheck] = {
     "gensym": dict_of(text, count),
     "counters of events": dict_of(key, integer()),
     "flags of events": dict_of(key, term),
-    "modules": dict_of(text, _module),
-    "arguments of predicates": dict_of(functor, _kinds),
+    "modules": dict_of(text, _check_module),
+    "arguments of predicates": dict_of(functor, _argument_kinds),
 }
 
 
 def _builtin_state(value: Decoded) -> Dict[str, Decoded]:
-    values = dict_of(text, anything)(value)
+    values = dict_of(text, any_value)(value)
     for name in values:
         if name not in _BUILTIN_STATE:
             raise invalid_value(name, "a kind of state of built-in predicates")
-    return {name: named(name, _BUILTIN_STATE[name])(state) for name, state in values.items()}
+    return {name: with_name(name, _BUILTIN_STATE[name])(state) for name, state in values.items()}
 
 
-_operator = fixed(integer(0, 1200), one_of(*TYPES), text)
+_check_operator = tuple_of(integer(0, 1200), one_of(*TYPES), text)
 """Check of the priority, type, and name of an operator."""
 
 _MAX_CLOCK_INSTANT = MAX_TIMESTAMP + (1 << 60)
@@ -257,46 +270,54 @@ def _clock_instant(value: Decoded) -> Decoded:
 
 
 def _clock(value: Decoded) -> Decoded:
-    # The last two instants are optional.
-    optional = [_clock_instant] * max(0, min(2, len(items(value)) - 4))
-    return fixed(_clock_instant, _clock_instant, integer(0, 1), count, *optional)(value)
+    # A `StreamClock` appends its time if it is set, and its constant time if it is pinned.
+    optional_instants = [_clock_instant] * max(0, min(2, len(items(value)) - 4))
+    return tuple_of(_clock_instant, _clock_instant, integer(0, 1), count, *optional_instants)(value)
 
 
 def _unchecked(names: str) -> ValueCheck:
     """Return a check for a mapping with exactly these names; the values are checked against the program later."""
-    return fields(**dict.fromkeys(names.split(), anything))
+    return mapping_with(**dict.fromkeys(names.split(), any_value))
 
 
 SECTIONS: Dict[str, ValueCheck] = {
     "values": record(
-        KeptValues,
+        ValuesSnapshot,
         flags=dict_of(text, term),
-        values=dict_of(text, term),
+        global_variables=dict_of(text, term),
         column=count,
-        counted=_builtin_state,
-        answers=each(fixed(key, each(each(term, tuple)), boolean)),
+        builtin_state=_builtin_state,
+        table_answers=sequence_of(tuple_of(key, sequence_of(sequence_of(term, tuple)), boolean)),
     ),
     "matches": _unchecked(
-        "states tracked alarms order waiting held rates timeouts timers stored counts objects"
+        "rules occurrences alarms next_query_order pending_queries state_intervals rate_limiters timeouts timers "
+        "stored_events counts objects"
     ),
-    "run": fields(clock=_clock, followed=boolean, taken=count, dropped=count, tokens=count, sent=each(count)),
-    "program": fields(
-        network=_network,
-        memories=each(fixed(_definition(MEMORIZE), boolean)),
-        subscriptions=each(_definition(SUBSCRIBE)),
-        declared=each(callable_term),
-        standings=dict_of(path, _deployment),
-        topics=each(fixed(text, text, text)),
-        events=dict_of(text, text),
-        foreign=each(path),
-        swi=each(fixed(path, term, term)),
+    "run": mapping_with(
+        clock=_clock,
+        clock_follows_events=boolean,
+        event_count=count,
+        dropped_count=count,
+        next_token_number=count,
+        sent_counts=sequence_of(count),
+    ),
+    "program": mapping_with(
+        rules=_check_network,
+        memories=sequence_of(tuple_of(_definition(MEMORIZE), boolean)),
+        subscriptions=sequence_of(_definition(SUBSCRIBE)),
+        states=sequence_of(callable_term),
+        deployments=dict_of(path, _check_deployment),
+        topics=sequence_of(tuple_of(text, text, text)),
+        event_types=dict_of(text, text),
+        foreign_modules=sequence_of(path),
+        swi_files=sequence_of(tuple_of(path, term, term)),
     ),
     "clauses": record(
-        KeptLogic,
-        operators=each(_operator),
-        tabled=each(term),
-        predicates=each(_clauses),
-        incremental=each(functor),
+        ProgramSnapshot,
+        operators=sequence_of(_check_operator),
+        table_declarations=sequence_of(term),
+        predicates=sequence_of(_check_predicate),
+        observed_predicates=sequence_of(functor),
     ),
 }
 """Checks of all sections by name, except those of memories."""
@@ -311,7 +332,7 @@ def read_section(name: str, data: bytes) -> Decoded:
     check = SECTIONS.get(name)
     if check is None:
         raise UsageError(f"section '{name[:40]}' is unknown")
-    return named(f"section {name}", check)(from_bytes(data))
+    return with_name(f"section {name}", check)(from_bytes(data))
 
 
 def read_records(data: bytes) -> Decoded:
@@ -323,11 +344,11 @@ def read_records(data: bytes) -> Decoded:
     return decode_records(from_bytes(data))
 
 
-about = fields(
+checkpoint_header = mapping_with(
     format=count,
     layout=count,
-    files=each(fixed(path, text)),
-    memories=each(fixed(count, count, decode_records)),
-    made=seconds,
+    files=sequence_of(tuple_of(path, text)),
+    memories=sequence_of(tuple_of(count, count, decode_records)),
+    written_at=seconds,
 )
 """Check of the header of a checkpoint."""

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.events.knowledge.memory import NEVER, Memory
+from retalis.events.knowledge.memory import NO_POSITION, Memory
 
 ENDS = st.lists(st.integers(0, 30), max_size=60)
 
@@ -158,15 +158,18 @@ def test_what_has_changed_and_its_version(size, ends):
     memory, versions = Memory(size), set()
     for name, end in enumerate(ends):
         before_first, before = memory.records_since(0)
-        memory.first_moved = NEVER
+        memory.first_changed_position = NO_POSITION
         taken = memory.add((name, end - 1, end))
         assert (memory.version not in versions) == taken
         versions.add(memory.version)
         first, records = memory.records_since(0)
-        for place in range(first, min(memory.first_moved, before_first + len(before))):
+        for place in range(first, min(memory.first_changed_position, before_first + len(before))):
             assert records[place - first] == before[place - before_first]
-        if memory.first_moved != NEVER:
-            assert first > memory.first_moved or records[memory.first_moved - first][0] == name
+        if memory.first_changed_position != NO_POSITION:
+            assert (
+                first > memory.first_changed_position
+                or records[memory.first_changed_position - first][0] == name
+            )
     other = Memory(size)
     other.restore(memory.oldest_number, memory.late_count, list(memory.ends), list(memory.records))
     assert (len(other), other.late_count, other.records) == (len(memory), memory.late_count, memory.records)

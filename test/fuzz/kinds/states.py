@@ -5,7 +5,7 @@ from time import process_time
 from retalis import Engine, Functor, RetalisError, String, UsageError, Var, atom, functor
 from retalis.prolog.terms.timestamps import FloatSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
-from retalis.serialization.state_file_format import pack, unpack
+from retalis.serialization.state_file_format import pack_sections, unpack_sections
 
 from ..mutate import NUMBERS, changed_bytes
 from ..side_effects import Finding
@@ -115,9 +115,9 @@ class Inputs(Kind):
                 engine.event(event, now)
             for number in range(60 if "tfs" in goals else 0):  # so many are kept by columns
                 engine.event(f"tf(a{number % 3}, v({number}.5, {number}))", 8 + number / 100)
-            self.states.append(unpack(engine.snapshot()))
+            self.states.append(unpack_sections(engine.snapshot()))
         LOGGED.found = None
-        self.whole = [pack(state) for state in self.states]
+        self.whole = [pack_sections(state) for state in self.states]
         self.sections = [(state, name) for state in self.states for name in state]
         self.values = [1, -1, 1 << 70, 0.5, float("nan"), None, True, "", "text", b"", [], (), {}, atom("a")]
         self.values += [(functor("f", 1), 1), (functor("f", 2), 1), [1], (1, 2, 3), *NUMBERS]
@@ -142,17 +142,17 @@ class Inputs(Kind):
             return whole[: chance.randrange(len(whole))]
         state, name = chance.choice(self.sections)
         if what < 0.15:
-            return changed_bytes(chance, pack(state), self.whole)
+            return changed_bytes(chance, pack_sections(state), self.whole)
         if what < 0.3:
             changed = changed_bytes(chance, state[name], [state[name]])
-            return pack(dict(state, **{name: changed}))
+            return pack_sections(dict(state, **{name: changed}))
         if what < 0.35:
             other = chance.choice(self.states)
-            return pack(dict(state, **{name: other.get(name, b"")}))
+            return pack_sections(dict(state, **{name: other.get(name, b"")}))
         data = from_bytes(state[name])
         for _ in range(chance.choice((1, 1, 1, 2))):
             data = self.changed(chance, data, self.places(data))
-        return pack(dict(state, **{name: to_bytes(data)}))
+        return pack_sections(dict(state, **{name: to_bytes(data)}))
 
     def places(self, data, path=(), found=None):
         """Return the paths to all values."""

@@ -7,7 +7,12 @@ from prolog.support import answers, first, prolog
 
 from retalis.prolog.database.clause_index import NEVER
 from retalis.prolog.syntax.term_reader import read_program
-from retalis.prolog.system.logic_state import keep_logic, keep_values, restore_logic, restore_values
+from retalis.prolog.system.logic_state import (
+    restore_program,
+    restore_values,
+    snapshot_program,
+    snapshot_values,
+)
 from retalis.prolog.system.prolog_system import PrologSystem
 
 
@@ -163,8 +168,8 @@ def test_two_modules_that_export_the_same_name():
     assert "into four: already imported from one" in said.pop()
     assert len(said) == 1
     restored = PrologSystem()
-    restore_logic(restored, keep_logic(logic))
-    restore_values(restored, keep_values(logic))
+    restore_program(restored, snapshot_program(logic))
+    restore_values(restored, snapshot_values(logic))
     for each in (logic, restored):
         goals = ("p(X)", "one:p(X)", "two:p(X)", "go(X)", "three:ask(X)", "four:ask(X)")
         assert [answers(each, goal) for goal in goals] == [
@@ -248,8 +253,8 @@ def test_errors(goal, error):
 def test_they_are_kept(both):
     answers(both, "bump")
     restored = PrologSystem()
-    restore_logic(restored, keep_logic(both))
-    restore_values(restored, keep_values(both))
+    restore_program(restored, snapshot_program(both))
+    restore_values(restored, snapshot_values(both))
     for goal in (
         "count(X)",
         "double_all([1], X)",

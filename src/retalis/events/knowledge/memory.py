@@ -162,7 +162,10 @@ def _condition_goals(conditions: Term) -> List[Term]:
 
 
 NEVER = 1 << 100
-"""Larger than all instants and all numbers of records."""
+"""Instant that is later than all others."""
+
+NO_POSITION = 1 << 100
+"""Larger than the positions of all records."""
 
 WIDE_STEP_FACTOR = 10
 """Factor by which a step between two records exceeds the mean of the others to be called wide."""
@@ -188,8 +191,8 @@ class Memory:
             outside of this package.
         records: the records, at the same positions.
         indices: positions of the records by the value of an argument, by argument; see `record_index`.
-        first_moved: position of the first record that an insertion out of order has moved, counted from the first
-            record ever; `NEVER` if all records have arrived in order since this was set.
+        first_changed_position: position of the first record that an insertion out of order has moved, counted from
+            the first record ever; `NO_POSITION` if all records have arrived in order since this was set.
         on_wide_gap: called with both ends if a look-up falls between records that may be unusually far apart.
     """
 
@@ -201,7 +204,7 @@ class Memory:
         "records",
         "indices",
         "on_wide_gap",
-        "first_moved",
+        "first_changed_position",
         "_epoch",
         "_removed_count",
         "_next",
@@ -213,7 +216,7 @@ class Memory:
         self.late_count = 0
         self._removed_count = 0
         self._epoch = next(_EPOCHS)
-        self.first_moved = NEVER
+        self.first_changed_position = NO_POSITION
         self._next: Optional[Tuple[int, List[int], List[MemoryRecord]]] = None
         """The next lists, while they are being replaced: an interrupt may come between the assignments."""
         self.ends: List[int] = []
@@ -293,7 +296,7 @@ class Memory:
         if self.size and position <= len(ends) - self.size:
             self.late_count += 1
             return False
-        self.first_moved = min(self.first_moved, self._removed_count + position)
+        self.first_changed_position = min(self.first_changed_position, self._removed_count + position)
         self._replace_records(
             self._removed_count,
             [*ends[:position], end, *ends[position:]],

@@ -99,11 +99,11 @@ class Timeouts:
             self._alarm_instants.add(instant)
             self._clock.call_at(instant, TimeoutAlarm(self, instant))
 
-    def on_alarm(self, set_for: int, now: int) -> None:
+    def on_alarm(self, alarm_instant: int, now: int) -> None:
         """Report the queries whose deadline has passed; called by the alarm that was set for an instant."""
-        self._alarm_instants.discard(set_for)
+        self._alarm_instants.discard(alarm_instant)
         try:
-            while self._deadlines and self._deadlines[0][0] <= max(now, set_for):
+            while self._deadlines and self._deadlines[0][0] <= max(now, alarm_instant):
                 instant, order = heappop(self._deadlines)
                 if order in self._pending_orders:
                     self._on_timeout(order, instant)
@@ -128,15 +128,15 @@ class TimeoutAlarm:
 
     Args:
         timeouts: the deadlines.
-        set_for: the instant for which it is set.
+        alarm_instant: the instant for which it is set.
     """
 
-    __slots__ = ("set_for", "timeouts")
+    __slots__ = ("alarm_instant", "timeouts")
 
-    def __init__(self, timeouts: Timeouts, set_for: int):
+    def __init__(self, timeouts: Timeouts, alarm_instant: int):
         self.timeouts = timeouts
-        self.set_for = set_for
+        self.alarm_instant = alarm_instant
 
     def __call__(self, now: int) -> None:
         """Process the alarm."""
-        self.timeouts.on_alarm(self.set_for, now)
+        self.timeouts.on_alarm(self.alarm_instant, now)

@@ -1,7 +1,7 @@
 """State of a Prolog system as plain data, for snapshots and checkpoints.
 
-`KeptLogic` is the program: operators, declarations of tables, and clauses. `KeptValues` is the data that goals leave
-behind: flags, global variables, counters, and answers of tables. Both are taken while no goal runs, and
+`ProgramSnapshot` is the program: operators, declarations of tables, and clauses. `ValuesSnapshot` has the values that
+goals have stored: flags, global variables, counters, and answers of tables. Both are created while no goal runs, and
 contain no code: compiled code is generated again by the system that restores them.
 """
 
@@ -16,72 +16,91 @@ from ..database.predicate import Predicate
 from ..terms.types import Functor, Term
 from .prolog_system import PrologSystem
 
-_COUNTED = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
-_MODULES, _METAS = "modules", "arguments of predicates"
-"""Names of the built-ins' data in `PrologSystem.state` and in `KeptValues.counted`."""
+_SAVED_STATE_KEYS = ("counters", "flags", "flag", "gensym", "counters of events", "flags of events")
+"""Keys of `PrologSystem.state` whose values are saved, under the same keys, in `ValuesSnapshot.builtin_state`."""
 
-KeptClauses = Tuple[Functor, Tuple[bool, bool, bool, bool], List[Tuple[Term, Term, Optional[Place]]]]
-"""Predicate: functor; whether it is dynamic, discontiguous, multifile, defined; heads, bodies, places of clauses."""
+_MODULES, _META_ARGUMENTS = "modules", "arguments of predicates"
+"""Keys of `ValuesSnapshot.builtin_state` for the data of the module system."""
 
 
-class KeptLogic(NamedTuple):
-    """Program of a Prolog system; `restore_logic` loads it.
+class PredicateProperties(NamedTuple):
+    """Properties of a predicate.
+
+    Attributes:
+        is_dynamic: whether it is declared dynamic.
+        is_discontiguous: whether it is declared discontiguous.
+        is_multifile: whether it is declared multifile.
+        is_user_defined: whether the program defines it; otherwise it is known only by its declaration.
+    """
+
+    is_dynamic: bool
+    is_discontiguous: bool
+    is_multifile: bool
+    is_user_defined: bool
+
+
+PredicateSnapshot = Tuple[Functor, PredicateProperties, List[Tuple[Term, Term, Optional[Place]]]]
+"""Functor of a predicate, its properties, and the head, body and place of each clause."""
+
+
+class ProgramSnapshot(NamedTuple):
+    """Program of a Prolog system, which `restore_program` loads into another system.
 
     Attributes:
         operators: priority, type and name of each operator that differs from the standard ones, see
             `Operators.changes`.
-        tabled: declarations of tabled predicates.
+        table_declarations: declarations of tabled predicates.
         predicates: predicates of the program.
-        incremental: predicates whose clauses incremental tables depend on.
+        observed_predicates: predicates whose clauses incremental tables depend on.
     """
 
     operators: List[Tuple[int, str, str]]
-    tabled: List[Term]
-    predicates: List[KeptClauses]
-    incremental: List[Functor]
+    table_declarations: List[Term]
+    predicates: List[PredicateSnapshot]
+    observed_predicates: List[Functor]
 
 
-class KeptValues(NamedTuple):
-    """Data that goals have left besides clauses, taken while no goal runs.
+class ValuesSnapshot(NamedTuple):
+    """Values that goals have stored, without clauses.
 
     Attributes:
         flags: Prolog flags.
-        values: global variables.
+        global_variables: values of the global variables.
         column: column of the output at which the next text is printed.
-        counted: data that built-ins store by name, such as counters.
-        answers: known answers of tabled predicates; those of incremental tables are computed again.
+        builtin_state: data of built-in predicates by key: counters, flags of the event language, and modules.
+        table_answers: known answers of tabled predicates; those of incremental tables are computed again.
     """
 
     flags: Dict[str, Term]
-    values: Dict[str, Term]
+    global_variables: Dict[str, Term]
     column: int
-    counted: Dict[str, Dict[Any, Any]]
-    answers: Any
+    builtin_state: Dict[str, Dict[Any, Any]]
+    table_answers: Any
 
 
-def keep_logic(logic: PrologSystem) -> KeptLogic:
+def snapshot_program(logic: PrologSystem) -> ProgramSnapshot:
     """Return the program of a Prolog system."""
     tables = tables_of(logic.machine)
     predicates = program_predicates(logic)
-    return KeptLogic(
+    return ProgramSnapshot(
         logic.operators.changes(),
         tables.declarations(),
-        [_clauses_of(predicate) for predicate in predicates],
+        [_snapshot_predicate(predicate) for predicate in predicates],
         [predicate.functor for predicate in predicates if predicate.incremental],
     )
 
 
-def keep_values(logic: PrologSystem) -> KeptValues:
-    """Return the data that goals have left. No goal may be running."""
+def snapshot_values(logic: PrologSystem) -> ValuesSnapshot:
+    """Return the values that goals have stored. No goal may be running."""
     modules = logic.database.modules
-    counted = {name: dict(logic.state[name]) for name in _COUNTED if name in logic.state}
+    builtin_state = {name: dict(logic.state[name]) for name in _SAVED_STATE_KEYS if name in logic.state}
     if modules.table or modules.metas:
-        counted.update({_MODULES: modules.to_data(), _METAS: dict(modules.metas)})
-    return KeptValues(
+        builtin_state.update({_MODULES: modules.to_data(), _META_ARGUMENTS: dict(modules.metas)})
+    return ValuesSnapshot(
         dict(logic.flags),
         dict(logic.globals),
         logic.column,
-        counted,
+        builtin_state,
         tables_of(logic.machine).snapshot(),
     )
 
@@ -96,46 +115,48 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
     ]
 
 
-def _clauses_of(predicate: Predicate) -> KeptClauses:
+def _snapshot_predicate(predicate: Predicate) -> PredicateSnapshot:
     clauses = [(clause.head, clause.body, clause.place) for clause in predicate.active_clauses()]
     return (
         predicate.functor,
-        (predicate.dynamic, predicate.discontiguous, predicate.multifile, predicate.kind == "user"),
+        PredicateProperties(
+            predicate.dynamic, predicate.discontiguous, predicate.multifile, predicate.kind == "user"
+        ),
         clauses,
     )
 
 
-def restore_logic(logic: PrologSystem, kept_logic: KeptLogic) -> None:
+def restore_program(logic: PrologSystem, program: ProgramSnapshot) -> None:
     """Load a program into a new Prolog system.
 
     Raises:
         PrologError: if the program is invalid, for instance if it defines a fixed predicate.
     """
-    for priority, op_type, name in kept_logic.operators:
+    for priority, op_type, name in program.operators:
         logic.operators.add(priority, op_type, name)
     tables = tables_of(logic.machine)
     # Declarations first: they create the hidden predicates that hold the clauses of tabled ones.
-    for declaration in kept_logic.tabled:
+    for declaration in program.table_declarations:
         declare_as(logic.machine, declaration)
-    for functor in kept_logic.incremental:
-        tables.observe(logic.database.writable(functor, "modify"))
-    for functor, marks, clauses in kept_logic.predicates:
-        predicate = logic.database.writable(functor, "modify")
-        predicate.dynamic, predicate.discontiguous, predicate.multifile, is_user = marks
-        predicate.kind = "user" if is_user else predicate.kind
+    for key in program.observed_predicates:
+        tables.observe(logic.database.writable(key, "modify"))
+    for key, properties, clauses in program.predicates:
+        predicate = logic.database.writable(key, "modify")
+        predicate.dynamic, predicate.discontiguous, predicate.multifile, is_user_defined = properties
+        predicate.kind = "user" if is_user_defined else predicate.kind
         for head, body, place in clauses:
             predicate.add(Clause(predicate, head, body, place))
 
 
-def restore_values(logic: PrologSystem, kept_values: KeptValues) -> None:
-    """Load the data of goals into a Prolog system whose program has been restored."""
-    logic.flags.update(flags_from(kept_values.flags))
-    logic.globals.update(kept_values.values)
-    logic.column = kept_values.column
-    for name in _COUNTED:
-        if name in kept_values.counted:
-            logic.state.setdefault(name, {}).update(kept_values.counted[name])
+def restore_values(logic: PrologSystem, snapshot: ValuesSnapshot) -> None:
+    """Load stored values into a Prolog system whose program has been restored."""
+    logic.flags.update(flags_from(snapshot.flags))
+    logic.globals.update(snapshot.global_variables)
+    logic.column = snapshot.column
+    for name in _SAVED_STATE_KEYS:
+        if name in snapshot.builtin_state:
+            logic.state.setdefault(name, {}).update(snapshot.builtin_state[name])
     modules = logic.database.modules
-    modules.restore(kept_values.counted.get(_MODULES, {}))
-    modules.metas.update(kept_values.counted.get(_METAS, {}))
-    tables_of(logic.machine).restore(kept_values.answers)
+    modules.restore(snapshot.builtin_state.get(_MODULES, {}))
+    modules.metas.update(snapshot.builtin_state.get(_META_ARGUMENTS, {}))
+    tables_of(logic.machine).restore(snapshot.table_answers)
