@@ -19,6 +19,7 @@ from ..events.matches.partial_matches import (
     NO_REPETITIONS,
     ComputedValues,
     EventMatch,
+    IdentifiedEventMatch,
     OrderedEventMatch,
     PartialMatch,
     TrackedMatch,
@@ -173,6 +174,7 @@ _CODES = {kind: code for code, kind in enumerate(_KINDS)}
 _KIND_BY_CLASS = {
     EventRule: "rule",
     OrderedEventMatch: "event match",
+    IdentifiedEventMatch: "event match",
     **{object_class: kind for kind, (object_class, _) in FIELDS.items()},
 }
 MATCH_KINDS = ("event match", "match", "run", "run cursor")
@@ -417,6 +419,13 @@ class GraphReader:
                 raise UsageError(f"kind {kind}: {field}: {error.message}") from None
             for item, value in zip(objects, values):
                 setattr(item, field, value)
+        if kind == "event match":
+            for item in objects:
+                item.values = item.term[1:]
+                item.event = item.parts = item.consumed_by = None
+        if kind in MATCH_KINDS:
+            for item in objects:
+                item.identity = None
 
     def reference_to(self, *kinds: str) -> ValueCheck:
         """Return a check of a reference to an object of one of the given kinds; the result is the object."""

@@ -24,7 +24,13 @@ from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import Emit, MatchSide
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer
-from ..matches.partial_matches import ComputedValues, EventMatch, OrderedEventMatch, PartialMatch
+from ..matches.partial_matches import (
+    ComputedValues,
+    EventMatch,
+    IdentifiedEventMatch,
+    OrderedEventMatch,
+    PartialMatch,
+)
 from .fused_single_event import Continuation
 
 SPARE = 1000
@@ -155,6 +161,7 @@ def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> 
         "general_path": general_path,
         "new": object.__new__,
         "EventMatch": EventMatch,
+        "IdentifiedEventMatch": IdentifiedEventMatch,
         "OrderedEventMatch": OrderedEventMatch,
         "Match": PartialMatch,
         "SELF_KEYED": SELF_KEYED,
@@ -247,27 +254,21 @@ class _ActionGenerator:
             ),
         ]
 
-    def store_statements(self, conditions_ran: bool, has_key: bool = True) -> List[Statement]:
+    def store_statements(self, conditions_ran: bool) -> List[Statement]:
         """Return statements that store a match in its buffer.
 
         Args:
             conditions_ran: whether conditions ran after the clock was advanced; they may have caused other events.
-            has_key: whether the match has a key.
         """
         buffer = self.own_buffer
-        field_assignments = [] if self.values_are_arguments else ["match.values = values"]
-        # Without a key, stored matches are compared by identity, so its fields must be set.
-        if buffer.identity_of is not None and not has_key:
-            field_assignments.append("match.identity = match.parts = None")
-        full_creation: List[Statement] = [
+        times: List[Statement] = ["match.start = event_start", "match.end = event_end", _SET_ORDER]
+        creation: List[Statement] = [
             "match = new(Match)",
-            *field_assignments,
-            "match.start = event_start",
-            "match.end = event_end",
-            _SET_ORDER,
+            "match.values = values",
+            "match.event = match.parts = match.identity = match.consumed_by = None",
+            *times,
         ]
-        creation = full_creation
-        if not field_assignments:
+        if self.values_are_arguments:
             # The short classes save memory and time. A match that is compared with others of its key stores its
             # identity; most keys have one stored match, which is compared with nothing.
             only_match_test = "" if buffer.identity_of is None else "is_only_match and "
@@ -281,8 +282,8 @@ class _ActionGenerator:
                     [
                         "match = new(OrderedEventMatch)"
                         if buffer.identity_of is None
-                        else "match = new(OrderedEventMatch if is_only_match else Match)",
-                        *full_creation[1:],
+                        else "match = new(OrderedEventMatch if is_only_match else IdentifiedEventMatch)",
+                        *times,
                     ],
                 ),
             ]
@@ -337,7 +338,7 @@ class _OperandGenerator(_ActionGenerator):
             # Partners under the key None have variables in their keys, and may unify with any key.
             prologue.append(Block("if None in other_newest:", [self.general_path]))
         prologue += self.clock_statements(side.stores_unmatched or side.stores_matched)
-        storing = self.store_statements(choice is not None and self.has_tests, bool(side.shared))
+        storing = self.store_statements(choice is not None and self.has_tests)
         if choice is None:
             body = storing
         elif choice.consumes:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Opti
 from ...prolog.terms.term_traversal import SELF_KEYED, freeze
 from ...prolog.terms.types import Values
 from .interval_index import MAX_VALUE, MIN_VALUE, IntervalBounds, IntervalIndex, TimeBounds
-from .partial_matches import EventMatch, PartialMatch
+from .partial_matches import EventMatch, IdentifiedEventMatch, PartialMatch
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
@@ -233,8 +233,8 @@ class MatchBuffer:
         """Set and return the identity of a match; a match that is alone under its key may not have one yet."""
         assert self.identity_of is not None
         identity = self.identity_of(match)
-        # An event computes its identity at each access.
-        if isinstance(match, PartialMatch):
+        # Other matches compute it at each access.
+        if isinstance(match, (PartialMatch, IdentifiedEventMatch)):
             match.identity = identity
         return identity
 

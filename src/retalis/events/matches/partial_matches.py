@@ -109,17 +109,6 @@ class EventMatch:
             """The identity; computed at each access."""
             return term_key(self.term)
 
-        def __getattr__(self, name: str) -> Any:
-            """Set and return the default of an attribute that was not initialized.
-
-            The constructor of this class runs for each event that is stored and leaves out what is seldom read.
-            """
-            if name not in _DEFAULTED_ATTRIBUTES:
-                raise AttributeError(name)
-            value = self.term[1:] if name == "values" else None
-            setattr(self, name, value)
-            return value
-
     @property
     def latest_end(self) -> int:
         """The largest end so far; garbage control removes matches by it."""
@@ -153,6 +142,14 @@ class OrderedEventMatch(EventMatch):
     order: int
 
 
+class IdentifiedEventMatch(OrderedEventMatch):
+    """An `OrderedEventMatch` that stores its identity, because it is compared with other matches of its key."""
+
+    __slots__ = ("identity",)
+
+    identity: Hashable
+
+
 class PartialMatch(OrderedEventMatch):
     """A match of a node of a pattern.
 
@@ -184,10 +181,7 @@ class PartialMatch(OrderedEventMatch):
         self.term = term
         self.parts = parts
         self.buffer = None
-        self.consumed_by = None
-
-
-_DEFAULTED_ATTRIBUTES = frozenset(("values", "event", "parts", "identity", "consumed_by"))
+        self.identity = self.consumed_by = None
 
 
 class TrackedMatch:
