@@ -404,8 +404,8 @@ class GraphReader:
         if len(columns) != len(checks):
             raise invalid_value(len(columns), f"{len(checks)} columns of kind {kind}")
         if kind in MATCH_KINDS:
-            for item in objects:
-                item.buffer = None
+            for match in objects:
+                match.buffer = match.identity = None
         fields = FIELDS[kind][1]
         values: Sequence[Any] = ()
         for field, check, column in zip(fields, checks, columns):
@@ -420,12 +420,7 @@ class GraphReader:
             for item, value in zip(objects, values):
                 setattr(item, field, value)
         if kind == "event match":
-            for item in objects:
-                item.values = item.term[1:]
-                item.event = item.parts = item.consumed_by = None
-        if kind in MATCH_KINDS:
-            for item in objects:
-                item.identity = None
+            _complete_event_matches(objects)
 
     def reference_to(self, *kinds: str) -> ValueCheck:
         """Return a check of a reference to an object of one of the given kinds; the result is the object."""
@@ -672,6 +667,13 @@ class GraphReader:
                         raise UsageError(f"object {source}, of kind {kind}, contains itself")
                     if not progress[source]:
                         stack.append(source)
+
+
+def _complete_event_matches(matches: Sequence[Any]) -> None:
+    """Set the attributes of full matches of events that follow from the event or are not used."""
+    for match in matches:
+        match.values = match.term[1:]
+        match.event = match.parts = match.consumed_by = None
 
 
 def _are_starts(objects: Sequence[Any], ends: Sequence[Any]) -> bool:
