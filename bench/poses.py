@@ -17,7 +17,8 @@ figure is the median of the parts, in microseconds of CPU time.
     message        storage of a transform from a message, split by the NAO's rules
     event          storage of a transform from an event ``tf(Parent, Child, V, Q)``
     /tf            storage of a transform from the bytes of a message, of a frame that no look-up has needed
-    /tf, used      the same of a frame that look-ups need, and that is copied to tf2_py if it is installed
+    /tf, used      the same of a frame that look-ups need
+    /tf, copied    the same, and the next look-up, which copies the samples to tf2_py, if that is installed
     /tf python     the same in the buffer in Python
     set_transform  storage of a transform from a message in tf2's buffer
 """
@@ -55,8 +56,9 @@ chains([T|Ts]) :- last(P), pose_chain([{NAMES}, P], T, _), chains(Ts).
 """
 TREE_RULES = f"""
 last([{list(LAST[0])}, {list(LAST[1])}]).
-trees([]).
-trees([T|Ts]) :- last(P), tf_transform(P, 'CameraTop_frame', odom, T, _), trees(Ts).
+trees(Ts) :- last(P), trees(Ts, P).
+trees([], _).
+trees([T|Ts], P) :- tf_transform(P, 'CameraTop_frame', odom, T, _), trees(Ts, P).
 lookups([]).
 lookups([T|Ts]) :- tf_lookup(odom, 'CameraTop_frame', T, _), lookups(Ts).
 """
@@ -102,8 +104,8 @@ def questions(number: int) -> List[int]:
 
 
 def parts(items: Sequence[Any]) -> Iterator[Sequence[Any]]:
-    """Yield a sequence in parts."""
-    return (items[at : at + PART] for at in range(0, len(items), PART))
+    """Yield a sequence in parts of equal length."""
+    return (items[at : at + PART] for at in range(0, len(items) - PART + 1, PART))
 
 
 def engine() -> Engine:
@@ -175,24 +177,34 @@ def trees(found: List[Sample], asked: List[int]) -> Iterator[Way]:
     messages = [serialized(sample) for sample in found]
     times = [make_list([make_list(divmod(instant, 10**9)) for instant in part]) for part in parts(asked)]
     for ask_name, store_name, buffer in buffers:
-        full, filling, used = (
-            Engine(settings=Settings(tf_cache=CACHE, transform_buffer=buffer)) for _ in range(3)
-        )
+
+        def made(buffer: Callable[[float], TransformBuffer] = buffer) -> Engine:
+            return Engine(settings=Settings(tf_cache=CACHE, transform_buffer=buffer))
+
+        full = made()
         full.load(rules=TREE_RULES)
-
-        def store(into: Engine) -> Callable[[Any], object]:
-            read, take = TransformReader(is_static=False).read, into.event_input.take_input
-            return lambda part: into.executor.post_each(take, ((read(data), None) for data in part))
-
-        store(full)(messages)
+        storage(full)(messages)
         yield ask_name, lambda part, full=full: full.call(functor("trees", 1)(part)), times  # type: ignore[misc]
-        yield store_name, store(filling), list(parts(messages))
+        yield store_name, storage(made()), list(parts(messages))
         if store_name == "/tf":
             calls = functor("lookups", 1)
             yield "tf_lookup", lambda part, full=full, calls=calls: full.call(calls(part)), times  # type: ignore[misc]
-            store(used)(messages[:PART])
-            used.knowledge.transforms.buffer.lookup("odom", "CameraTop_frame", asked[0])
-            yield "/tf, used", store(used), list(parts(messages[PART:]))
+            yield "/tf, used", used_storage(made(), messages[:PART], False), list(parts(messages[PART:]))
+            yield "/tf, copied", used_storage(made(), messages[:PART], True), list(parts(messages[PART:]))
+
+
+def storage(into: Engine) -> Callable[[Any], object]:
+    """Return a function that stores messages."""
+    read, take = TransformReader(is_static=False).read, into.event_input.take_input
+    return lambda part: into.executor.post_each(take, ((read(data), None) for data in part))
+
+
+def used_storage(into: Engine, first: List[bytes], then_look_up: bool) -> Callable[[Any], object]:
+    """Return a function that stores messages of frames that a look-up has needed, and then may look up a pose."""
+    store, look_up = storage(into), into.knowledge.transforms.buffer.lookup
+    store(first)
+    look_up("odom", "CameraTop_frame", 0)
+    return lambda part: (store(part), then_look_up and look_up("odom", "CameraTop_frame", 0))
 
 
 def theirs(found: List[Sample], asked: List[int]) -> Iterator[Way]:

@@ -20,6 +20,7 @@ import struct
 import sys
 import time
 from base64 import b64encode
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -367,8 +368,12 @@ def main():
     parser.add_argument("reference", choices=("genpy", "rosbags"))
     parser.add_argument("--messages", type=int, default=1000, help="messages of each type (1000)")
     parser.add_argument("--seed", default="0")
+    parser.add_argument(
+        "--skip", type=int, default=0, help="number of types to skip, to resume a comparison (0)"
+    )
     options = parser.parse_args()
     references = genpy_references() if options.reference == "genpy" else rosbags_references()
+    references = islice(references, options.skip, None)
     start, types, failed = time.time(), 0, 0
     for reference in references:
         types += 1

@@ -9,6 +9,7 @@ import rospy
 import tf2_py
 from geometry_msgs.msg import TransformStamped
 
+from retalis.events.knowledge import transform_buffer
 from retalis.events.knowledge.transform_buffer import TransformBuffer
 from retalis.ros.tf2_buffer import Tf2Buffer
 
@@ -76,9 +77,13 @@ def equal(first, second):
     )
 
 
-def play(seed, counts):
+def play(seed, counts, interrupts=0):
+    """Compare the answers of a scenario; at ``interrupts`` of 100 operations, the buffers are repaired."""
     reference, buffers = Reference(10), [TransformBuffer(10), Tf2Buffer(10)]
     for position, (operation, *arguments) in enumerate(random_transforms.scenario(seed)):
+        if position * 37 % 100 < interrupts:
+            for buffer in buffers:
+                buffer.repair()
         if operation == "ask":
             expected = reference.answer(*arguments)
             counts[expected if isinstance(expected, type) else "pose"] = (
@@ -103,3 +108,56 @@ def test_answers_and_errors_are_those_of_tf2(part, capfd):
     )
     assert counts[tf2_py.InvalidArgumentException] > 100
     capfd.readouterr()
+
+
+def test_few_pending_samples_give_the_same_answers(monkeypatch, capfd):
+    monkeypatch.setattr(transform_buffer, "_MAX_PENDING_SAMPLES", 2)
+    for seed in range(500):
+        play(seed, {})
+    capfd.readouterr()
+
+
+def test_a_repaired_buffer_gives_the_same_answers(capfd):
+    for seed in range(500):
+        play(seed, {}, interrupts=30)
+    capfd.readouterr()
+
+
+def set_transform_calls(buffer):
+    """Return the list of the instants that the buffer's core gets from now on, in seconds after its first one."""
+    calls = []
+    core = buffer._core  # noqa: SLF001
+
+    class Core:
+        def __getattr__(self, name):
+            return getattr(core, name)
+
+        def set_transform(self, message, authority):
+            calls.append(round(float(message.header.stamp) - 86_400))
+            core.set_transform(message, authority)
+
+    buffer._core = Core()  # noqa: SLF001
+    return calls
+
+
+def test_samples_are_copied_by_the_next_look_up_and_once():
+    buffer, identity = Tf2Buffer(10), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+    def store(*seconds):
+        for second in seconds:
+            buffer.store("map", "base", second * 10**9, identity)
+
+    store(100_000, 100_002)
+    assert buffer.lookup("map", "base", 100_001 * 10**9)
+    calls = set_transform_calls(buffer)
+    store(100_003, 100_001, 100_004)
+    # One between samples that are copied cannot wait.
+    assert calls == [1]
+    assert buffer.lookup("map", "base", 100_004 * 10**9)
+    assert buffer.lookup("map", "base", 100_003 * 10**9)
+    assert calls == [1, 3, 4]
+    # Those that leave the history before a look-up are not copied.
+    store(*range(100_005, 100_030))
+    assert buffer.lookup("map", "base", 100_029 * 10**9)
+    assert buffer.lookup("map", "base", 100_018 * 10**9) is None
+    assert calls == [1, 3, 4, *range(19, 30)]

@@ -6,6 +6,7 @@ of interpolation are as exact as those of `TransformBuffer`. If a transform is o
 filled again with absolute times.
 """
 
+from bisect import bisect_left, bisect_right
 from importlib.util import find_spec
 from typing import Any, Callable, Optional
 
@@ -15,7 +16,6 @@ from ..events.knowledge.transform_buffer import (
     END_OF_TIME,
     IDENTITY,
     CoordinateFrame,
-    Numbers,
     TransformBuffer,
 )
 from ..prolog.builtins.pose_predicates import Pose
@@ -77,7 +77,8 @@ class Tf2Buffer(TransformBuffer):
 
     A frame is copied to the ``BufferCore`` from the first look-up that needs it: robots have many frames, and
     programs use few of them. With a frame, all frames above it are copied, and each with all its samples, so the
-    ``BufferCore`` gives the answers that it would give with the whole tree.
+    ``BufferCore`` gives the answers that it would give with the whole tree. Later samples are copied by the next
+    look-up, because those that are dropped from the history before it need not be copied.
 
     tf2 is imported for the first look-up, because most programs have none.
 
@@ -105,13 +106,14 @@ class Tf2Buffer(TransformBuffer):
         """Repair the samples after an interrupt."""
         super().repair()
         if self._core is not None:
-            self._core.clear()
-            self._fill(self._origin)
+            self._refill(self._origin)
 
     def lookup(self, target: str, source: str, instant: int) -> Optional[Pose]:
         """Return the pose of the source frame in the target frame at an instant; None if there is none."""
         if target == source:
             return IDENTITY
+        if self._pending_frames:
+            self._copy_pending()
         if instant:
             relative = instant - self._offset
             # Only static transforms hold at instants that are not after the origin, or after the end of ROS time.
@@ -138,18 +140,8 @@ class Tf2Buffer(TransformBuffer):
         if self._core is None:
             self._create_core()
         for frame in frames:
-            self._copy_way(frame)
+            self._mark_copied(frame)
         return True
-
-    def _copy_way(self, frame: CoordinateFrame) -> None:
-        """Copy a frame and those above it."""
-        pending = [frame]
-        while pending:
-            frame = pending.pop()
-            if not frame.is_copied:
-                frame.is_copied = True
-                pending += frame.parents
-                self._copy_frame(frame)
 
     def _create_core(self) -> None:
         import tf2_py  # noqa: PLC0415 - an optional package, which takes time to import
@@ -165,48 +157,68 @@ class Tf2Buffer(TransformBuffer):
         self._origin = origin
         self._offset = origin or 0
 
-    def _fill(self, origin: Optional[int]) -> None:
-        """Copy all frames again, with times relative to an origin."""
+    def _refill(self, origin: Optional[int]) -> None:
+        """Copy all samples again, with times relative to an origin."""
+        self._core.clear()
         self._set_origin(origin)
         for frame in self.frames():
+            frame.copied_until = -1
             if frame.is_copied:
-                self._copy_frame(frame)
+                self._pending_frames[frame] = None
+        self._copy_pending()
 
-    def _copy_frame(self, frame: CoordinateFrame) -> None:
-        for position in range(frame.first, len(frame.stamps)):
-            self._set_transform(
-                frame, frame.parents[position].name, frame.stamps[position], frame.poses[position]
-            )
+    def _copy_pending(self) -> None:
+        """Copy the samples of the pending frames that have not been copied."""
+        while self._pending_frames:
+            frame, _ = self._pending_frames.popitem()
+            stamps = frame.stamps
+            if frame.is_static:
+                self._set_transforms(frame, 0, len(stamps))
+            else:
+                first = bisect_right(stamps, frame.copied_until, frame.first)
+                if first < len(stamps):
+                    frame.copied_until = stamps[-1]
+                    self._set_transforms(frame, first, len(stamps))
+        self._pending_count = 0
 
-    def _copy_sample(
-        self, frame: CoordinateFrame, parent: CoordinateFrame, instant: int, numbers: Numbers
-    ) -> None:
-        if not parent.is_copied:
-            self._copy_way(parent)
-        self._set_transform(frame, parent.name, instant, numbers)
+    def _copy_inserted(self, frame: CoordinateFrame, instant: int) -> None:
+        """Copy a sample that has been inserted between samples that were copied."""
+        position = bisect_left(frame.stamps, instant, frame.first)
+        self._set_transforms(frame, position, position + 1)
 
-    def _set_transform(self, frame: CoordinateFrame, parent: str, instant: int, numbers: Numbers) -> None:
-        seconds = 0.0
-        if not frame.is_static:
+    def _set_transforms(self, frame: CoordinateFrame, first: int, end: int) -> None:
+        """Store the samples at positions from ``first`` up to ``end``, which is excluded, in the ``BufferCore``."""
+        start = frame.stamps[first]
+        if frame.is_static:
+            # The time has no meaning.
+            offset, set_transform = start, self._core.set_transform_static
+        else:
             if self._origin is None:
-                self._set_origin(max(0, instant // SECOND * SECOND - _MAX_LATE))
-            elif instant <= self._origin and self._origin:
-                self._core.clear()
-                self._fill(0)
-            seconds = (instant - self._offset) / 1e9
+                self._set_origin(max(0, start // SECOND * SECOND - _MAX_LATE))
+            elif start <= self._origin and self._origin:
+                # The samples are among those that are copied again.
+                self._refill(0)
+                return
+            offset, set_transform = self._offset, self._core.set_transform
         message = self._message
         header, transform = message.header, message.transform
-        header.stamp = _Seconds(seconds)
-        # tf2 removes one leading slash.
-        header.frame_id = f"/{parent}" if parent[:1] == "/" else parent
-        child = frame.name
-        message.child_frame_id = f"/{child}" if child[:1] == "/" else child
         translation, rotation = transform.translation, transform.rotation
-        translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w = numbers
-        if frame.is_static:
-            self._core.set_transform_static(message, _AUTHORITY)
-        else:
-            self._core.set_transform(message, _AUTHORITY)
+        message.child_frame_id = _tf2_name(frame.name)
+        parent: Optional[CoordinateFrame] = None
+        for position in range(first, end):
+            if frame.parents[position] is not parent:
+                parent = frame.parents[position]
+                header.frame_id = _tf2_name(parent.name)
+            header.stamp = _Seconds((frame.stamps[position] - offset) / 1e9)
+            translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w = (
+                frame.poses[position]
+            )
+            set_transform(message, _AUTHORITY)
+
+
+def _tf2_name(name: str) -> str:
+    """Return the name of a frame for tf2, which removes one leading slash."""
+    return f"/{name}" if name[:1] == "/" else name
 
 
 class _NotCopied(Exception):

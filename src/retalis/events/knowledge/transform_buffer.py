@@ -8,8 +8,8 @@ earlier one holds until the later one. Static transforms hold at every instant. 
 instant at which all frames of the path have transforms.
 
 `TransformBuffer` computes in Python. A subclass may override `lookup` to let other code compute the poses. All
-samples are stored here in any case, for errors, gaps, counts, and waiting queries; those of frames with the attribute
-`CoordinateFrame.is_copied` are passed to `_copy_sample`, too.
+samples are stored here in any case, for errors, gaps, counts, and waiting queries. A frame with new samples that the
+other code needs (`CoordinateFrame.is_copied`) is added to `_pending_frames`, and the next look-up copies the samples.
 
 A query that waits for a transform is registered with the frame of the path that is behind (`find_blocking`). Each
 `CoordinateFrame` therefore is a queue of the queries that need its next samples, like a memory is one. Queries about
@@ -54,6 +54,9 @@ Transform = Tuple[str, str, int, Numbers]
 
 IDENTITY: Pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 
+_MAX_PENDING_SAMPLES = 10_000
+"""Maximum number of samples that are stored before they are copied, which bounds the time of the next look-up."""
+
 _TRIM_LENGTH = 256
 """Number of dropped samples from which on lists are cut, if at least half of their samples are dropped."""
 
@@ -74,10 +77,21 @@ class CoordinateFrame(QueryQueue):
         stamps: stamps of the samples in nanoseconds.
         parents: the parent frames of the samples.
         poses: their poses in the parents.
-        is_copied: whether samples are passed on to other code.
+        is_copied: whether other code needs the samples, too.
+        copied_until: instant of the last sample that has been copied; -1 if there is none.
     """
 
-    __slots__ = ("name", "is_child", "is_static", "first", "stamps", "parents", "poses", "is_copied")
+    __slots__ = (
+        "name",
+        "is_child",
+        "is_static",
+        "first",
+        "stamps",
+        "parents",
+        "poses",
+        "is_copied",
+        "copied_until",
+    )
 
     def __init__(self, name: str):
         super().__init__()
@@ -85,6 +99,7 @@ class CoordinateFrame(QueryQueue):
         self.is_child = False
         self.is_static = False
         self.is_copied = False
+        self.copied_until = -1
         self.first = 0
         self.stamps: List[int] = []
         self.parents: List[CoordinateFrame] = []
@@ -180,6 +195,7 @@ class CoordinateFrame(QueryQueue):
             return 0
         count = self.sample_count
         self.poses, self.parents, self.stamps, self.first = [], [], [], 0
+        self.copied_until = -1
         return count
 
     def repair(self) -> None:
@@ -248,6 +264,8 @@ class TransformBuffer:
         self.refused = 0
         self.version = 0
         self.topology_version = 0
+        self._pending_frames: Dict[CoordinateFrame, None] = {}
+        self._pending_count = 0
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -313,14 +331,16 @@ class TransformBuffer:
             if parent_frame is None:
                 return self._refuse(child, parent, instant, numbers)
             self.topology_version += 1
+            if frame.is_copied:
+                self._mark_copied(parent_frame)
         if not frame.is_child:
             self._frames[child] = frame
             frame.is_child, frame.is_static = True, is_static
         if frame.is_static:
             self.sample_count += not has_samples
-            if frame.is_copied:
-                self._copy_sample(frame, parent_frame, instant, numbers)
             frame.replace(instant, parent_frame, numbers)
+            if frame.is_copied:
+                self._pending_frames[frame] = None
         else:
             is_newest = not has_samples or instant > stamps[-1]
             if not is_newest:
@@ -332,8 +352,6 @@ class TransformBuffer:
             if self.sample_count >= MAX_SAMPLES and not self._make_room(frame, instant):
                 self.refused += 1
                 return f"there are {MAX_SAMPLES} transforms already"
-            if frame.is_copied:
-                self._copy_sample(frame, parent_frame, instant, numbers)
             self.sample_count += 1
             if is_newest:
                 # Other threads read the stamps first, so these come last.
@@ -342,8 +360,16 @@ class TransformBuffer:
                 stamps.append(instant)
                 if stamps[frame.first] < instant - self.cache:
                     self.sample_count -= frame.trim(instant - self.cache)
+                if frame.is_copied:
+                    self._pending_frames[frame] = None
+                    self._pending_count += 1
+                    if self._pending_count > _MAX_PENDING_SAMPLES:
+                        self._copy_pending()
             else:
                 frame.insert(instant, parent_frame, numbers)
+                # Later ones are copied with the samples around them.
+                if instant < frame.copied_until:
+                    self._copy_inserted(frame, instant)
         self.version += 1
         return frame
 
@@ -539,12 +565,25 @@ class TransformBuffer:
             return f"there are {MAX_FRAMES} frames already"
         return ""
 
-    # Computation of poses
+    # Samples for other code
 
-    def _copy_sample(
-        self, frame: CoordinateFrame, parent: CoordinateFrame, instant: int, numbers: Numbers
-    ) -> None:
-        """Pass a sample to other code, before it is inserted into its frame."""
+    def _mark_copied(self, frame: CoordinateFrame) -> None:
+        """Let the next look-up, and those after it, copy the samples of a frame and of those above it."""
+        stack = [frame]
+        while stack:
+            frame = stack.pop()
+            if not frame.is_copied:
+                frame.is_copied = True
+                self._pending_frames[frame] = None
+                stack += frame.parents
+
+    def _copy_pending(self) -> None:
+        """Copy the samples of the pending frames that have not been copied."""
+
+    def _copy_inserted(self, frame: CoordinateFrame, instant: int) -> None:
+        """Copy a sample that has been inserted between samples that were copied."""
+
+    # Computation of poses
 
     def _find_pose(self, target: str, source: str, instant: int) -> Optional[Pose]:
         """Return the pose of a frame in another one; None if there is none."""
