@@ -204,7 +204,7 @@ class Engine:
             self.clock,
             followed,
             self._reset_program,
-            self.knowledge.transforms.take,
+            self.knowledge.transforms.store_message,
         )
         # Bound once, which saves an attribute access per event.
         self._dispatch_event = self.event_input.take

@@ -173,7 +173,7 @@ class Playback:
         # Registered before the program is loaded, because its goals may publish.
         self.engine.on_output(self._collect_output)
         self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
-        self.engine.knowledge.transforms.begin(self._read_transforms)
+        self.engine.knowledge.transforms.set_feed(self._read_transforms)
         # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
             self._load_program()
@@ -206,7 +206,7 @@ class Playback:
         """
         outputs = self._outputs
         engine = self.engine
-        engine.knowledge.transforms.require_if_named(engine.rules.terms())
+        engine.knowledge.transforms.require_if_mentioned(engine.rules.terms())
         # A further bag may have been recorded with other clocks.
         self._skew_monitor.reset()
         self._prepare_topics(bag, [topic for topic, _ in self._subscriptions], self._default_topics)

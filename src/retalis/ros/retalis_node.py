@@ -303,8 +303,8 @@ class RetalisNode:
         else:
             ProjectionPublisher(self.engine)
         transforms = self.engine.knowledge.transforms
-        transforms.require_if_named(self.engine.rules.terms())
-        transforms.begin(self._begin_transforms)
+        transforms.require_if_mentioned(self.engine.rules.terms())
+        transforms.set_feed(self._begin_transforms)
         for topic, message_type in direct:
             self._subscribe(topic, message_type, topics.event_of(topic, rospy.resolve_name))
         subscriptions.begin(self._interface if parameters.embedded else None)
@@ -435,7 +435,7 @@ class RetalisNode:
         self._errors.clear()
         self._program_warnings.clear()
         engine = self.engine
-        engine.do(lambda: engine.knowledge.transforms.require_if_named(engine.rules.terms()))
+        engine.do(lambda: engine.knowledge.transforms.require_if_mentioned(engine.rules.terms()))
         self._log_mistakes(topics)
 
     def _log_mistakes(self, topics: Topics) -> None:

@@ -592,7 +592,7 @@ class _CheckedState:
             name, required_instant = entry = pair(value)
             memory = knowledge.memories.find(name)
             # The transform buffer is not saved, so a restored query may wait for any transform.
-            if memory is None and knowledge.transforms.awaited(name) is not None:
+            if memory is None and knowledge.transforms.awaited_transform(name) is not None:
                 return entry
             # A query whose memory has already reached the time would never be run.
             if memory is None or memory.has_reached(required_instant):

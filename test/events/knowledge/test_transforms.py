@@ -32,7 +32,7 @@ class Run:
     def transform(self, parent, child, second, x, is_static=False):
         numbers = (float(x), 0.0, 0.0, *NONE)
         transform = (parent, child, round(second * SECOND), numbers)
-        self.engine.do(lambda: self.engine.knowledge.transforms.take([transform], is_static))
+        self.engine.do(lambda: self.engine.knowledge.transforms.store_message([transform], is_static))
 
     def event(self, text, second):
         self.engine.event(text, second)
@@ -288,8 +288,8 @@ def test_the_buffer_is_fed_only_if_the_program_reads_transforms():
         run = Run(rules=rules, goals=goals)
         fed = []
         transforms = run.engine.knowledge.transforms
-        transforms.require_if_named(run.engine.rules.terms())
-        transforms.begin(lambda: fed.append(True))  # noqa: B023
+        transforms.require_if_mentioned(run.engine.rules.terms())
+        transforms.set_feed(lambda: fed.append(True))  # noqa: B023
         assert fed == [True] * expected, rules
         run.engine.call("ignore(tf_lookup(a, b, 0, _))")
         assert fed == [True]

@@ -15,7 +15,7 @@ from ...prolog.terms.list_terms import conjuncts, list_items, list_parts
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ...prolog.terms.unification import may_unify
-from ..knowledge.transforms import TRANSFORM_READS
+from ..knowledge.transforms import TRANSFORM_PREDICATES
 from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state
@@ -333,7 +333,7 @@ def _dependency_of_goal(
         return _Dependency(
             f"memory {name.name}" if isinstance(name, Atom) and key is not POSE_CHAIN else "memories"
         )
-    if key in TRANSFORM_READS:
+    if key in TRANSFORM_PREDICATES:
         return _Dependency("transforms")
     if key in HOLDS:
         state = queried_state(goal)

@@ -124,7 +124,7 @@ class KnowledgeBase:
         """
         missing = {}
         for name in names:
-            instance = self.memories.find(name) or self.transforms.awaited(name)
+            instance = self.memories.find(name) or self.transforms.awaited_transform(name)
             if instance is None:
                 raise UsageError(f"there is no memory {self._logic.brief(name)}")
             if not instance.has_reached(instant):

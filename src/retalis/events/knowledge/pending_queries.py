@@ -52,7 +52,7 @@ from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
 from .timeouts import AlarmClock, Timeouts, timeout_of
-from .transforms import AwaitedTransform, Reached, Transforms
+from .transforms import AwaitedTransform, ReachedTransforms, Transforms
 
 AwaitedSource = Union[MemoryInstance, AwaitedTransform]
 """A memory or transform that queries wait for."""
@@ -75,7 +75,7 @@ def missing_memories(
     for name, condition_time in _condition_pairs(logic, conditions):
         instance: Optional[AwaitedSource] = memories.find(name)
         if instance is None:
-            instance = transforms.awaited(name)
+            instance = transforms.awaited_transform(name)
             if instance is None:
                 raise UsageError(f"there is no memory {logic.brief(name)}")
             instant_of_transform = transform_instant(condition_time)
@@ -101,7 +101,7 @@ def compile_conditions(
     try:
         pairs = _condition_pairs(logic, conditions)
         keys = [key_of(name) for name, _ in pairs]
-        awaited = [transforms.awaited(name) for name, _ in pairs]
+        awaited = [transforms.awaited_transform(name) for name, _ in pairs]
     except (UsageError, PrologError):
         return None
     if not set(variables(conditions)) <= set(names):
@@ -547,7 +547,7 @@ class PendingQueries:
         self._oldest_order = queries[0][0] if queries else order
         for query_order, event, query, start, end, awaited, token in queries:
             missing: Any = [
-                (self._memories.find(name) or self._transforms.awaited(name), instant)
+                (self._memories.find(name) or self._transforms.awaited_transform(name), instant)
                 for name, instant in awaited
             ]
             compiled_query = (
@@ -680,7 +680,7 @@ class PendingQueries:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
         return self._call_ready(instance.pop_reached(end), frame)
 
-    def _release_transforms(self, reached: Reached, frame: Frame) -> Frame:
+    def _release_transforms(self, reached: ReachedTransforms, frame: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for these transforms."""
         return self._call_ready(
             [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], frame

@@ -13,7 +13,7 @@ for the goal sequence ``prev, next_inf, datime_interpolate, interpolate_quaterni
 
 from typing import Any, Callable, Dict, Mapping, Optional, Sequence, Tuple
 
-from ...prolog.builtins.pose_predicates import Pose, compose, interpolate, pose, pose_of, shown_pose
+from ...prolog.builtins.pose_predicates import Pose, compose, interpolate, lazy_pose_term, pose, pose_of
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.compiler.clause_nodes import JoinedGoals
 from ...prolog.machine.arithmetic import Number
@@ -185,7 +185,7 @@ class TransformChains:
             if link_pose is None:
                 return None
             chain_pose = link_pose if chain_pose is None else compose(chain_pose, link_pose)
-        return shown_pose(chain_pose or IDENTITY_POSE)
+        return lazy_pose_term(chain_pose or IDENTITY_POSE)
 
     def _link_pose(self, link: Term, instant: int) -> Optional[Pose]:
         if link is NIL or (link.__class__ is tuple and link[0] is CONS):
@@ -285,7 +285,7 @@ class TransformChains:
                 pose_of(first_record[position], first_record[rotation]),
                 pose_of(second_record[position], second_record[rotation]),
             )
-            return shown_pose(interpolate(first_pose, second_pose, weight))
+            return lazy_pose_term(interpolate(first_pose, second_pose, weight))
 
         return interpolated_pose
 

@@ -41,7 +41,7 @@ END_OF_TIME = SECOND << 32
 """End of the range of ROS time in nanoseconds."""
 
 MAX_TREE_DEPTH = 1000
-"""Maximum number of frames between a frame and the root; longer ways are loops, as in tf2."""
+"""Maximum number of frames between a frame and the root; longer paths are loops, as in tf2."""
 
 NORM_TOLERANCE = 0.01
 """Largest deviation of a rotation's squared length from 1, as in tf2."""
@@ -59,6 +59,9 @@ _MAX_PENDING_SAMPLES = 10_000
 
 _TRIM_LENGTH = 256
 """Number of dropped samples from which on lists are cut, if at least half of their samples are dropped."""
+
+_NEVER = 1 << 100
+"""An instant after all others."""
 
 REPEATED = "it has a transform of that instant already"
 """Refusal of a second sample of one instant. Publishers repeat transforms, so this is no reason for a warning."""
@@ -154,7 +157,7 @@ class CoordinateFrame(QueryQueue):
 
     def pose_at(self, position: int, instant: int) -> Pose:
         """Return the transform at an instant, given the position of the last sample before."""
-        pose = _pose(self.poses[position])
+        pose = _to_pose(self.poses[position])
         if self.is_static or not instant:
             return pose
         start = self.stamps[position]
@@ -163,7 +166,7 @@ class CoordinateFrame(QueryQueue):
         ratio = (instant - start) / (self.stamps[position + 1] - start)
         return _interpolate(self.poses[position], self.poses[position + 1], ratio)
 
-    def has(self, instant: int) -> bool:
+    def has_sample_at(self, instant: int) -> bool:
         """Return whether there is a sample of an instant, which is not after the last one."""
         return self.stamps[bisect_left(self.stamps, instant, self.first)] == instant
 
@@ -214,13 +217,13 @@ class TransformFault(NamedTuple):
         kind: ``invalid`` (a frame's name), ``unknown`` (a frame), ``unconnected`` (two frames), ``loop`` (of the
             tree), ``before`` the first or ``after`` the last sample of a frame.
         frame: the frame.
-        other: the other frame, if two are not connected.
+        other_frame: the other frame, if two are not connected.
         instant: instant in nanoseconds of the frame's first or last sample; None if it has none.
     """
 
     kind: str
     frame: str
-    other: str = ""
+    other_frame: str = ""
     instant: Optional[int] = None
 
 
@@ -229,7 +232,7 @@ Link = Tuple[CoordinateFrame, int]
 
 
 class FramePath(NamedTuple):
-    """The way between two frames at an instant.
+    """The path between two frames in the tree at an instant.
 
     Attributes:
         up: the links from the source frame.
@@ -316,20 +319,20 @@ class TransformBuffer:
             or child == parent
             or not 0 <= instant < END_OF_TIME
         ):
-            return self._refuse(child, parent, instant, numbers)
+            return self._refuse(parent, child, instant, numbers)
         frame = self._frames.get(child)
         if frame is None:
             if not child or not parent or self._is_name_refused(child):
-                return self._refuse(child, parent, instant, numbers)
+                return self._refuse(parent, child, instant, numbers)
             frame = CoordinateFrame(child)
         stamps = frame.stamps
         has_samples = len(stamps) > frame.first
         if has_samples and frame.parents[-1].name == parent:
             parent_frame: Any = frame.parents[-1]
         else:
-            parent_frame = self._parent(parent)
+            parent_frame = self._find_parent(parent)
             if parent_frame is None:
-                return self._refuse(child, parent, instant, numbers)
+                return self._refuse(parent, child, instant, numbers)
             self.topology_version += 1
             if frame.is_copied:
                 self._mark_copied(parent_frame)
@@ -347,7 +350,7 @@ class TransformBuffer:
                 if instant < stamps[-1] - self.cache:
                     self.refused += 1
                     return f"it is older than the history of {self.cache / SECOND:g} s"
-                if frame.has(instant):
+                if frame.has_sample_at(instant):
                     return REPEATED
             if self.sample_count >= MAX_SAMPLES and not self._make_room(frame, instant):
                 self.refused += 1
@@ -386,10 +389,10 @@ class TransformBuffer:
 
     def latest_common(self, target: str, source: str) -> Union[int, TransformFault]:
         """Return the newest instant with transforms of all frames of the path, 0 if all are static."""
-        target_frame = self._existing(target)
+        target_frame = self._find_frame(target)
         if isinstance(target_frame, TransformFault):
             return target_frame
-        source_frame = self._existing(source)
+        source_frame = self._find_frame(source)
         if isinstance(source_frame, TransformFault):
             return source_frame
         return self._latest_common(target_frame, source_frame)
@@ -397,15 +400,15 @@ class TransformBuffer:
     def path(  # noqa: C901 - the steps of tf2, in its order
         self, target: str, source: str, instant: int
     ) -> Union[FramePath, TransformFault]:
-        """Return the way between two frames at an instant, or the reason why there is none.
+        """Return the path between two frames at an instant, or the reason why there is none.
 
-        The order of the steps, and therefore the reason, is that of tf2: the way from the source frame ends at the
-        first frame without a transform, and the way from the target frame has to arrive there.
+        The order of the steps, and therefore the reason, is that of tf2: the path from the source frame up ends at
+        the first frame without a transform, and the path from the target frame up must lead to it.
         """
-        target_frame = self._existing(target)
+        target_frame = self._find_frame(target)
         if isinstance(target_frame, TransformFault):
             return target_frame
-        source_frame = self._existing(source)
+        source_frame = self._find_frame(source)
         if isinstance(source_frame, TransformFault):
             return source_frame
         if not instant:
@@ -419,7 +422,7 @@ class TransformBuffer:
         while top is not target_frame and top.is_child:
             position = top.position_at(instant)
             if position < 0:
-                fault = _extrapolation(top, instant)
+                fault = _extrapolation_fault(top, instant)
                 break
             up.append((top, position))
             top = top.parents[position]
@@ -432,7 +435,7 @@ class TransformBuffer:
                 return fault or TransformFault("unconnected", target, source)
             position = frame.position_at(instant)
             if position < 0:
-                return _extrapolation(frame, instant)
+                return _extrapolation_fault(frame, instant)
             if frame is source_frame:
                 return FramePath([], down, instant)
             down.append((frame, position))
@@ -449,7 +452,7 @@ class TransformBuffer:
         path = self.path(target, source, instant) if target != source else None
         if path is None or isinstance(path, TransformFault):
             return 0, ""
-        # Above the first common frame, both ways have the same links, which cancel out.
+        # Above the first common frame, both paths have the same links, which cancel out.
         in_both = {frame for frame, _ in path.up} & {frame for frame, _ in path.down}
         gaps = [
             (frame.gap_at(position, path.instant), frame.name)
@@ -472,13 +475,13 @@ class TransformBuffer:
         target_frame, source_frame = self._frames.get(target), self._frames.get(source)
         if target_frame is None or source_frame is None:
             return self.topology
-        up = _assumed_way(source_frame, instant)
+        up = _distances_to_ancestors(source_frame, instant)
         down: List[CoordinateFrame] = []
-        for frame in _assumed_way(target_frame, instant):
+        for frame in _distances_to_ancestors(target_frame, instant):
             if frame in up:
                 links = (*islice(up, up[frame]), *down)
                 behind = next((link for link in links if not link.has_reached(instant)), None)
-                # In a loop of frames, another way may lead from one to the other.
+                # In a loop of frames, another path may lead from one to the other.
                 return behind if behind is None or self.find_fault(target, source, instant) else None
             down.append(frame)
         return self.topology
@@ -488,13 +491,13 @@ class TransformBuffer:
     ) -> Union[int, TransformFault]:
         """Return the newest instant that all frames of the path have reached, as tf2 determines it."""
         if target is source:
-            return _newest(source)
+            return _newest_instant(source)
         up: List[Tuple[int, CoordinateFrame]] = []
         frame, common = source, _NEVER
         while frame.sample_count:
             parent = frame.parents[-1]
-            common = min(common, _newest(frame) or _NEVER)
-            up.append((_newest(frame), parent))
+            common = min(common, _newest_instant(frame) or _NEVER)
+            up.append((_newest_instant(frame), parent))
             frame = parent
             if frame is target:
                 return 0 if common == _NEVER else common
@@ -503,7 +506,7 @@ class TransformBuffer:
         frame, common, steps = target, _NEVER, 0
         ancestors = {parent for _, parent in up}
         while frame.sample_count:
-            common = min(common, _newest(frame) or _NEVER)
+            common = min(common, _newest_instant(frame) or _NEVER)
             frame = frame.parents[-1]
             if frame in ancestors:
                 break
@@ -520,12 +523,13 @@ class TransformBuffer:
                 break
         return 0 if common == _NEVER else common
 
-    def _existing(self, name: str) -> Union[CoordinateFrame, TransformFault]:
+    def _find_frame(self, name: str) -> Union[CoordinateFrame, TransformFault]:
+        """Return the frame of a name, or the fault of a name that is invalid or unknown."""
         if not name or name[0] == "/":
             return TransformFault("invalid", name)
         return self._frames.get(name) or TransformFault("unknown", name)
 
-    def _parent(self, name: str) -> Optional[CoordinateFrame]:
+    def _find_parent(self, name: str) -> Optional[CoordinateFrame]:
         """Return the frame of a parent, which may be new; None if it is refused."""
         frame = self._frames.get(name)
         if frame is None and name and not self._is_name_refused(name):
@@ -543,7 +547,7 @@ class TransformBuffer:
                 self.sample_count -= 1
         return self.sample_count < MAX_SAMPLES
 
-    def _refuse(self, child: str, parent: str, instant: int, numbers: Numbers) -> str:
+    def _refuse(self, parent: str, child: str, instant: int, numbers: Numbers) -> str:
         self.refused += 1
         return self.refusal(parent, child, instant, numbers)
 
@@ -592,23 +596,20 @@ class TransformBuffer:
             return None
         up, down, instant = path
         if not down:
-            return _product(up, instant)
-        # The inverse of the target's way: its rotation is the conjugate, as rotations have length 1.
-        (x, y, z), (i, j, k, w) = _product(down, instant)
+            return _compose_links(up, instant)
+        # The inverse of the target's path: its rotation is the conjugate, as rotations have length 1.
+        (x, y, z), (i, j, k, w) = _compose_links(down, instant)
         rotation = -i, -j, -k, w
         inverse = compose((IDENTITY[0], rotation), ((-x, -y, -z), IDENTITY[1]))[0], rotation
-        return compose(inverse, _product(up, instant)) if up else inverse
+        return compose(inverse, _compose_links(up, instant)) if up else inverse
 
 
-_NEVER = 1 << 100
-
-
-def _newest(frame: CoordinateFrame) -> int:
+def _newest_instant(frame: CoordinateFrame) -> int:
     """Return the instant of a frame's last sample; 0 for static frames and frames without samples."""
     return frame.stamps[-1] if frame.sample_count and not frame.is_static else 0
 
 
-def _extrapolation(frame: CoordinateFrame, instant: int) -> TransformFault:
+def _extrapolation_fault(frame: CoordinateFrame, instant: int) -> TransformFault:
     """Return the fault of a frame that has no transform at an instant."""
     if not frame.sample_count:
         return TransformFault("after", frame.name)
@@ -617,25 +618,25 @@ def _extrapolation(frame: CoordinateFrame, instant: int) -> TransformFault:
     return TransformFault("after", frame.name, "", frame.stamps[-1])
 
 
-def _assumed_way(frame: CoordinateFrame, instant: int) -> Dict[CoordinateFrame, int]:
-    """Return a frame and its ancestors at an instant, as far as they are known, with their distances in links.
+def _distances_to_ancestors(frame: CoordinateFrame, instant: int) -> Dict[CoordinateFrame, int]:
+    """Return a frame and its known ancestors at an instant, with their distances from it in links.
 
     In a loop, each frame is visited once.
     """
-    way = {frame: 0}
+    distances = {frame: 0}
     parent = frame.assumed_parent(instant) if frame.is_child else None
-    while parent is not None and parent not in way:
-        way[parent] = len(way)
+    while parent is not None and parent not in distances:
+        distances[parent] = len(distances)
         parent = parent.assumed_parent(instant) if parent.is_child else None
-    return way
+    return distances
 
 
-def _pose(numbers: Numbers) -> Pose:
+def _to_pose(numbers: Numbers) -> Pose:
     return numbers[:3], numbers[3:]
 
 
 def _interpolate(first: Numbers, second: Numbers, ratio: float) -> Pose:
-    """Return the pose at a part of the way from one pose to another.
+    """Return the pose that is interpolated between two poses.
 
     Rotations that are equal up to rounding are not interpolated, in contrast to `pose_predicates.interpolate`: tf2
     returns the first one, and the results must be equal.
@@ -664,8 +665,8 @@ def _interpolate(first: Numbers, second: Numbers, ratio: float) -> Pose:
     )
 
 
-def _product(links: List[Link], instant: int) -> Pose:
-    """Return the pose of the first frame of a way in the frame above the last one."""
+def _compose_links(links: List[Link], instant: int) -> Pose:
+    """Return the pose of the first frame of a path in the frame above the last one."""
     product: Optional[Pose] = None
     for frame, position in links:
         pose = frame.pose_at(position, instant)

@@ -1,23 +1,24 @@
 """Transforms of a program: predicates that read the transform buffer, and queries that wait for transforms.
 
-``tf_lookup/4`` and ``tf_transform/5`` answer for any two frames of the tree; they fail if a transform is not there,
-and ``tf_missing/4`` returns the reason. The flag ``max_gap`` limits the distance of samples that are interpolated.
+``tf_lookup/4`` and ``tf_transform/5`` return the transform between any two frames of the tree, and fail if it is not
+available; ``tf_missing/4`` returns the reason. The flag ``max_gap`` limits the distance of samples that are
+interpolated.
 
 The condition ``[tf(Target, Source), Time]`` of a synchronized query is an `AwaitedTransform`. It is fulfilled as soon
-as each frame of the path has a sample at the instant or later. Until then it is registered with one frame that has
-none (`TransformBuffer.find_blocking`), so a transform costs one comparison for any number of pending queries. A
-sample of that frame lets the condition continue with the next frame. If a frame gets its first sample or another
-parent, all paths are determined again.
+as each frame of the path between the two frames in the tree has a sample at the instant or later. Until then it is
+registered with one frame that has none (`TransformBuffer.find_blocking`), so a transform costs one comparison for any
+number of pending queries. When that frame gets the sample, the condition is registered with the next frame of the
+path. If a frame gets its first sample or another parent, all conditions are registered again.
 
-The engine does not know topics. A node or a bag player calls `begin` with a function that starts to feed the buffer;
-it is called as soon as a program reads transforms, so that other programs do not pay for them.
+The engine does not know topics. The node or the bag player passes a function that subscribes to the transform topics
+to `set_feed`. It is called when the program first uses transforms, so that other programs do not pay for them.
 """
 
 from difflib import get_close_matches
 from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Set, Tuple
 
 from ...foundation.errors import UsageError
-from ...prolog.builtins.pose_predicates import compose, pose, shown_pose
+from ...prolog.builtins.pose_predicates import compose, lazy_pose_term, pose
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.machine.errors import instantiation_error, permission_error, type_error
@@ -36,16 +37,24 @@ from .transform_buffer import REPEATED, CoordinateFrame, Numbers, Transform, Tra
 TF: Functor = functor("tf", 2)
 """Functor of a condition's transform, ``tf(Target, Source)``."""
 
-TRANSFORM_READS = frozenset((functor("tf_lookup", 4), functor("tf_transform", 5), functor("tf_missing", 4)))
+TRANSFORM_PREDICATES = frozenset(
+    (functor("tf_lookup", 4), functor("tf_transform", 5), functor("tf_missing", 4))
+)
 """Predicates that read transforms."""
 
 _MAX_CACHED_NAMES = 10_000
 _MAX_REPORTED_FRAMES = 100
-_MAX_CANDIDATES = 2000
+_MAX_SUGGESTION_CANDIDATES = 2000
 
 _UNKNOWN, _INVALID, _LOOP = functor("unknown", 1), functor("invalid", 1), functor("loop", 1)
 _UNCONNECTED, _BEFORE, _AFTER, _GAP = (functor(name, 2) for name in ("unconnected", "before", "after", "gap"))
-_KINDS = {"unknown": _UNKNOWN, "invalid": _INVALID, "loop": _LOOP, "before": _BEFORE, "after": _AFTER}
+_REASON_FUNCTORS = {
+    "unknown": _UNKNOWN,
+    "invalid": _INVALID,
+    "loop": _LOOP,
+    "before": _BEFORE,
+    "after": _AFTER,
+}
 
 
 class AwaitedTransform:
@@ -56,21 +65,21 @@ class AwaitedTransform:
         target: name of the target frame.
         source: name of the source frame.
         queries: pending queries by instant and order.
-        frames: the frames with which it is registered, by instant.
+        frames: the frames whose next samples the queries wait for, by instant.
     """
 
     __slots__ = ("id", "target", "source", "queries", "frames", "_transforms")
 
-    def __init__(self, transforms: "Transforms", name: Term, target: str, source: str):
+    def __init__(self, transforms: "Transforms", transform_term: Term, target: str, source: str):
         self._transforms = transforms
-        self.id = name
+        self.id = transform_term
         self.target = target
         self.source = source
         self.queries: Dict[int, Dict[Any, PendingQuery]] = {}
         self.frames: Dict[int, CoordinateFrame] = {}
 
     def has_reached(self, instant: int) -> bool:
-        """Return whether all frames of the path have samples at an instant or later."""
+        """Return whether all frames of the path between the two have samples at an instant or later."""
         return self._transforms.buffer.find_blocking(self.target, self.source, instant) is None
 
     @property
@@ -80,24 +89,24 @@ class AwaitedTransform:
         return latest if isinstance(latest, int) else None
 
     def blocking_frame(self, instant: int) -> str:
-        """Return the name of the frame that is waited for; "" if frames are unknown or not connected."""
+        """Return the name of the frame whose next sample the query awaits; "" without a path between the two."""
         frame = self._transforms.buffer.find_blocking(self.target, self.source, instant)
         return "" if frame is None else frame.name
 
     def add_query(self, instant: int, order: int, query: PendingQuery) -> None:
         """Store a query under its order until the instant is reached."""
-        group = self.queries.setdefault(instant, {})
-        group[order] = query
+        queries_by_order = self.queries.setdefault(instant, {})
+        queries_by_order[order] = query
         if instant not in self.frames:
             self._transforms.register(self, instant)
 
     def remove_query(self, instant: int, order: int) -> None:
         """Remove a query."""
-        group = self.queries[instant]
-        del group[order]
-        if not group:
+        queries_by_order = self.queries[instant]
+        del queries_by_order[order]
+        if not queries_by_order:
             del self.queries[instant]
-            self._transforms.withdraw(self, instant)
+            self._transforms.unregister(self, instant)
 
     def pop_queries(self, instant: int) -> List[PendingQuery]:
         """Remove and return the queries that wait for an instant, which has been reached."""
@@ -107,7 +116,7 @@ class AwaitedTransform:
 AwaitedCondition = Tuple[AwaitedTransform, int]
 """A transform that queries wait for, and its instant; the entry of a frame's queue."""
 
-Reached = List[AwaitedCondition]
+ReachedTransforms = List[AwaitedCondition]
 """Transforms that have become available, with their instants."""
 
 
@@ -118,14 +127,14 @@ class Transforms:
         logic: the system in which the predicates are defined.
         dispatcher: dispatcher of the events that waiting queries trigger.
         buffer: the buffer.
-        gaps: limit for the distance of two samples.
+        gaps: maximum time between two samples in nanoseconds.
         warn: receives warnings about refused transforms and unknown frames.
 
     Attributes:
         buffer: the buffer.
         is_required: whether the program reads transforms.
-        on_reached: called with the transforms that have become available and the next frame; returns the frame that
-            calls the queries.
+        on_reached: called with the transforms that have become available and a continuation of the machine; returns
+            the continuation that calls the queries first.
     """
 
     def __init__(
@@ -142,108 +151,111 @@ class Transforms:
         self._gaps = gaps
         self._warn = warn
         self.is_required = False
-        self._start_feeding: Callable[[], object] = lambda: None
-        self._names: Dict[Term, str] = {}
+        self._start_feed: Callable[[], object] = lambda: None
+        self._frame_names: Dict[Term, str] = {}
         self._reported_frames: Set[str] = set()
-        self._known: Dict[Tuple[str, str], AwaitedTransform] = {}
-        self._waiting: Dict[AwaitedTransform, None] = {}
-        self._checked_topology = 0
+        self._awaited_by_frames: Dict[Tuple[str, str], AwaitedTransform] = {}
+        self._registered: Dict[AwaitedTransform, None] = {}
+        self._seen_topology_version = 0
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
-        self.on_reached: Callable[[Reached, Frame], Frame] = lambda reached, after: after
+        self.on_reached: Callable[[ReachedTransforms, Frame], Frame] = lambda reached, continuation: (
+            continuation
+        )
         self._define_lookups()
-        logic.define_function("tf_missing", 4, self._missing)
+        logic.define_function("tf_missing", 4, self._missing_reason)
         logic.define_control("tf_add", 4, self._add)
         logic.define_control("tf_add_static", 3, self._add_static)
 
     # ---- topics --------------------------------------------------------------------------------------
 
-    def begin(self, start_feeding: Callable[[], object]) -> None:
+    def set_feed(self, start_feed: Callable[[], object]) -> None:
         """Set the function that starts to feed the buffer; it is called once, when the program needs transforms."""
-        self._start_feeding = start_feeding
+        self._start_feed = start_feed
         if self.is_required:
-            start_feeding()
+            start_feed()
 
     def require(self) -> None:
-        """Note that the program reads transforms."""
+        """Record that the program reads transforms, and start the feed."""
         if not self.is_required:
             self.is_required = True
-            self._start_feeding()
+            self._start_feed()
 
-    def require_if_named(self, terms: Iterable[Term]) -> None:
-        """Note that the program reads transforms if terms of it name them."""
-        if not self.is_required and _names_transforms(terms):
+    def require_if_mentioned(self, terms: Iterable[Term]) -> None:
+        """Start the feed if one of the given terms refers to transforms."""
+        if not self.is_required and _mentions_transforms(terms):
             self.require()
 
     # ---- input ---------------------------------------------------------------------------------------
 
-    def take(self, transforms: Sequence[Transform], is_static: bool) -> None:
+    def store_message(self, transforms: Sequence[Transform], is_static: bool) -> None:
         """Store the transforms of a message, and call the queries that waited for them."""
         reached = self._store(transforms, is_static)
         if reached:
             machine = self._logic.machine
-            # The queries do not depend on the present event, if there is one.
+            # The queries are not caused by the current event, if there is one.
             self._dispatcher.run_without_context(lambda: machine.run(self.on_reached(reached, machine.done)))
 
-    def _store(self, transforms: Iterable[Transform], is_static: bool) -> Reached:
+    def _store(self, transforms: Iterable[Transform], is_static: bool) -> ReachedTransforms:
         """Store transforms; return those that queries wait for and that are available now."""
-        reached: Reached = []
+        reached: ReachedTransforms = []
         store = self.buffer.store
         for parent, child, instant, numbers in transforms:
-            frame: Any = store(parent, child, instant, numbers, is_static)
-            if frame.__class__ is not str:
-                if frame.next_instant <= instant:
-                    reached += self._continue(frame.pop_reached(instant))
-            elif frame is not REPEATED:
-                self._warn(f"the transform of frame '{child[:80]}' is refused: {frame}", ("tf", child))
-        if self.buffer.topology_version != self._checked_topology:
-            self._checked_topology = self.buffer.topology_version
-            if self._waiting:
-                reached += self._determine_paths()
+            result: Any = store(parent, child, instant, numbers, is_static)
+            if result.__class__ is not str:
+                if result.next_instant <= instant:
+                    reached += self._advance_conditions(result.pop_reached(instant))
+            elif result is not REPEATED:
+                self._warn(f"the transform of frame '{child[:80]}' is refused: {result}", ("tf", child))
+        if self.buffer.topology_version != self._seen_topology_version:
+            self._seen_topology_version = self.buffer.topology_version
+            if self._registered:
+                reached += self._register_all_again()
         return reached
 
-    def _continue(self, entries: Iterable[AwaitedCondition]) -> Reached:
+    def _advance_conditions(self, entries: Iterable[AwaitedCondition]) -> ReachedTransforms:
         """Register conditions with the next frame of their path; return those that are fulfilled."""
-        reached: Reached = []
+        reached: ReachedTransforms = []
         for awaited, instant in entries:
             frame = self.buffer.find_blocking(awaited.target, awaited.source, instant)
             if frame is not None:
                 frame.add_query(instant, awaited, (awaited, instant))
                 awaited.frames[instant] = frame
             else:
-                self._forget(awaited, instant)
+                self._drop_registration(awaited, instant)
                 reached.append((awaited, instant))
         return reached
 
-    def _determine_paths(self) -> Reached:
+    def _register_all_again(self) -> ReachedTransforms:
         """Register all conditions again, because the tree has changed; return those that are fulfilled."""
         entries: List[AwaitedCondition] = []
-        for awaited in self._waiting:
+        for awaited in self._registered:
             for instant, frame in awaited.frames.items():
                 frame.remove_query(instant, awaited)
                 entries.append((awaited, instant))
-        return self._continue(entries)
+        return self._advance_conditions(entries)
 
     def register(self, awaited: AwaitedTransform, instant: int) -> None:
         """Register a condition with a frame that has not reached the instant."""
         frame = self.buffer.find_blocking(awaited.target, awaited.source, instant)
         if frame is None:
-            # After an interrupt: the next transform calls the query.
+            # All frames have reached the instant, which happens only after an interrupt. The condition is registered
+            # with `topology`, so that the next transform calls its queries.
             frame = self.buffer.topology
-            self._checked_topology = -1
+            self._seen_topology_version = -1
         frame.add_query(instant, awaited, (awaited, instant))
         awaited.frames[instant] = frame
-        self._waiting[awaited] = None
+        self._registered[awaited] = None
 
-    def withdraw(self, awaited: AwaitedTransform, instant: int) -> None:
+    def unregister(self, awaited: AwaitedTransform, instant: int) -> None:
         """Remove the registration of a condition."""
         awaited.frames[instant].remove_query(instant, awaited)
-        self._forget(awaited, instant)
+        self._drop_registration(awaited, instant)
 
-    def _forget(self, awaited: AwaitedTransform, instant: int) -> None:
+    def _drop_registration(self, awaited: AwaitedTransform, instant: int) -> None:
         del awaited.frames[instant]
         if not awaited.frames:
-            del self._waiting[awaited]
+            del self._registered[awaited]
 
     def clear(self) -> None:
         """Drop the samples, because the clock went back; static transforms remain."""
@@ -252,10 +264,10 @@ class Transforms:
 
     def clear_queries(self) -> None:
         """Remove all waiting queries."""
-        for awaited in self._waiting:
+        for awaited in self._registered:
             awaited.queries.clear()
             awaited.frames.clear()
-        self._waiting.clear()
+        self._registered.clear()
         self.buffer.topology.clear_queries()
         for frame in self.buffer.frames():
             frame.clear_queries()
@@ -267,25 +279,25 @@ class Transforms:
 
     # ---- conditions ----------------------------------------------------------------------------------
 
-    def awaited(self, name: Term) -> Optional[AwaitedTransform]:
+    def awaited_transform(self, term: Term) -> Optional[AwaitedTransform]:
         """Return the transform of a term ``tf(Target, Source)``; None for other terms.
 
         Raises:
-            UsageError: if the frames are not named.
+            UsageError: if a frame is neither an atom nor a string.
         """
-        term: Any = deref(name)
-        if term.__class__ is not tuple or term[0] is not TF:
+        transform_term: Any = deref(term)
+        if transform_term.__class__ is not tuple or transform_term[0] is not TF:
             return None
         self.require()
         try:
-            target, source = self._frame_name(term[1]), self._frame_name(term[2])
+            target, source = self._frame_name(transform_term[1]), self._frame_name(transform_term[2])
         except Exception as error:
             raise UsageError(f"expected tf(Target, Source) with names of frames: {error}") from None
-        awaited = self._known.get((target, source))
+        awaited = self._awaited_by_frames.get((target, source))
         if awaited is None:
-            if len(self._known) >= _MAX_CACHED_NAMES:
-                self._known.clear()
-            awaited = self._known[target, source] = AwaitedTransform(
+            if len(self._awaited_by_frames) >= _MAX_CACHED_NAMES:
+                self._awaited_by_frames.clear()
+            awaited = self._awaited_by_frames[target, source] = AwaitedTransform(
                 self, (TF, atom(target), atom(source)), target, source
             )
         return awaited
@@ -293,7 +305,7 @@ class Transforms:
     # ---- predicates ----------------------------------------------------------------------------------
 
     def version(self, part: Hashable) -> int:
-        """Return a value that changes with the transforms, for incremental tables."""
+        """Return a value that changes with the transforms, for incremental tables; there is one for all parts."""
         return self.buffer.version
 
     def _define_lookups(self) -> None:  # noqa: C901 - the closures
@@ -301,11 +313,16 @@ class Transforms:
 
         They are closures, because attributes and further calls would take a fifth of the time of a look-up.
         """
-        names, lookup, gaps, active_tables = self._names, self.buffer.lookup, self._gaps, self._active_tables
+        frame_names, lookup, gaps, active_tables = (
+            self._frame_names,
+            self.buffer.lookup,
+            self._gaps,
+            self._active_tables,
+        )
 
         def find(target: Term, source: Term, time: Any) -> Any:
             try:
-                target_name, source_name = names[target], names[source]
+                target_name, source_name = frame_names[target], frame_names[source]
                 # A time of a message, ``[Sec,NSec]``.
                 one, seconds, (two, nanoseconds, end) = time
             except (KeyError, TypeError, ValueError):
@@ -321,27 +338,27 @@ class Transforms:
                 self.require()
             if active_tables:
                 self._tables.note(self, None)
-            found = lookup(target_name, source_name, instant)
-            if found is None:
+            pose_in_target = lookup(target_name, source_name, instant)
+            if pose_in_target is None:
                 self._report_unknown(target_name, source_name)
-            elif gaps.max_distance != UNLIMITED_GAP and self._gap(target_name, source_name, instant):
+            elif gaps.max_distance != UNLIMITED_GAP and self._gap_reason(target_name, source_name, instant):
                 return None
-            return found
+            return pose_in_target
 
         def look_up(target: Term, source: Term, time: Term) -> Optional[Term]:
             """Return the pose of the source frame in the target frame."""
-            found = find(target, source, time)
-            return None if found is None else shown_pose(found)
+            source_pose = find(target, source, time)
+            return None if source_pose is None else lazy_pose_term(source_pose)
 
-        def transform(given: Term, source: Term, target: Term, time: Term) -> Optional[Term]:
+        def transform_pose(pose_term: Term, source: Term, target: Term, time: Term) -> Optional[Term]:
             """Return a pose, given in the source frame, in the target frame."""
-            found = find(target, source, time)
-            return None if found is None else shown_pose(compose(found, pose(given)))
+            source_pose = find(target, source, time)
+            return None if source_pose is None else lazy_pose_term(compose(source_pose, pose(pose_term)))
 
         self._logic.define_function("tf_lookup", 4, look_up)
-        self._logic.define_function("tf_transform", 5, transform)
+        self._logic.define_function("tf_transform", 5, transform_pose)
 
-    def _missing(self, target: Term, source: Term, time: Term) -> Optional[Term]:
+    def _missing_reason(self, target: Term, source: Term, time: Term) -> Optional[Term]:
         """Return the reason why there is no pose; None if there is one."""
         target_name, source_name = self._frame_name(target), self._frame_name(source)
         self.require()
@@ -350,10 +367,10 @@ class Transforms:
         instant = int(instant_of(time))
         fault = self.buffer.find_fault(target_name, source_name, instant)
         if fault is None:
-            return self._gap(target_name, source_name, instant)
+            return self._gap_reason(target_name, source_name, instant)
         if fault.kind == "unconnected":
-            return (_UNCONNECTED, atom(fault.frame), atom(fault.other))
-        key = _KINDS[fault.kind]
+            return (_UNCONNECTED, atom(fault.frame), atom(fault.other_frame))
+        key = _REASON_FUNCTORS[fault.kind]
         if key.arity == 1:
             return (key, atom(fault.frame))
         return (
@@ -362,36 +379,37 @@ class Transforms:
             atom("none") if fault.instant is None else timestamps.shown(fault.instant),
         )
 
-    def _gap(self, target: str, source: str, instant: int) -> Optional[Term]:
+    def _gap_reason(self, target: str, source: str, instant: int) -> Optional[Term]:
         """Return ``gap(Frame, Seconds)`` if the samples of a frame are further apart than is allowed."""
         distance, frame = self.buffer.widest_gap(target, source, instant)
         return (_GAP, atom(frame), distance / SECOND) if distance > self._gaps.max_distance else None
 
-    def _add(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
-        parent, child, time, given = arguments
-        return self._add_transform(parent, child, int(instant_of(time)), given, False, after)
+    def _add(self, machine: Machine, arguments: Sequence[Term], continuation: Frame) -> Frame:
+        parent, child, time, pose_term = arguments
+        return self._add_transform(parent, child, int(instant_of(time)), pose_term, False, continuation)
 
-    def _add_static(self, machine: Machine, arguments: Sequence[Term], after: Frame) -> Frame:
-        parent, child, given = arguments
-        return self._add_transform(parent, child, 0, given, True, after)
+    def _add_static(self, machine: Machine, arguments: Sequence[Term], continuation: Frame) -> Frame:
+        parent, child, pose_term = arguments
+        return self._add_transform(parent, child, 0, pose_term, True, continuation)
 
     def _add_transform(
-        self, parent: Term, child: Term, instant: int, given: Term, is_static: bool, after: Frame
+        self, parent: Term, child: Term, instant: int, pose_term: Term, is_static: bool, continuation: Frame
     ) -> Frame:
-        """Store one transform; return the frame that calls the queries that waited for it."""
-        (x, y, z), (i, j, k, w) = pose(given)
-        numbers: Numbers = (float(x), float(y), float(z), float(i), float(j), float(k), float(w))
+        """Store one transform; return the continuation that first calls the queries that waited for it."""
+        position, rotation = pose(pose_term)
+        x, y, z, qx, qy, qz, qw = map(float, (*position, *rotation))
+        numbers: Numbers = x, y, z, qx, qy, qz, qw
         names = self._frame_name(parent), self._frame_name(child)
         reason = self.buffer.refusal(*names, instant, numbers)
         if reason:
             raise permission_error("create", "transform", deref(child), reason)
         reached = self._store([(*names, instant, numbers)], is_static)
-        return self.on_reached(reached, after) if reached else after
+        return self.on_reached(reached, continuation) if reached else continuation
 
     def _frame_name(self, term: Term) -> str:
         """Return the name of a frame, given as an atom or a string.
 
-        The quotes that texts of messages have, and one leading slash, are removed.
+        Double quotes around a string from a message and one leading slash are removed.
         """
         term = deref(term)
         if isinstance(term, Atom):
@@ -406,9 +424,9 @@ class Transforms:
             text = text[1:-1]
         name = str(text[1:] if text[:1] == "/" else text)
         if isinstance(term, Atom):
-            if len(self._names) >= _MAX_CACHED_NAMES:
-                self._names.clear()
-            self._names[term] = name
+            if len(self._frame_names) >= _MAX_CACHED_NAMES:
+                self._frame_names.clear()
+            self._frame_names[term] = name
         return name
 
     def _report_unknown(self, *names: str) -> None:
@@ -418,21 +436,23 @@ class Transforms:
                 continue
             if len(self._reported_frames) < _MAX_REPORTED_FRAMES:
                 self._reported_frames.add(name)
-                near = get_close_matches(name, self.buffer.names()[:_MAX_CANDIDATES], 1, 0.66)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
+                similar_names = get_close_matches(
+                    name, self.buffer.names()[:_MAX_SUGGESTION_CANDIDATES], 1, 0.66
+                )
+                hint = f"; did you mean '{similar_names[0]}'?" if similar_names else ""
                 self._warn(
                     f"tf_lookup: there is no frame '{name[:80]}' yet{hint}", ("frame", name), once=True
                 )
 
 
-def _names_transforms(terms: Iterable[Term]) -> bool:
+def _mentions_transforms(terms: Iterable[Term]) -> bool:
     """Return whether terms contain a goal that reads transforms, or a condition that waits for one."""
     stack = list(terms)
     while stack:
         term: Any = deref(stack.pop())
         if term.__class__ is not tuple:
             continue
-        if term[0] in TRANSFORM_READS:
+        if term[0] in TRANSFORM_PREDICATES:
             return True
         if term[0] in SYNCHRONIZED:
             for item in list_items(term[3]) or ():

@@ -221,7 +221,7 @@ def pose_term(value: Pose) -> Term:
     return (CONS, position, (CONS, rotation, NIL))
 
 
-def shown_pose(value: Pose) -> Term:
+def lazy_pose_term(value: Pose) -> Term:
     """Return a lazy term of a pose of floats: most poses are only multiplied with others, so no term is needed."""
     return Lazy(CONS, pose_term, value)
 
@@ -260,7 +260,7 @@ def _fraction(term: Term) -> float:
 @function("interpolate_quaternion/6")
 def interpolate_quaternion(v1: Term, q1: Term, v2: Term, q2: Term, fraction: Term) -> Term:
     """Return an interpolated pose; fraction 1 returns the first pose, 0 the second one."""
-    return shown_pose(interpolate(pose_of(v1, q1), pose_of(v2, q2), _fraction(fraction)))
+    return lazy_pose_term(interpolate(pose_of(v1, q1), pose_of(v2, q2), _fraction(fraction)))
 
 
 @function("quaternion_interpolate/6")
