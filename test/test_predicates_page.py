@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retalis import Limits, PrologError, Var, functor
+from retalis import Engine, Limits, PrologError, Var, functor
 from retalis.cli.toplevel_io import format_bindings
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
@@ -30,30 +30,33 @@ def rows():
 
 
 ROWS = list(rows())
+OF_SYSTEM = {str(key) for key in PrologSystem().names()}
+TRANSFORMS = {str(key) for key in Engine().logic.names() if key.name.startswith("tf_")} - OF_SYSTEM
+"""Predicates of an engine that are on this page. The others have pages of their own."""
+
+
+def system_for(keys):
+    """Return a new system that defines the predicates of a row."""
+    return Engine().logic if TRANSFORMS.issuperset(keys) else PrologSystem()
 
 
 def test_every_predicate_is_on_the_page_and_no_other():
-    defined = {str(key) for key in PrologSystem().names() if not key.name.startswith("$")}
+    defined = {key for key in OF_SYSTEM if not key.startswith("$")} | TRANSFORMS
+    assert len(TRANSFORMS) == 5
     named = [key for keys, *_ in ROWS for key in keys]
     assert sorted(defined - set(named)) == []
     assert sorted(set(named) - defined) == []
     assert len(named) == len(set(named))
 
 
-@pytest.fixture
-def logic():
-    made = PrologSystem()
-    made.limits = Limits(inferences=500_000)
-    return made
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("keys", "errors", "example", "answer"), ROWS, ids=[row[0][0] for row in ROWS])
-def test_example(logic, keys, errors, example, answer):
+def test_example(keys, errors, example, answer):
     assert keys[0].rpartition("/")[0] in example or keys[0][:2] in (",/", ">>"), (
         "the example shows another predicate"
     )
-    written = []
+    logic, written = system_for(keys), []
+    logic.limits = Limits(inferences=500_000)
     logic.output = logic.error_output = written.append
     read = read_term(example, logic.operators)
     answers = []
@@ -70,10 +73,12 @@ WRONG = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
 
 
 def test_errors_of_wrong_arguments_are_listed():
-    logic = PrologSystem()
-    logic.limits = Limits(inferences=20_000)
-    logic.output = logic.error_output = lambda text: None
+    systems = PrologSystem(), Engine().logic
+    for logic in systems:
+        logic.limits = Limits(inferences=20_000)
+        logic.output = logic.error_output = lambda text: None
     for keys, errors, _, _ in ROWS:
+        logic = systems[TRANSFORMS.issuperset(keys)]
         name, _, arity = keys[0].rpartition("/")
         listed = {f"{kind}({first})" if first else kind for kind, first in errors}
         for wrong in WRONG if int(arity) else []:

@@ -95,7 +95,7 @@ def test_help_says_what_there_is(ask):
     assert ask("help.\n").out == CONSOLE_HELP + "\n"
     assert ask("help(append).\n").out.splitlines()[:2] == [
         "append(?Left, ?Right, ?Whole)",
-        "    lists one after the other",
+        "    Whole is the list Left followed by the list Right.",
     ]
     assert ask("help('append/2').\n").out.startswith("append(+Lists, ?Whole)\n")
     assert ask("assertz(mine(1)).\nhelp(mine).\n").out == "true.\nmine/1\n"
@@ -113,8 +113,10 @@ def test_the_console_goes_on_where_the_page_of_predicates_is_missing(ask, monkey
 
 def test_apropos_finds_names_and_descriptions(ask):
     found = ask("assertz(my_quaternion(1)).\napropos(quaternion).\n").out.splitlines()
-    assert "mul_quaternion/5: product of two poses" in found
+    assert "mul_quaternion/5: Pose is the product of two poses, each given as position and rotation." in found
     assert found[-1] == "my_quaternion/1"
-    assert help_lines("|/2", []) == [":Goal ; :Goal\n    either"]
+    assert help_lines("|/2", []) == [
+        ":Goal ; :Goal\n    Succeeds if one of the goals succeeds; backtracking tries the left one first."
+    ]
     many = apropos_lines("a", [])
     assert many[-1].startswith("% and ")
