@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "src")]
 from arguments import positive  # noqa: E402
 
 from retalis import Definitions, Engine, Operators, Reports, RetalisError, Settings, atom, functor  # noqa: E402
-from retalis.messages.type_registry import Installed  # noqa: E402
+from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text  # noqa: E402
 from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
 
@@ -328,7 +328,7 @@ def output_texts() -> Round:
 
 @case
 def message_types() -> Round:
-    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
 
     def do(number: int) -> None:
         definition = known.add(
@@ -346,13 +346,13 @@ def message_types() -> Round:
 
 @case
 def unknown_message_types() -> Round:
-    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
     return lambda number: f"p/T{number}" in known
 
 
 @case
 def message_texts() -> Round:
-    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
     definition = known.add("p/T", "string s\nstring[] t\n")
     decoder, encoder = known.decoder(definition), known.encoder(definition)
 

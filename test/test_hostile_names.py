@@ -31,7 +31,7 @@ from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
 from retalis.messages.event_text_writer import text_writer
 from retalis.messages.ros2_to_ros1 import ros2_type
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 
@@ -143,7 +143,7 @@ def test_definitions_are_refused_with_a_place(name, line):
 def test_nested_types_are_refused(name):
     for text in (f"{name}/Other x\n", f"{name} x\n", f"Other x\n{'=' * 80}\nMSG: {name}\nint8 x\n"):
         with pytest.raises(MessageError):
-            Definitions(Installed(packages=(), modules=(), rosbags=False)).add("pkg/Type", text)
+            Definitions(InstalledTypes(packages=(), modules=(), include_rosbags=False)).add("pkg/Type", text)
         with pytest.raises(MessageError):
             ros2_type("pkg/msg/Type", text, lambda kind: None)
 

@@ -9,7 +9,7 @@ from typing import Dict, Sequence, Tuple
 from nao_robot import Pose
 
 from retalis import Definition, Definitions, Encoder, Term, atom, functor, make_list
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 
 HEADER = """\
 uint32 seq
@@ -86,7 +86,7 @@ _no_covariance = make_list([0.0] * 36)
 
 def definitions() -> Dict[str, Definition]:
     """Return the definitions of the bag's topics by type."""
-    registry = Definitions(Installed(packages=(), modules=(), rosbags=False))
+    registry = Definitions(InstalledTypes(packages=(), modules=(), include_rosbags=False))
     return {name: registry.add(name, _joined(*texts)) for name, texts in TYPES.items()}
 
 

@@ -8,7 +8,7 @@ import pytest
 from retalis import BagWriter, Definitions, Limits, Settings
 from retalis.cli.command_line import main
 from retalis.cli.console import Console
-from retalis.cli.stderr_report import Report
+from retalis.cli.stderr_report import StderrReporter
 from retalis.cli.toplevel_io import PipedInput
 
 RULES = "loop :- loop.\nloop(X) <- in(X) where (X = 2, loop).\nout(X) <- in(X).\n"
@@ -135,7 +135,7 @@ def test_the_time_that_a_user_takes_is_not_counted(capsys):
             return True
 
     asked = []
-    console = Console(Report(), Settings(limits=Limits(inferences=40_000)))
+    console = Console(StderrReporter(), Settings(limits=Limits(inferences=40_000)))
     console.solve_goals(
         User(
             io.StringIO(

@@ -14,8 +14,8 @@ import pytest
 
 from retalis import Limits, Operators, Settings
 from retalis.cli.console import Console
-from retalis.cli.stderr_report import Report
-from retalis.cli.toplevel_io import PipedInput, TerminalInput, completions, format_bindings
+from retalis.cli.stderr_report import StderrReporter
+from retalis.cli.toplevel_io import PipedInput, TerminalInput, find_completions, format_bindings
 from retalis.foundation.cpython_and_pypy import PYPY
 from retalis.prolog.syntax.term_reader import read_term
 
@@ -27,7 +27,7 @@ def ask(capsys):
     """Return a function that pipes text into a console and returns what it printed: output and errors."""
 
     def ask(text, console=None):
-        console = Console(Report()) if console is None else console
+        console = Console(StderrReporter()) if console is None else console
         console.solve_goals(PipedInput(io.StringIO(text)))
         return capsys.readouterr()
 
@@ -91,7 +91,7 @@ def test_undefined_predicate_names_what_was_meant(ask):
 
 
 def test_most(capsys):
-    Console(Report(), most=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
+    Console(StderrReporter(), most=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
     assert capsys.readouterr().out == "true ;\ntrue .\n% there may be more (see --most)\n"
 
 
@@ -117,7 +117,7 @@ def test_files(tmp_path, ask, caplog):
 def test_wrong_file_shows_all_errors(tmp_path, capsys):
     path = tmp_path / "wrong.pl"
     path.write_text("p(.\nq(1) <- a.\nr(]).\n")
-    report = Report()
+    report = StderrReporter()
     assert not Console(report).load(path)
     assert report.errors == 2
     assert "wrong.pl:1:3" in capsys.readouterr().err
@@ -145,7 +145,7 @@ TRACED = """\
 
 
 def test_trace(ask):
-    console = Console(Report())
+    console = Console(StderrReporter())
     ask("[user].\np(X, b) :- q(X).\nq(1).\nq(2).\nend_of_file.\n", console)
     found = ask("trace, p(X, b), X > 1.\np(X, b).\n", console)
     assert found.out == "X = 2.\nX = 1 ;\nX = 2.\n"
@@ -160,7 +160,7 @@ def test_trace_of_exceptions_and_meta_calls(ask):
 
 
 def test_trace_respects_cuts(ask):
-    console = Console(Report())
+    console = Console(StderrReporter())
     ask("[user].\np(X) :- q(X), !.\nq(1).\nq(2).\nend_of_file.\n", console)
     found = ask("trace(p(X)).\ntrace(\\+ p(3)).\ntrace((p(X) -> Y = X ; Y = none)).\n", console)
     assert found.out == "X = 1.\ntrue.\nX = Y, Y = 1.\n"
@@ -193,9 +193,9 @@ def test_a_terminal_too_simple_for_lines_to_be_edited(monkeypatch):
 
 def test_completions():
     names = ["append", "atom_length", "atom_chars", "=..", "Weird"]
-    assert completions("atom", names) == ["atom_chars", "atom_length"]
-    assert completions("", names) == []
-    assert completions("W", names) == []
+    assert find_completions("atom", names) == ["atom_chars", "atom_length"]
+    assert find_completions("", names) == []
+    assert find_completions("W", names) == []
 
 
 def test_bindings_of_equal_names():
@@ -291,7 +291,7 @@ def test_all_goals_and_clauses_of_a_line_are_read(ask):
 
 @pytest.mark.slow
 def test_a_goal_that_eats_memory_ends(ask):
-    console = Console(Report(), Settings(limits=Limits(megabytes=50)))
+    console = Console(StderrReporter(), Settings(limits=Limits(megabytes=50)))
     answered = ask("findall(X, repeat, L).\nX = 1.\n", console)
     assert "resource_error" in answered.err or "memory" in answered.err
     assert answered.out.endswith("X = 1.\n")
@@ -330,7 +330,7 @@ class Typing:
 
 def test_a_goal_asks_who_types(capsys):
     typing = Typing("write('Fever? '), read(X), read(Y).\n", "yes.\n", "39.\n", "get_char(X).\n", "\n", "z\n")
-    Console(Report()).solve_goals(typing)
+    Console(StderrReporter()).solve_goals(typing)
     printed = capsys.readouterr().out
     assert "X = yes,\nY = 39." in printed
     assert typing.asked[:4] == ["?- ", "|: ", "|: ", "?- "]

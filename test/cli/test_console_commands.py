@@ -8,14 +8,14 @@ import pytest
 from retalis.cli import console
 from retalis.cli.command_line import main
 from retalis.cli.console import CONSOLE_HELP, DEFAULT_SHOWN_SOLUTIONS, Console, apropos_lines, help_lines
-from retalis.cli.stderr_report import Report
+from retalis.cli.stderr_report import StderrReporter
 from retalis.cli.toplevel_io import PipedInput
 
 
 @pytest.fixture
 def ask(capsys):
     """Return a function that asks one console, time and again."""
-    console = Console(Report())
+    console = Console(StderrReporter())
 
     def ask(text):
         console.solve_goals(PipedInput(io.StringIO(text)))

@@ -29,12 +29,14 @@ def test_a_bar_tells_rate_and_time_left():
 
 
 def test_shares_outside_of_a_whole_are_shown_as_one():
-    assert ProgressBar("x", lambda: 1.5, StringIO()).line(3, 1.0).startswith("100%")
-    assert ProgressBar("x", lambda: -1.0, StringIO()).line(3, 1.0).startswith("  0%")
+    assert ProgressBar("x", lambda: 1.5, StringIO()).format_line(3, 1.0).startswith("100%")
+    assert ProgressBar("x", lambda: -1.0, StringIO()).format_line(3, 1.0).startswith("  0%")
 
 
 def test_what_takes_long_has_a_rate_too():
-    assert ProgressBar("bags", lambda: 0.5, StringIO()).line(3, 12.0).endswith("3 bags, 0.2/s, 0:12 left")
+    assert (
+        ProgressBar("bags", lambda: 0.5, StringIO()).format_line(3, 12.0).endswith("3 bags, 0.2/s, 0:12 left")
+    )
 
 
 def test_nothing_is_drawn_where_nobody_looks(capsys):

@@ -1,4 +1,4 @@
-"""Goals that subscribe topics: what they ask for, what is refused, and engines without topics."""
+"""Goals that subscribe to topics: what they ask for, what is refused, and engines without topics."""
 
 import logging
 

@@ -6,7 +6,7 @@ import pytest
 
 from retalis import Definitions, Engine, ProgramErrors, Reports, explain, record_origins
 from retalis.events.program.topic_configuration import read_topics
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 
 POINT = "my_msgs__0__Point"
 RULES = f"""
@@ -24,7 +24,7 @@ subscribe(others__0__Thing{{z: Y}}, [], _, out, q)
 
 @pytest.fixture
 def definitions():
-    known = Definitions(Installed(packages=[], modules=[], rosbags=False))
+    known = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
     known.add("my_msgs/Point", "float64 x\nfloat64 y\n")
     known.add("my_msgs/Named", "string name\nPoint point\n")
     return known

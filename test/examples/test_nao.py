@@ -18,7 +18,7 @@ import nao_robot  # noqa: E402
 import nao_truth  # noqa: E402
 
 from retalis import BagReader, Definitions, deref, list_items  # noqa: E402
-from retalis.messages.type_registry import Installed  # noqa: E402
+from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +33,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def records(made):
-    known = Definitions(Installed([], [], rosbags=False))
+    known = Definitions(InstalledTypes([], [], include_rosbags=False))
     found = []
     with BagReader(made[0]) as reader:
         for record in reader.records():

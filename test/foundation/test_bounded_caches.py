@@ -66,7 +66,7 @@ def caches():
             for part in ast.iter_child_nodes(node):
                 made = [one for one in ast.walk(part) if is_cache(one)]
                 if made and isinstance(part, (ast.Assign, ast.AnnAssign, ast.Return)):
-                    bounds = KINDS[made[0].func.id] or [bound(one, values) for one in made[0].args]
+                    bounds = KINDS[made[0].func.id] or [bound(one, values) for one in arguments(made[0])]
                     yield path, name_of(part, node), bounds
 
 
@@ -92,6 +92,11 @@ def own_bounds(kind, tree):
 
 def is_cache(node):
     return isinstance(node, ast.Call) and getattr(node.func, "id", None) in KINDS
+
+
+def arguments(call):
+    """Return the positional and keyword arguments of a call."""
+    return [*call.args, *(keyword.value for keyword in call.keywords)]
 
 
 def name_of(statement, around):

@@ -27,7 +27,7 @@ from typing import NamedTuple
 from messages.wire import CODES, serialize
 from retalis import Definitions, MessageError, atom, functor
 from retalis.messages.type_definition import VARIABLE_LENGTH
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.terms.types import CONS, NIL, deref
 
 TEXT_PIECES = (
@@ -284,7 +284,7 @@ def rosbags_types():
             yield (
                 type_name,
                 store,
-                Definitions(Installed([], [], rosbags=False)).add(f"{package}/{last}", text),
+                Definitions(InstalledTypes([], [], include_rosbags=False)).add(f"{package}/{last}", text),
             )
 
 
@@ -312,7 +312,7 @@ def genpy_references(with_stores=True):
 
     from retalis.ros.generated_classes import installed_types  # noqa: PLC0415
 
-    registry = Definitions(installed_types(rosbags=False))
+    registry = Definitions(installed_types(include_rosbags=False))
     for name in installed_names():
         yield _genpy_reference(registry.find(name), get_message_class(name))
     for _, _, definition in rosbags_types() if with_stores else ():
@@ -335,7 +335,7 @@ def _genpy_reference(definition, message_class):
 def check(reference, messages, seed=0):
     """Compare a type with its reference for a number of random messages."""
     definition = reference.definition
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     decode, encode = registry.decoder(definition).decode, registry.encoder(definition).encode
     if reference.md5sum:
         assert definition.md5sum == reference.md5sum, definition.name

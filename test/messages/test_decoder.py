@@ -4,14 +4,14 @@ import pytest
 
 from retalis import Definitions, MessageError, atom, deref, functor, list_items, make_list
 from retalis.messages import field_values
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.terms.types import Lazy
 
 HEADER = "\n".join(["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id", ""])
 
 
 def decoder(text, name="pkg/Type"):
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     return registry.decoder(registry.add(name, text))
 
 
@@ -211,7 +211,7 @@ def test_elements_without_bytes_are_bounded_in_number(text, data):
 
 
 def test_how_many_elements_without_bytes_is_a_setting():
-    definitions = Definitions(Installed([], [], rosbags=False), bare=3)
+    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), bare=3)
     found = definitions.decoder(definitions.add("pkg/Type", "pkg/Empty[] x\n" + EMPTY))
     assert len(list_items(args(found.decode(struct.pack("<I", 3)))[0])) == 3
     with pytest.raises(MessageError, match="a pkg/Type has 4 zero-byte elements in its arrays: at most 3"):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from messages.wire import messages, serialize
 from retalis import Decoder, Definitions, Encoder, MessageError, String, Var, atom, deref, functor, make_list
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.messages.validating_encoder import ValidatingEncoder
 from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.array_terms import array_term
@@ -36,7 +36,7 @@ ONE = functor("pkg__0__Type", 1)
 
 
 def encoder(text, name="pkg/Type"):
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     return registry.encoder(registry.add(name, text)).encode
 
 
@@ -288,7 +288,7 @@ def test_texts_of_byte_arrays_are_as_long_as_these(kind, value, size):
 
 
 def test_lazy_arrays_of_another_length_or_type_are_not_copied():
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     names = ("float64[6]", "float64[7]", "float32[6]", "float64[]", "int64[6]")
     types = [registry.add(f"pkg/Type{at}", f"{kind} x\n") for at, kind in enumerate(names)]
     six = registry.decoder(types[0]).decode(struct.pack("<6d", *range(6)))[1]
@@ -330,7 +330,7 @@ string[1] name
 ================================================================================
 MSG: pkg/Nothing
 """
-MIXED_TYPE = Definitions(Installed([], [], rosbags=False)).add("pkg/Mixed", MIXED)
+MIXED_TYPE = Definitions(InstalledTypes([], [], include_rosbags=False)).add("pkg/Mixed", MIXED)
 DECODE = Decoder(MIXED_TYPE).decode
 ENCODE, CHECK = Encoder(MIXED_TYPE).encode, ValidatingEncoder(MIXED_TYPE).encode
 
@@ -394,7 +394,7 @@ def test_the_fast_encoder_takes_and_refuses_what_the_checking_one_does(data):
 
 def test_undecoded_parts_go_out_as_they_came_in():
     text = "float32[9] a\nfloat64[] b\nuint8[] c\nstring d\n"
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     definition = registry.add("pkg/Type", text)
     signalling = b"\1\0\xa0\x7f"  # a nan that comes through no float
     data = signalling * 9 + struct.pack(
@@ -405,7 +405,7 @@ def test_undecoded_parts_go_out_as_they_came_in():
     assert all(part.made is None for part in term[1:])
 
 
-ARRAYS = Definitions(Installed([], [], rosbags=False)).add(
+ARRAYS = Definitions(InstalledTypes([], [], include_rosbags=False)).add(
     "pkg/Arrays", "float32[] a\nint16[6] b\nuint8[] c\n"
 )
 

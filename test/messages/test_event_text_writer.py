@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, atom
 from retalis.messages.event_text_writer import text_without, text_writer
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze
 from retalis.prolog.terms.timestamps import datime
@@ -29,7 +29,7 @@ ODD = [
 
 
 def decoder(text, name="pkg/Type"):
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     return registry.decoder(registry.add(name, text))
 
 

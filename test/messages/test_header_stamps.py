@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from retalis import Definitions, MessageError, Operators
 from retalis.messages.event_text_writer import text_writer
 from retalis.messages.header_stamps import frame_text, stamp_reader, watched
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 
@@ -168,7 +168,7 @@ for _name, _text in TYPES.items():
 
 def test_elements_without_bytes_are_counted_where_stamps_are_looked_at():
     parts = BAR + "MSG: t/Nothing" + HEADER
-    definitions = Definitions(Installed([], [], rosbags=False), bare=3)
+    definitions = Definitions(InstalledTypes([], [], include_rosbags=False), bare=3)
     for number in (3, 4):
         found = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
         watching = watched(definitions.decoder(found), {}, lambda found: None)

@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 
 from retalis import Definitions, Operators, SyntaxFault, UsageError
 from retalis.messages.named_slots import SlotNames
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import term_key
 
-DEFINITIONS = Definitions(Installed(packages=[], modules=[], rosbags=False))
+DEFINITIONS = Definitions(InstalledTypes(packages=[], modules=[], include_rosbags=False))
 DEFINITIONS.add("my_msgs/Point", "float64 x\nfloat64 y\n")
 DEFINITIONS.add("my_msgs/Empty", "")
 DEFINITIONS.add(

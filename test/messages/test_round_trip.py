@@ -13,7 +13,7 @@ from messages.wire import CODES, messages, serialize, to_term
 from retalis import Definitions, Operators
 from retalis.messages import encoder
 from retalis.messages.event_text_writer import text_writer
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
@@ -117,7 +117,7 @@ time stamp
 string frame_id
 """
 REGISTRY = Definitions()
-WITHOUT_ROS = Definitions(Installed([], [], rosbags=False))
+WITHOUT_ROS = Definitions(InstalledTypes([], [], include_rosbags=False))
 
 brief = settings(
     max_examples=8,
@@ -266,7 +266,7 @@ slots = st.tuples(numbers | structs, st.sampled_from(["", "", "", "[]", "[0]", "
 @settings(brief, max_examples=100)
 @given(st.lists(slots, max_size=5), st.data())
 def test_types_of_any_slots(slots, data):
-    definitions = Definitions(Installed([], [], rosbags=False))
+    definitions = Definitions(InstalledTypes([], [], include_rosbags=False))
     text = "".join(f"{kind}{array} slot{number}\n" for number, (kind, array) in enumerate(slots))
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
     decoder = definitions.decoder(definition)

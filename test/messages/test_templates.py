@@ -4,7 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from retalis import Definitions, MessageError, Operators, Var, deref
-from retalis.messages.named_slots import SlotNames, by_names, positional, zero
+from retalis.messages.named_slots import SlotNames, format_positional, format_with_names, format_with_zeros
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.terms.term_traversal import term_key
 
@@ -46,11 +46,11 @@ def expected(definition):
 
 
 def check(definition):
-    for text in (positional(definition), by_names(definition)):
+    for text in (format_positional(definition), format_with_names(definition)):
         term, names = read(text)
         assert (shape(term), names) == expected(definition), text
     data = bytes(definition.measure.min_size)
-    text = zero(definition, DEFINITIONS)
+    text = format_with_zeros(definition, DEFINITIONS)
     assert term_key(read(text)[0]) == term_key(DEFINITIONS.decoder(definition).decode(data))
     assert DEFINITIONS.encoder(definition).encode(read(text)[0]) == data
 
@@ -142,13 +142,13 @@ PRINTED = """odd_msgs__0__Odd(              % 68 bytes or more
 
 def test_what_is_alike_has_variables_of_its_own():
     odd = DEFINITIONS.add("odd_msgs/Odd", ODD.replace("string _Odd\n", ""))
-    assert positional(odd) == PRINTED
+    assert format_positional(odd) == PRINTED
     check(odd)
 
 
 def test_sizes_of_slots():
     text = "bool a\nfloat64[9] b\nstring[3] c\nfloat32[] d\nstring[] e\nuint8[] f\nbyte[1] g\n"
-    template, _, predicates = by_names(DEFINITIONS.add("odd_msgs/Sizes", text)).partition("\n\n")
+    template, _, predicates = format_with_names(DEFINITIONS.add("odd_msgs/Sizes", text)).partition("\n\n")
     assert predicates == "% for array_min/2, array_percentile/3 and others: b, d, f, g\n"
     assert [line.rpartition("% ")[2] for line in template.splitlines()[:-1]] == [
         "98 bytes or more",
@@ -163,7 +163,7 @@ def test_sizes_of_slots():
 
 
 def test_arrays_and_predicates_are_named():
-    text = positional(DEFINITIONS.find("nav_msgs/OccupancyGrid"))
+    text = format_positional(DEFINITIONS.find("nav_msgs/OccupancyGrid"))
     assert text.endswith(
         """
 % for array_min/2, array_percentile/3 and others: data
@@ -171,6 +171,6 @@ def test_arrays_and_predicates_are_named():
 % for map_cell/4: the whole message
 """
     )
-    text = by_names(DEFINITIONS.find("nav_msgs/Odometry"))
+    text = format_with_names(DEFINITIONS.find("nav_msgs/Odometry"))
     assert text.endswith("others: pose.covariance, twist.covariance\n")
-    assert "array_min" not in positional(DEFINITIONS.find("geometry_msgs/PoseArray"))
+    assert "array_min" not in format_positional(DEFINITIONS.find("geometry_msgs/PoseArray"))

@@ -16,13 +16,13 @@ from retalis.messages.type_definition import (
     split_sections,
     type_name,
 )
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 
 
 def registry(**installed):
-    return Definitions(Installed([], [], rosbags=False))
+    return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
 def read(text, name="pkg/Type"):
@@ -204,7 +204,7 @@ def test_types_of_one_another_among_the_installed_ones_end(tmp_path):
         folder = tmp_path / "pkg" / "msg"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / f"{name}.msg").write_text(f"C c\n{section('pkg/C', f'pkg/{other} x')}\n")
-    known = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    known = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     for _ in range(2):
         with pytest.raises(MessageError, match="contains itself"):
             known.find("pkg/A")

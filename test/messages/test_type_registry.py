@@ -3,7 +3,7 @@ import sys
 import pytest
 
 from retalis import Definitions, MessageError
-from retalis.messages.type_registry import GeneratedClass, Installed
+from retalis.messages.type_registry import GeneratedClass, InstalledTypes
 
 STAMPED = """Header header
 Inner inner
@@ -19,7 +19,7 @@ string frame_id
 
 
 def nothing_installed():
-    return Definitions(Installed([], [], rosbags=False))
+    return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
 def package(root, name, **messages):
@@ -109,7 +109,7 @@ def test_an_unknown_type_is_an_error_that_names_it():
 def test_installed_types_are_found_and_read_once(tmp_path):
     package(tmp_path, "pkg", Outer="other/Inner inner\nOwn own\n", Own="int8 x\n")
     package(tmp_path, "other", Inner="float64 y\n")
-    registry = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     outer = registry.find("pkg/Outer")
     assert [slot.type for slot in outer.fields] == ["other/Inner", "pkg/Own"]
     assert registry.find("pkg/Outer") is outer
@@ -118,20 +118,22 @@ def test_installed_types_are_found_and_read_once(tmp_path):
 def test_an_installed_type_that_is_wrong_names_its_file(tmp_path):
     package(tmp_path, "pkg", Bad="int8 x\nint8 x\n")
     with pytest.raises(MessageError) as caught:
-        Definitions(Installed([str(tmp_path)], [], rosbags=False)).find("pkg/Bad")
+        Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False)).find("pkg/Bad")
     assert str(caught.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
 
 
 def test_packages_deep_in_a_workspace(tmp_path):
     package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
     (tmp_path / "src" / ".hidden").mkdir()
-    registry = Definitions(Installed([str(tmp_path / "src"), str(tmp_path / "missing")], [], rosbags=False))
+    registry = Definitions(
+        InstalledTypes([str(tmp_path / "src"), str(tmp_path / "missing")], [], include_rosbags=False)
+    )
     assert registry.find("pkg/Type").fields[0].type == "int8"
 
 
 def test_a_folder_that_is_a_package_itself(tmp_path):
     package(tmp_path, "pkg", Type="int8 x\n")
-    assert "pkg/Type" in Definitions(Installed([str(tmp_path / "pkg")], [], rosbags=False))
+    assert "pkg/Type" in Definitions(InstalledTypes([str(tmp_path / "pkg")], [], include_rosbags=False))
 
 
 def test_the_usual_places(tmp_path, monkeypatch):
@@ -162,8 +164,8 @@ def with_classes(tmp_path, inspect_class, packages=(), **options):
     folder = tmp_path / "modules" / "pkg" / "msg"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "_Type.py").write_text("raise SystemExit\n")
-    return Installed(
-        packages, [str(tmp_path / "modules")], rosbags=False, inspect_class=inspect_class, **options
+    return InstalledTypes(
+        packages, [str(tmp_path / "modules")], include_rosbags=False, inspect_class=inspect_class, **options
     )
 
 
@@ -247,7 +249,7 @@ def test_slots_that_are_keywords_and_old_names_of_headers_match_their_class(tmp_
 
 def test_types_that_rosbags_brings():
     pytest.importorskip("rosbags")
-    registry = Definitions(Installed([], []))
+    registry = Definitions(InstalledTypes([], []))
     assert registry.find("geometry_msgs/PoseStamped").md5sum == "d3812c3cbc69362b77dc0b19b345f8f5"
     assert registry.find("sensor_msgs/NavSatStatus").md5sum == "331cdbddfa4bc96ffc3b9ad98900a54c"
     assert "pkg/Type" not in registry
@@ -255,7 +257,7 @@ def test_types_that_rosbags_brings():
 
 def test_types_that_rosbags_brings_are_listed():
     pytest.importorskip("rosbags")
-    installed = Installed([], [])
+    installed = InstalledTypes([], [])
     assert {"geometry_msgs", "sensor_msgs", "std_msgs"} <= set(installed.packages())
     assert {"Point", "Pose"} <= set(installed.types("geometry_msgs"))
 
@@ -263,14 +265,14 @@ def test_types_that_rosbags_brings_are_listed():
 @pytest.mark.parametrize("name", ["tf/tfMessage", "tf2_msgs/TFMessage"])
 def test_tf_by_both_names_wherever_geometry_is(name):
     pytest.importorskip("rosbags")
-    definition = Definitions(Installed([], [])).find(name)
+    definition = Definitions(InstalledTypes([], [])).find(name)
     assert definition.name == name
     assert definition.md5sum == "94810edda583a504dfda3829e70d7eec"
 
 
 def test_added_types_come_before_installed_ones_and_those_before_nested_ones(tmp_path):
     package(tmp_path, "pkg", Inner="int64 installed\n", Stamped="int64 installed\n")
-    registry = Definitions(Installed([str(tmp_path)], [], rosbags=False))
+    registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
     registry.add("pkg/Stamped", STAMPED)
     assert registry.find("pkg/Stamped").fields[0].name == "header"
     assert registry.find("pkg/Inner").fields[0].name == "installed"
@@ -278,7 +280,7 @@ def test_added_types_come_before_installed_ones_and_those_before_nested_ones(tmp
 
 def test_names_that_are_paths_are_not_looked_up(tmp_path):
     package(tmp_path, "pkg", Type="int8 x\n")
-    assert Installed([str(tmp_path / "other")], [], rosbags=False).text("../pkg/Type") is None
+    assert InstalledTypes([str(tmp_path / "other")], [], include_rosbags=False).text("../pkg/Type") is None
 
 
 def test_received_messages_are_read_by_the_definition_that_fits():

@@ -8,14 +8,14 @@ pytest.importorskip("rosbags")
 from malicious_bags import ros1_bag  # noqa: E402
 
 from retalis import BagError, BagReader, BagWriter, Definitions, RetalisError, Topic, atom  # noqa: E402
-from retalis.messages.type_registry import Installed  # noqa: E402
+from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 
 BAGS = Path(__file__).parents[3] / "shared" / "bags"
 REAL = sorted(BAGS.glob("*.bag")) if BAGS.is_dir() else []
 
 
 def registry():
-    return Definitions(Installed([], [], rosbags=False))
+    return Definitions(InstalledTypes([], [], include_rosbags=False))
 
 
 @pytest.fixture

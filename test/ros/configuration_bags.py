@@ -27,7 +27,7 @@ KINDS["others"] = KINDS["numbers"]
 KINDS["asked"] = KINDS["poses"]
 """The topics with their types, of which three are installed nowhere; some have the same.
 
-A goal subscribes the last."""
+A goal subscribes to the last one."""
 
 
 class Kind(NamedTuple):

@@ -15,8 +15,8 @@ from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis import Reports  # noqa: E402
 from retalis.ros import connection_writer, late_joiners, text_topics  # noqa: E402
-from retalis.ros.connection_writer import Outlet  # noqa: E402
-from retalis.ros.text_topics import OutputTexts, TextPublisher, text_frame  # noqa: E402
+from retalis.ros.connection_writer import TopicWriter  # noqa: E402
+from retalis.ros.text_topics import EventTextPublisher, OutputTextPublisher, serialize_string  # noqa: E402
 
 BODY = b"b" * 20_000
 
@@ -80,7 +80,7 @@ def outlet(monkeypatch, link, reports):
         return SimpleNamespace(name=topic, impl=SimpleNamespace(connections=[link]), listener=listener)
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
-    return lambda queue=1000, patient=connection_writer.never_patient, latched=False: Outlet(
+    return lambda queue=1000, patient=connection_writer.never_wait, latched=False: TopicWriter(
         "/topic", object, queue, reports, patient, latched
     )
 
@@ -309,8 +309,8 @@ def test_a_latched_topic_without_a_message_sends_nothing_to_who_comes(outlet, li
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
     monkeypatch.setattr(late_joiners, "nodes_offering", lambda service: {link.endpoint_id})
-    it, turn = TextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
-    it.begin(turn, set)
+    it, turn = EventTextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
+    it.start_identification(turn, set)
     it.add("a")
     it.add("b\udcff")
     link.other.setblocking(False)
@@ -319,7 +319,7 @@ def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
     link.other.settimeout(60)
     with turn:
         it.flush()
-    assert link.other.recv(100) == text_frame("a") + pack("<II", 6, 2) + b"b\xff"
+    assert link.other.recv(100) == serialize_string("a") + pack("<II", 6, 2) + b"b\xff"
     end = time.monotonic() + 20
     while link.stat_num_msg != 2 and time.monotonic() < end:  # it is counted after it was sent
         time.sleep(0.01)
@@ -328,13 +328,13 @@ def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
     with turn:
         it.add("c")
         it.add("d")
-    assert link.other.recv(100) == text_frame("c") + text_frame("d")
+    assert link.other.recv(100) == serialize_string("c") + serialize_string("d")
 
 
 def received(link, text):
     """Return what comes until a text."""
     data = b""
-    while not data.endswith(text_frame(text)):
+    while not data.endswith(serialize_string(text)):
         part = link.other.recv(1000)
         assert part
         data += part
@@ -349,10 +349,10 @@ def test_outputs_go_to_the_interface_in_order(outlet, link, monkeypatch):
         return {link.endpoint_id}
 
     monkeypatch.setattr(late_joiners, "nodes_offering", offering)
-    it = OutputTexts("/topic", 1000, Reports(), ["out", "foo bar"], [])
+    it = OutputTextPublisher("/topic", 1000, Reports(), ["out", "foo bar"], [])
     for topic, text in (("out", "a"), ("watched", "b"), ("/out", "c"), ("not a name", "d")):
         it.send(topic, text.__str__)
-    assert received(link, "d") == b"".join(map(text_frame, "abcd"))
+    assert received(link, "d") == b"".join(map(serialize_string, "abcd"))
     assert set(asked) == {"add_input_subscription"}
 
 
@@ -368,7 +368,7 @@ def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_eve
 
     monkeypatch.setattr(rospy, "Publisher", publisher)
     reports = Reports()
-    it = OutputTexts("/topic", 2, reports, ["out", "state"], ["state"])
+    it = OutputTextPublisher("/topic", 2, reports, ["out", "state"], ["state"])
     for topic, text in (("state", "s"), ("watched", "w"), ("out", "a"), ("out", "b")):
         it.send(topic, write(text))
     assert (written, reports.warnings) == (["s", "a", "b"], 1)  # the queue holds two
@@ -380,6 +380,6 @@ def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_eve
             it.send("out", write("c"))
         connections[:] = [link]
         listeners[-1].peer_subscribe("/topic", None, None)
-        assert received(link, chr(after[-1])) == b"".join(text_frame(chr(one)) for one in after)
+        assert received(link, chr(after[-1])) == b"".join(serialize_string(chr(one)) for one in after)
         link.socket.close()
         link.other.close()

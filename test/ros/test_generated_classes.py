@@ -9,7 +9,7 @@ pytest.importorskip("genpy", reason="ROS is not installed")
 from roslib.message import get_message_class  # noqa: E402
 
 from retalis import Definitions, MessageError  # noqa: E402
-from retalis.messages.type_registry import Installed  # noqa: E402
+from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 from retalis.ros.generated_classes import inspect_class, installed_types  # noqa: E402
 
 MODULE = """
@@ -20,7 +20,9 @@ class {name}:
     __slots__ = ["lambda_"]
     _slot_types = ["int8"]
 """
-MD5SUM = Definitions(Installed([], [], rosbags=False)).add("made_msgs/Made", "int8 lambda\n").md5sum
+MD5SUM = (
+    Definitions(InstalledTypes([], [], include_rosbags=False)).add("made_msgs/Made", "int8 lambda\n").md5sum
+)
 
 
 @pytest.fixture
@@ -41,7 +43,7 @@ def write(folder, name, source, init=None):
 
 
 def registry():
-    return Definitions(installed_types(rosbags=False))
+    return Definitions(installed_types(include_rosbags=False))
 
 
 def test_an_installed_type_is_defined_by_its_class():

@@ -8,11 +8,11 @@ from genmsg.gentools import compute_md5_text  # noqa: E402
 from genmsg.msg_loader import MsgContext, load_msg_from_string  # noqa: E402
 
 from retalis import Definitions, MessageError  # noqa: E402
-from retalis.messages.type_registry import Installed  # noqa: E402
+from retalis.messages.type_registry import InstalledTypes  # noqa: E402
 
 
 def read(text):
-    definition = Definitions(Installed([], [], rosbags=False)).add("pkg/Type", text)
+    definition = Definitions(InstalledTypes([], [], include_rosbags=False)).add("pkg/Type", text)
     return definition, [(constant.name, constant.value) for constant in definition.constants]
 
 

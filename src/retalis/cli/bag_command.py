@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 from typing import Callable
 
-from .bag_run import add_chunk_limit, play
+from .bag_run import add_chunk_limit_option, play
 from .command_options import add_direct, add_folders, add_limits
 from .many_bags import add_many_bags_options, play_separately, plays_separately
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_AS_STAMPS, TIMES_RELATIVE, non_negative
 from .output import JSON_HELP
-from .stderr_report import Report
+from .stderr_report import StderrReporter
 
 DESCRIPTION = """\
 Feed bags to a program and print what it publishes, as output(TERM,TOPIC) terms. Bags are of ROS 1, compressed or
@@ -123,13 +123,13 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="SECONDS",
         help="history of transforms for tf_lookup and similar goals (default: 10)",
     )
-    add_chunk_limit(parser)
+    add_chunk_limit_option(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     if plays_separately(options):
         return play_separately(options)
-    report = Report().attach(events=True)
+    report = StderrReporter().attach(show_events=True)
     play(options, report)
     return 1 if report.errors else 0

@@ -24,7 +24,7 @@ from .command_options import apply_folders, apply_limits
 from .installed_types import installed_definitions
 from .option_values import TIMES_RELATIVE, positive_integer
 from .output import Printer
-from .stderr_report import ProgressBar, Report, end_run_on_closed_pipe, show_progress
+from .stderr_report import ProgressBar, StderrReporter, end_run_on_closed_pipe, show_progress
 
 _OUTPUT_FUNCTOR = functor("output", 2)
 _TIMED_OUTPUT_FUNCTOR = functor("output", 3)
@@ -33,7 +33,7 @@ _TIMED_OUTPUT_FUNCTOR = functor("output", 3)
 RecordHandler = Callable[[RunRecord], None]
 
 
-def add_chunk_limit(parser: argparse.ArgumentParser) -> None:
+def add_chunk_limit_option(parser: argparse.ArgumentParser) -> None:
     """Add the option that limits the decompressed size of chunks."""
     parser.add_argument(
         "--max-chunk-megabytes",
@@ -52,7 +52,7 @@ def print_record(record: RunRecord) -> None:
 
 def play(
     options: argparse.Namespace,
-    report: Report,
+    report: StderrReporter,
     write_record: RecordHandler = print_record,
     state: Optional[bytes] = None,
 ) -> Playback:
@@ -92,7 +92,7 @@ def open_bags(options: argparse.Namespace) -> MergedBag:
 
 def create_playback(
     options: argparse.Namespace,
-    report: Report,
+    report: StderrReporter,
     bag: Optional[MergedBag] = None,
     state: Optional[bytes] = None,
 ) -> Playback:

@@ -13,7 +13,7 @@ from ..foundation.errors import MessageError, counted, printable
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
-from .bag_run import add_chunk_limit
+from .bag_run import add_chunk_limit_option
 from .command_options import add_direct, add_swi
 from .installed_types import installed_definitions
 from .option_values import non_negative
@@ -28,7 +28,7 @@ warnings. Message types come from the installation, from the bags of --bag and f
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``check``."""
     parser = add_command(
         "check",
         help="report errors and likely mistakes of a program, before it runs",
@@ -63,7 +63,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="FOLDER",
         help="a package with a folder msg, that folder itself, or a folder of packages",
     )
-    add_chunk_limit(parser)
+    add_chunk_limit_option(parser)
     add(
         "--max-seconds",
         type=non_negative(float),
@@ -75,7 +75,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     definitions = installed_definitions([_definitions_folder(path) for path in options.msg])
     # Before the check: rules with field names cannot be checked without the types.
     for path in options.bag:
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _definitions_folder(path: Path) -> str:
-    """Return the folder to search for the definitions of a package, or of several."""
+    """Return the folder in which packages are searched: the folder itself, or the parent of a folder ``msg``."""
     path = path.resolve()
     return str(path.parent if path.name == "msg" else path)
 

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError
 from .option_values import join_times_option
-from .stderr_report import OutputClosed, detach_reports
+from .stderr_report import OutputClosed, detach_reporters
 
 MANIFEST = Path(__file__).resolve().parents[3] / "package.xml"
 """Manifest in the source tree, which contains the version."""
@@ -102,7 +102,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
-        detach_reports()
+        detach_reporters()
 
 
 def import_commands(words: List[str]) -> List[Any]:

@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 def list_names(kind: str, node: Optional[str]) -> List[str]:
     """Return the names of nodes, or of a node's memories; none without ROS or without an answer."""
     try:
-        node_names: List[str] = import_ros_module("live_commands").names(kind, node)
+        node_names: List[str] = import_ros_module("live_commands").completion_names(kind, node)
     except UsageError:
         return []
     return node_names

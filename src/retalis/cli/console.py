@@ -30,7 +30,7 @@ from .command_options import add_limits, apply_limits
 from .installed_types import installed_definitions
 from .node_commands import run_ros_command
 from .option_values import non_negative
-from .stderr_report import Report, end_run_on_closed_pipe
+from .stderr_report import StderrReporter, end_run_on_closed_pipe
 from .toplevel_io import QUIT_GOALS, PipedInput, TerminalInput, format_bindings, read_clause
 
 PREDICATES_PAGE = "docs/reference/predicates.md"
@@ -209,6 +209,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add("--goal", "-g", action="append", default=[], metavar="GOAL", help="ask this goal, then exit")
     add(
         "--most",
+        dest="max_solutions",
         type=non_negative(int),
         default=DEFAULT_SHOWN_SOLUTIONS,
         metavar="N",
@@ -227,8 +228,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; with goals from a pipe, the status is 1 if there was an error."""
     if options.node is not None:
         return run_ros_command("live_commands", options)
-    report = Report().attach(events=True)
-    console = Console(report, apply_limits(UNRESTRICTED, options), options.most)
+    report = StderrReporter().attach(show_events=True)
+    console = Console(report, apply_limits(UNRESTRICTED, options), options.max_solutions)
     for path in options.files:
         console.load(path)
     # After the files are loaded: their clauses are exempted from later collections.
@@ -264,7 +265,7 @@ class Console:
     """
 
     def __init__(
-        self, report: Report, settings: Optional[Settings] = None, most: int = DEFAULT_SHOWN_SOLUTIONS
+        self, report: StderrReporter, settings: Optional[Settings] = None, most: int = DEFAULT_SHOWN_SOLUTIONS
     ):
         self.reports = Reports()
         self.engine = Engine(

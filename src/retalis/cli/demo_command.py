@@ -13,7 +13,7 @@ from ..playback.playback import Playback
 from ..prolog.terms.term_traversal import resolve
 from .bag_run import progress_of
 from .option_values import any_integer, positive_seconds
-from .stderr_report import Report, show_progress
+from .stderr_report import StderrReporter, show_progress
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
@@ -42,7 +42,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    report = Report().attach()
+    report = StderrReporter().attach()
     folder = example_folder()
     # The example's modules are scripts beside its data, not part of the package.
     sys.path.append(str(folder))
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     )
 
 
-def locate(bag: Path, program: Path, report: Report) -> Dict[str, Tuple[float, float, float]]:
+def locate(bag: Path, program: Path, report: StderrReporter) -> Dict[str, Tuple[float, float, float]]:
     """Run the NAO program over a bag; return the last position of each marker by its name."""
     located: Dict[str, Tuple[float, float, float]] = {}
     playback = Playback(program, report)

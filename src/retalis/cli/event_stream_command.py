@@ -44,7 +44,7 @@ from .command_options import add_folders, add_limits, apply_folders, apply_limit
 from .installed_types import installed_definitions
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .output import JSON_HELP, Printer
-from .stderr_report import Report, end_run_on_closed_pipe
+from .stderr_report import StderrReporter, end_run_on_closed_pipe
 
 
 class ReadLine(NamedTuple):
@@ -206,7 +206,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error."""
     if not (options.rules or options.goals or options.stream or options.queries or options.explain):
         options.wrong("nothing to do: give --rules, --goals, --stream, --queries or --explain")
-    report = Report().attach()
+    report = StderrReporter().attach()
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _open_output(options.outputs, stack))
         session = Session(options, report, printer)
@@ -235,7 +235,7 @@ def _open_output(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
 class Session:
     """A run of the command: the engine, the stream's clock, and the requested output."""
 
-    def __init__(self, options: argparse.Namespace, report: Report, printer: Printer):
+    def __init__(self, options: argparse.Namespace, report: StderrReporter, printer: Printer):
         self._options = options
         self._report = report
         self._printer = printer

@@ -14,7 +14,7 @@ from ..messages.type_definition import functor_name
 from ..visualization.program_graph import PICTURE_SUFFIXES, GraphTopic, dot_text, draw_graph, program_graph
 from .command_options import add_limits, apply_limits
 from .installed_types import installed_definitions
-from .stderr_report import Report
+from .stderr_report import StderrReporter
 
 TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""
@@ -51,7 +51,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    report = Report().attach()
+    report = StderrReporter().attach()
     # Before the program is loaded: a wrong suffix is reported at once.
     suffix = _get_output_format(options.output)
     folder = options.folder
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"{folder.resolve()} is not a program: it has no file {GOALS}")
     engine = Engine(settings=apply_limits(Settings(), options), definitions=installed_definitions())
     input_topics = engine.input_topics
-    # Goals may subscribe topics during loading. They are recorded for the graph, and nothing is subscribed.
+    # Goals may subscribe to topics during loading. They are recorded for the graph, and nothing is subscribed.
     input_topics.begin(lambda request: None)
     try:
         engine.load_program(folder)

@@ -3,7 +3,7 @@
 from typing import Any, Optional, Sequence
 
 from ..foundation.errors import UsageError
-from ..messages.type_registry import Definitions, GeneratedClass, Installed
+from ..messages.type_registry import Definitions, GeneratedClass, InstalledTypes
 
 
 def installed_definitions(extra_folders: Sequence[str] = ()) -> Definitions:
@@ -12,7 +12,7 @@ def installed_definitions(extra_folders: Sequence[str] = ()) -> Definitions:
     Args:
         extra_folders: folders that are searched first; each is a package or contains packages.
     """
-    return Definitions(Installed(extra_folders=extra_folders, inspect_class=_inspect_class))
+    return Definitions(InstalledTypes(extra_folders=extra_folders, inspect_class=_inspect_class))
 
 
 def _inspect_class(name: str) -> Optional[GeneratedClass]:

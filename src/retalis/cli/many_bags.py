@@ -35,7 +35,7 @@ from ..playback.run_recorder import RunTable
 from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
 from .bag_run import RecordHandler, play, print_record
 from .option_values import positive_integer
-from .stderr_report import Report, detach_reports, show_progress
+from .stderr_report import StderrReporter, detach_reporters, show_progress
 
 FORMATS = ("bag", "parquet", "jsonl")
 
@@ -92,7 +92,7 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
     """
     stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
     with _PROCESS_LOCK, redirect_stderr(stderr):
-        report = Report().attach(events=True)
+        report = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
                 state = _play_into(result, bag, task, report)
@@ -102,14 +102,14 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
             # An internal error in one bag must not stop the others.
             failure = f"{type(error).__name__}: {error}"
         finally:
-            detach_reports()
+            detach_reporters()
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
     return BagOutcome(report.errors, messages, failure or None, state)
 
 
-def _play_into(result: str, bag: str, task: BagTask, report: Report) -> Optional[bytes]:
+def _play_into(result: str, bag: str, task: BagTask, report: StderrReporter) -> Optional[bytes]:
     """Play a bag into a file; return the program's snapshot if a part follows."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     write_record: RecordHandler = print_record

@@ -1,4 +1,4 @@
-"""Command ``msg``: prints a message type as a term with the names of its fields, to paste into a program."""
+"""Command ``msg``: prints a message type as a term with the names of its slots, to paste into a program."""
 
 import argparse
 from pathlib import Path
@@ -6,30 +6,30 @@ from typing import Callable, Dict
 
 from ..foundation.errors import MessageError, UsageError
 from ..foundation.ros_names import ros1_type_name, type_fault
-from ..messages.named_slots import by_names, positional, zero
+from ..messages.named_slots import format_positional, format_with_names, format_with_zeros
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
-from .bag_run import add_chunk_limit
+from .bag_run import add_chunk_limit_option
 from .installed_types import installed_definitions
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
-    "term": lambda definition, definitions: positional(definition),
-    "names": lambda definition, definitions: by_names(definition),
-    "zero": zero,
+    "term": lambda definition, definitions: format_positional(definition),
+    "names": lambda definition, definitions: format_with_names(definition),
+    "zero": format_with_zeros,
 }
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``msg``."""
     parser = add_command(
         "msg",
         help="print a message type as a term to paste into a program",
         description="Print a message type as a term, with the names of its slots.",
     )
-    parser.add_argument("type", metavar="PACKAGE/Type", help="as sensor_msgs/LaserScan")
+    parser.add_argument("type", metavar="PACKAGE/Type", help="for example sensor_msgs/LaserScan")
     parser.add_argument(
-        "--bag", type=Path, metavar="BAG", help="a bag that has the type, where it is not installed"
+        "--bag", type=Path, metavar="BAG", help="a bag that has the type, if it is not installed"
     )
     parser.add_argument(
         "--format",
@@ -38,24 +38,24 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="term: a variable for each slot, slots as comments (default); names: slots by name; "
         "zero: with zeros, to be sent",
     )
-    add_chunk_limit(parser)
+    add_chunk_limit_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     # Functors in programs have `__0__` in place of the slash; both forms are accepted.
     type_name = ros1_type_name(options.type.replace("__0__", "/"))
     definitions = installed_definitions()
-    fault = type_fault(type_name)
-    if fault is not None:
-        raise UsageError(f"{fault}{_suggest_type(definitions, type_name)}")
+    name_error = type_fault(type_name)
+    if name_error is not None:
+        raise UsageError(f"{name_error}{_suggest_type(definitions, type_name)}")
     if options.bag is not None:
-        _learn_type(definitions, options.bag, type_name, options.max_chunk_megabytes)
+        _add_types_of_bag(definitions, options.bag, type_name, options.max_chunk_megabytes)
     try:
         definition = definitions.find(type_name)
     except MessageError as error:
-        hint = "" if options.bag is not None else "; --bag BAG takes it from a bag"
+        hint = "" if options.bag is not None else "; use --bag BAG to read it from a bag"
         raise UsageError(f"{error.message}{_suggest_type(definitions, type_name) or hint}") from error
     print(FORMATS[options.format](definition, definitions), end="")
     return 0
@@ -67,10 +67,14 @@ def _suggest_type(definitions: Definitions, type_name: str) -> str:
     return f"; did you mean {similar}?" if similar else ""
 
 
-def _learn_type(definitions: Definitions, path: Path, type_name: str, max_chunk_megabytes: int) -> None:
-    """Learn a type, with the types of its fields, from the connections of a bag."""
+def _add_types_of_bag(definitions: Definitions, path: Path, type_name: str, max_chunk_megabytes: int) -> None:
+    """Add the message types of a bag to the definitions.
+
+    Raises:
+        UsageError: if the definition of type ``type_name`` is malformed; malformed definitions of others are skipped.
+    """
     with open_bag(path, max_chunk_megabytes) as bag:
-        # Topics of the type first. The definitions of other topics may contain it as the type of a field.
+        # Topics of the type come first, because definitions of other topics may contain it as the type of a slot.
         topics = sorted(bag.topics, key=lambda topic: topic.type != type_name)
         for topic in topics:
             try:

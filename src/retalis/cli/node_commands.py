@@ -48,7 +48,14 @@ def _add_query(add_command: AddCommand) -> None:
     query.description = f"{query.description} {EXIT_STATUS_HELP}"
     add = query.add_argument
     add("goal", metavar="GOAL", help="as in 'access_mem(odom,P,[T1,T2])'")
-    add("--most", type=non_negative(int), metavar="N", default=100, help="solutions at most (100)")
+    add(
+        "--most",
+        dest="max_solutions",
+        type=non_negative(int),
+        metavar="N",
+        default=100,
+        help="solutions at most (100)",
+    )
     add(
         "--seconds",
         type=non_negative(float),

@@ -18,7 +18,7 @@ from ..visualization.timeline import (
 from .bag_command import add_source
 from .bag_run import create_playback, open_bags, progress_of
 from .command_options import add_folders, add_limits
-from .stderr_report import Report, show_progress
+from .stderr_report import StderrReporter, show_progress
 
 PAGE_SUFFIXES = ("html", "htm")
 
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     if suffix not in (*PAGE_SUFFIXES, *PICTURE_FORMATS):
         endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURE_FORMATS))
         raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
-    report = Report().attach()
+    report = StderrReporter().attach()
     if options.run_file is not None:
         if options.bags:
             options.wrong("give bags or --from, not both")
@@ -88,7 +88,7 @@ def _read_timeline(path: Path) -> Timeline:
         raise UsageError(f"{path} is not UTF-8 text: {error}") from error
 
 
-def _record_timeline(options: argparse.Namespace, report: Report) -> TimelineBuilder:
+def _record_timeline(options: argparse.Namespace, report: StderrReporter) -> TimelineBuilder:
     """Run the program over the bags, and record its timeline."""
     builder = TimelineBuilder()
     with open_bags(options) as bags:

@@ -32,7 +32,7 @@ def end_run_on_closed_pipe(callback: Callable[..., None]) -> Callable[..., None]
     return print_or_end_run
 
 
-class Report(logging.Handler):
+class StderrReporter(logging.Handler):
     """Printer of errors and warnings to standard error, with a count of the errors.
 
     Attributes:
@@ -61,22 +61,24 @@ class Report(logging.Handler):
             self.errors += 1
         print(f"{record.levelname.lower()}: {text}", file=sys.stderr)
 
-    def attach(self, events: bool = False) -> "Report":
-        """Report the log records of the package until `detach_reports` is called.
+    def attach(self, show_events: bool = False) -> "StderrReporter":
+        """Report the log records of the package until `detach_reporters` is called.
 
         Args:
-            events: whether to report the events that the program requests to be shown, too.
+            show_events: whether to report the events that the program requests to be shown, too.
         """
-        if events:
+        if show_events:
             _event_logger.setLevel(logging.INFO)
         _package_logger.addHandler(self)
         _package_logger.propagate = False
         return self
 
 
-def detach_reports() -> None:
-    """End all reports, and restore the loggers."""
-    for handler in [candidate for candidate in _package_logger.handlers if isinstance(candidate, Report)]:
+def detach_reporters() -> None:
+    """Detach all reporters, and restore the loggers."""
+    for handler in [
+        candidate for candidate in _package_logger.handlers if isinstance(candidate, StderrReporter)
+    ]:
         _package_logger.removeHandler(handler)
     _event_logger.setLevel(logging.NOTSET)
     _package_logger.propagate = True
@@ -92,11 +94,11 @@ _CLEAR_LINE = "\r\033[K"
 
 
 class ProgressBar:
-    """Progress bar in one line: share, count, rate and remaining time.
+    """Progress bar in one line: completed fraction, count, rate and remaining time.
 
     Args:
         item_name: name of the counted items.
-        share: returns the completed share, from 0 to 1.
+        fraction: returns the completed fraction, from 0 to 1.
         file: terminal to draw on.
         clock: clock in seconds.
     """
@@ -104,32 +106,32 @@ class ProgressBar:
     def __init__(
         self,
         item_name: str,
-        share: Callable[[], float],
+        fraction: Callable[[], float],
         file: IO[str],
         clock: Callable[[], float] = time.monotonic,
     ):
         self._item_name = item_name
-        self._share = share
+        self._fraction = fraction
         self._file = file
         self._clock = clock
         self._start_time = self._last_draw_time = clock()
 
-    def __call__(self, done: int) -> None:
+    def __call__(self, completed_count: int) -> None:
         """Draw the bar with the number of completed items, at most every `UPDATE_INTERVAL_SECONDS` seconds."""
         now = self._clock()
         if now - self._last_draw_time >= UPDATE_INTERVAL_SECONDS:
             self._last_draw_time = now
-            self._file.write(_CLEAR_LINE + self.line(done, now - self._start_time))
+            self._file.write(_CLEAR_LINE + self.format_line(completed_count, now - self._start_time))
             self._file.flush()
 
-    def line(self, done: int, seconds: float) -> str:
+    def format_line(self, completed_count: int, seconds: float) -> str:
         """Return the line to show after some seconds."""
-        share = min(1.0, max(0.0, self._share()))
-        filled = round(share * BAR_WIDTH)
-        remaining = f", {_format_duration(seconds * (1 - share) / share)} left" if share else ""
-        rate = _format_rate(done / seconds) if seconds else "-"
+        fraction = min(1.0, max(0.0, self._fraction()))
+        filled = round(fraction * BAR_WIDTH)
+        remaining = f", {_format_duration(seconds * (1 - fraction) / fraction)} left" if fraction else ""
+        rate = _format_rate(completed_count / seconds) if seconds else "-"
         bar = "#" * filled + "." * (BAR_WIDTH - filled)
-        return f"{share:4.0%} [{bar}] {done:,} {self._item_name}, {rate}/s{remaining}"
+        return f"{fraction:4.0%} [{bar}] {completed_count:,} {self._item_name}, {rate}/s{remaining}"
 
     def clear(self) -> None:
         """Erase the bar, so that other text may be printed; the next update draws it again."""
@@ -138,12 +140,12 @@ class ProgressBar:
 
 
 @contextmanager
-def show_progress(item_name: str, share: Callable[[], float]) -> Iterator[Optional[ProgressBar]]:
+def show_progress(item_name: str, fraction: Callable[[], float]) -> Iterator[Optional[ProgressBar]]:
     """Yield a progress bar; None if standard error is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return
-    bar = ProgressBar(item_name, share, sys.stderr)
+    bar = ProgressBar(item_name, fraction, sys.stderr)
     try:
         yield bar
     finally:
@@ -155,6 +157,6 @@ def _format_rate(rate: float) -> str:
 
 
 def _format_duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds_left = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+    return f"{hours}:{minutes:02}:{seconds_left:02}" if hours else f"{minutes}:{seconds_left:02}"

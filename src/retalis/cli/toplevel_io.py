@@ -21,8 +21,8 @@ from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Term, Var, deref, functor
 from ..prolog.terms.unification import compare
 
-_BINDING_PRIORITY = 699
-"""The highest priority that the right side of ``=`` may have."""
+_MAX_BINDING_PRIORITY = 699
+"""Maximum priority of the right side of ``=``."""
 
 _MAX_SUBTERMS = 1_000_000
 
@@ -56,7 +56,7 @@ def format_bindings(names: Dict[str, Var], operators: Operators) -> str:
                 numbervars=True,
                 spacing=True,
                 variable_names=variable_names,
-                priority=_BINDING_PRIORITY,
+                priority=_MAX_BINDING_PRIORITY,
             )
             chain.append(f"{group.names[-1]} = {text}")
         if chain:
@@ -88,18 +88,19 @@ def _name_variables(groups: List[_VariableGroup]) -> Dict[Var, str]:
     _count_occurrences((functor("", len(groups)), *[group.value for group in groups]), counts)
     # Generated names must not coincide with names of the goal.
     goal_names = {name for group in groups for name in group.names}
-    letters = (f"_{letter}" for letter in _generate_letters() if f"_{letter}" not in goal_names)
+    generated_names = (f"_{suffix}" for suffix in _generate_name_suffixes() if f"_{suffix}" not in goal_names)
     for var, count in counts.items():
         if var not in names_by_variable:
-            names_by_variable[var] = "_" if count == 1 else next(letters)
+            names_by_variable[var] = "_" if count == 1 else next(generated_names)
     return names_by_variable
 
 
-def _generate_letters() -> Iterator[str]:
-    number = 0
+def _generate_name_suffixes() -> Iterator[str]:
+    """Yield A, B, ..., Z, A1, B1, ...."""
+    index = 0
     while True:
-        yield f"{chr(65 + number % 26)}{number // 26 or ''}"
-        number += 1
+        yield f"{chr(65 + index % 26)}{index // 26 or ''}"
+        index += 1
 
 
 def _visit_leaves(term: Term, visit: Callable[[Term], None]) -> bool:
@@ -168,8 +169,8 @@ class TerminalInput:
 
     is_terminal = True
 
-    def __init__(self, names: Callable[[], Iterable[str]]):
-        self._list_names = names
+    def __init__(self, list_names: Callable[[], Iterable[str]]):
+        self._list_names = list_names
         self.unread_text = ""
         self._candidates: List[str] = []
         self._set_up_readline()
@@ -178,7 +179,7 @@ class TerminalInput:
         try:
             import readline  # noqa: PLC0415 - not every Python has it
         except ImportError:
-            # A Python without it: plain lines.
+            # Without readline, lines are read without editing.
             return
         readline.set_completer(self._complete)
         # All characters that cannot be part of an unquoted atom.
@@ -190,15 +191,15 @@ class TerminalInput:
             # There is no history yet.
             pass
         except Exception:
-            # Another library than GNU readline on a terminal that it does not support.
+            # Other readline libraries raise other errors on unsupported terminals.
             return
         readline.set_history_length(2000)
         atexit.register(_save_history)
 
-    def _complete(self, text: str, number: int) -> Optional[str]:
-        if number == 0:
-            self._candidates = completions(text, self._list_names())
-        return self._candidates[number] if number < len(self._candidates) else None
+    def _complete(self, text: str, index: int) -> Optional[str]:
+        if index == 0:
+            self._candidates = find_completions(text, self._list_names())
+        return self._candidates[index] if index < len(self._candidates) else None
 
     def read_line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end (ctrl-D)."""
@@ -213,7 +214,7 @@ class TerminalInput:
         while True:
             key = _read_key()
             if key in ("h", "?"):
-                print("\n; or blank: more solutions, return or . : enough")
+                print("\n; or blank: more solutions, return or . : stop")
             else:
                 return key in (";", " ", "\t", "n", "r")
 
@@ -233,7 +234,7 @@ def _read_key() -> str:
         import termios  # noqa: PLC0415 - not every system has it
         import tty  # noqa: PLC0415 - not every system has it
     except ImportError:
-        # A system without termios: the first character of a line.
+        # Without termios, the first character of the next line is used.
         return input()[:1]
     stdin = sys.stdin.fileno()
     settings = termios.tcgetattr(stdin)
@@ -246,7 +247,7 @@ def _read_key() -> str:
         termios.tcsetattr(stdin, termios.TCSADRAIN, settings)
 
 
-def completions(text: str, names: Iterable[str]) -> List[str]:
+def find_completions(text: str, names: Iterable[str]) -> List[str]:
     """Return the names that begin with a text."""
     if not _PLAIN_ATOM.match(text):
         return []
@@ -254,31 +255,33 @@ def completions(text: str, names: Iterable[str]) -> List[str]:
 
 
 def read_clause(
-    lines: Union[PipedInput, TerminalInput], logic: PrologSystem, prompt: str
+    source: Union[PipedInput, TerminalInput], logic: PrologSystem, prompt: str
 ) -> Optional[ParsedTerm]:
     """Return the next term of the input, a `SyntaxFault`, or None at the end.
 
     Text after the term's full stop in the same line is stored for the next call; after an error it is discarded.
     """
-    incomplete, lines.unread_text = lines.unread_text, ""
+    unparsed_text, source.unread_text = source.unread_text, ""
     while True:
         # Only a full stop can complete a term.
-        if "." in incomplete:
-            program = read_program(incomplete, logic.operators, "user", _get_read_flags(logic))
+        if "." in unparsed_text:
+            program = read_program(unparsed_text, logic.operators, "user", _get_read_flags(logic))
             term = next(iter(program), None)
             if term is None:
                 # Comments only.
-                incomplete = ""
-            elif not _is_incomplete(term, incomplete):
-                if not isinstance(term, SyntaxFault) and incomplete[program.end :].strip():
-                    lines.unread_text = incomplete[program.end :]
+                unparsed_text = ""
+            elif not _is_incomplete(term, unparsed_text):
+                if not isinstance(term, SyntaxFault) and unparsed_text[program.end :].strip():
+                    source.unread_text = unparsed_text[program.end :]
                 return term
-        elif not incomplete.strip():
-            incomplete = ""
-        line = lines.read_line("|    " if incomplete.strip() else prompt)
+        elif not unparsed_text.strip():
+            unparsed_text = ""
+        line = source.read_line("|    " if unparsed_text.strip() else prompt)
         if line is None:
-            return next(iter(read_program(incomplete, logic.operators, "user", _get_read_flags(logic))), None)
-        incomplete += line
+            return next(
+                iter(read_program(unparsed_text, logic.operators, "user", _get_read_flags(logic))), None
+            )
+        unparsed_text += line
 
 
 def _is_incomplete(term: ParsedTerm, text: str) -> bool:

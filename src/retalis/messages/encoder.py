@@ -4,9 +4,9 @@ The generated function unpacks a term with tuple assignments, compares all funct
 run of slots of fixed size with one `struct` call. It accepts only the forms that decoded events have: numbers, lists,
 atoms for strings, and lazy arrays, whose bytes are copied without decoding them.
 
-Any exception of the fast function leads to `ValidatingEncoder`, which accepts every allowed form (Prolog strings,
-byte lists, ``datime`` terms, ``inf``) and reports the slot and the expected type for others. Errors are therefore
-detailed without checks in the fast function.
+Any exception of the generated function leads to `ValidatingEncoder`, which accepts every allowed form (Prolog
+strings, byte lists, ``datime`` terms, ``inf``) and reports the slot and the expected type for others. The generated
+function needs no code for error messages.
 """
 
 from struct import Struct, pack
@@ -45,7 +45,7 @@ class Encoder:
 
     def __init__(self, definition: Definition):
         self.definition = definition
-        self.encode: Callable[..., bytes] = _compile_encode(definition)
+        self.encode: Callable[..., bytes] = _compile_encoder(definition)
 
 
 class _UnusualForm(Exception):
@@ -53,9 +53,10 @@ class _UnusualForm(Exception):
 
 
 class _PackedTexts(Cache[Atom, bytes]):
-    """Cache of the bytes of atoms that stand for strings, with the length before them."""
+    """Cache of serialized strings (length and bytes) by atom."""
 
-    def read(self, term: Term) -> bytes:
+    def serialize(self, term: Term) -> bytes:
+        """Return the serialized string of a term, and store it if the term is an atom."""
         encoded_bytes = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
         if encoded_bytes is None:
             raise _UnusualForm
@@ -65,93 +66,94 @@ class _PackedTexts(Cache[Atom, bytes]):
         )
 
 
-_packed_texts = _PackedTexts(2048, 1 << 20, 1024)
+_packed_texts = _PackedTexts(max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
 
 # Unpacking a term of an unexpected form raises one of these. They select the validating encoder, which raises the
 # error for the caller.
 _FALLBACK_ERRORS = (_UnusualForm, MessageError, ValueError, TypeError, KeyError, StructError, OverflowError)
 
 
-class _EncoderSource:
+class _EncoderGenerator:
     """Generator of the encoding function of one message type.
 
     Attributes:
         lines: the statements that unpack the term.
         checks: conditions under which the term is not a message of the usual form.
         chunks: expressions of the bytes of the message, in order.
-        format: `struct` codes of the current run of slots of fixed size.
-        values: variables of the values of the run.
-        names: the globals of the function.
+        run_format: `struct` codes of the current run of slots of fixed size.
+        run_values: variables of the values of the run.
+        globals: the globals of the function.
+        new_name: returns a new variable name with a prefix; with a value, a global name that is bound to it.
     """
 
     def __init__(self) -> None:
         self.lines: List[str] = []
         self.checks: List[str] = []
         self.chunks: List[str] = []
-        self.format = ""
-        self.values: List[str] = []
+        self.run_format = ""
+        self.run_values: List[str] = []
         bound_names = codegen.BoundNames(
             {
                 "C": CONS,
                 "N": NIL,
                 "bools": _BOOLS,
                 "packed": _packed_texts.get,
-                "read": _packed_texts.read,
-                "Unusual": _UnusualForm,
+                "serialize": _packed_texts.serialize,
+                "UnusualForm": _UnusualForm,
                 "errors": _FALLBACK_ERRORS,
                 "join": b"".join,
             }
         )
-        self.names, self.name = bound_names.values, bound_names.name
+        self.globals, self.new_name = bound_names.values, bound_names.name
 
-    # The following methods add the source that encodes a value, given the variable that contains its term.
+    # `value` is the name of the variable that contains the term to encode.
 
-    def message(self, definition: Definition, value: str) -> None:
+    def add_message(self, definition: Definition, value: str) -> None:
         """Add a message: unpack its slots, check its functor, and add the slots."""
         if not definition.fields:
-            self.checks.append(f"{value} is not {self.name('A', atom(definition.functor_name))}")
+            self.checks.append(f"{value} is not {self.new_name('A', atom(definition.functor_name))}")
             return
-        head = self.name("f")
-        parts = [self.name("v") for _ in definition.fields]
-        self.lines.append(f"{head}, {', '.join(parts)} = {value}")
+        functor_variable = self.new_name("f")
+        slot_variables = [self.new_name("v") for _ in definition.fields]
+        self.lines.append(f"{functor_variable}, {', '.join(slot_variables)} = {value}")
         expected_functor = functor(definition.functor_name, len(definition.fields))
-        self.checks.append(f"{head} is not {self.name('F', expected_functor)}")
-        for slot, part in zip(definition.fields, parts):
-            self.slot(slot, part)
+        self.checks.append(f"{functor_variable} is not {self.new_name('F', expected_functor)}")
+        for slot, variable in zip(definition.fields, slot_variables):
+            self.add_slot(slot, variable)
 
-    def slot(self, slot: Field, value: str) -> None:
+    def add_slot(self, slot: Field, value: str) -> None:
         """Add a slot: a single value or an array."""
         if slot.length is None:
-            self.single(slot, value)
+            self.add_value(slot, value)
         elif slot.is_bytes:
-            self.blob(slot, value)
+            self.add_bytes(slot, value)
         # Short arrays are unpacked in the generated code and packed with the numbers around them.
         elif 0 < slot.length <= MAX_EAGER_ELEMENTS and slot.definition is None and slot.type != "string":
-            for item in self.items(value, slot.length):
-                self.single(slot, item)
+            for item in self.unpack_list(value, slot.length):
+                self.add_value(slot, item)
         else:
-            self.chunk(f"{self.name('array', _array_packer(slot))}({value})")
+            self.add_expression(f"{self.new_name('array', _array_packer(slot))}({value})")
 
-    def single(self, slot: Field, value: str) -> None:
+    def add_value(self, slot: Field, value: str) -> None:
         """Add a single value of a slot's type."""
         if slot.definition is not None:
-            self.message(slot.definition, value)
+            self.add_message(slot.definition, value)
         elif slot.type == "string":
             # A cached string is at least the four bytes of its length, so a false value means a miss.
-            self.chunk(f"(packed({value}) or read({value}))")
+            self.add_expression(f"(packed({value}) or serialize({value}))")
         elif slot.type in TIMES:
-            for item in self.items(value, 2):
-                self.fixed(TIMES[slot.type][0], item)
+            for item in self.unpack_list(value, 2):
+                self.add_fixed(TIMES[slot.type][0], item)
         elif slot.type == "bool":
-            self.fixed("?", f"bools[{value}]")
+            self.add_fixed("?", f"bools[{value}]")
         else:
-            self.fixed(PRIMITIVES[slot.type], value)
+            self.add_fixed(PRIMITIVES[slot.type], value)
 
-    def items(self, value: str, count: int) -> List[str]:
+    def unpack_list(self, value: str, count: int) -> List[str]:
         """Unpack a list of a known length; return the variables of its items."""
-        items = [self.name("v") for _ in range(count)]
-        ends = [self.name("c") for _ in range(count)]
-        last = self.name("e")
+        items = [self.new_name("v") for _ in range(count)]
+        ends = [self.new_name("c") for _ in range(count)]
+        last = self.new_name("e")
         pattern = last
         for item, end in zip(reversed(items), reversed(ends)):
             pattern = f"({end}, {item}, {pattern})"
@@ -160,70 +162,72 @@ class _EncoderSource:
         self.checks += [f"{end} is not C" for end in ends] + [f"{last} is not N"]
         return items
 
-    def blob(self, slot: Field, value: str) -> None:
+    def add_bytes(self, slot: Field, value: str) -> None:
         """Add an array of bytes."""
-        packed = f"(packed({value}) or read({value}))"
+        packed = f"(packed({value}) or serialize({value}))"
         if slot.length == VARIABLE_LENGTH:
-            self.chunk(packed)
+            self.add_expression(packed)
             return
-        encoded_bytes = self.name("v")
+        encoded_bytes = self.new_name("v")
         # The cache includes the length, which an array of fixed length does not have on the wire.
         self.lines.append(f"{encoded_bytes} = {packed}[4:]")
         self.checks.append(f"len({encoded_bytes}) != {slot.length}")
-        self.chunk(encoded_bytes)
+        self.add_expression(encoded_bytes)
 
-    def fixed(self, code: str, value: str) -> None:
+    def add_fixed(self, code: str, value: str) -> None:
         """Add a value to the run, by its `struct` code."""
-        self.format += code
-        self.values.append(value)
+        self.run_format += code
+        self.run_values.append(value)
 
-    def flush(self) -> None:
+    def end_run(self) -> None:
         """End the run: add the expression that packs it."""
-        if self.format:
-            packer = self.name("S", Struct("<" + self.format).pack)
-            self.chunks.append(f"{packer}({', '.join(self.values)})")
-            self.format, self.values = "", []
+        if self.run_format:
+            packer = self.new_name("S", Struct("<" + self.run_format).pack)
+            self.chunks.append(f"{packer}({', '.join(self.run_values)})")
+            self.run_format, self.run_values = "", []
 
-    def chunk(self, source: str) -> None:
+    def add_expression(self, source: str) -> None:
         """Add an expression of bytes."""
-        self.flush()
+        self.end_run()
         self.chunks.append(source)
 
-    def result(self) -> str:
+    def result_expression(self) -> str:
         """Return the expression of the message's bytes."""
-        self.flush()
+        self.end_run()
         if len(self.chunks) == 1:
             return self.chunks[0]
         return f"join(({', '.join(self.chunks)}))" if self.chunks else "b''"
 
-    def body(self) -> List[str]:
+    def statements(self) -> List[str]:
         """Return the statements of the function."""
         # All conditions are tested in one statement after unpacking. If one of them is true, the validating encoder
         # encodes the term.
-        result = self.result()
-        check = [f"if {' or '.join(self.checks)}: raise Unusual"] if self.checks else []
-        return [*self.lines, *check, f"return {result}"]
+        result = self.result_expression()
+        type_check = [f"if {' or '.join(self.checks)}: raise UnusualForm"] if self.checks else []
+        return [*self.lines, *type_check, f"return {result}"]
 
 
-def _compile_encode(definition: Definition) -> Callable[..., bytes]:
-    code = _EncoderSource()
-    code.message(definition, "term")
-    lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in code.body())]
-    lines += ["  except errors:", "    return check(term, topic)"]
-    code.names["check"] = ValidatingEncoder(definition).encode
-    encode: Callable[..., bytes] = codegen.function(lines, code.names, f"encode {definition.name}", "encode")
+def _compile_encoder(definition: Definition) -> Callable[..., bytes]:
+    generator = _EncoderGenerator()
+    generator.add_message(definition, "term")
+    lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in generator.statements())]
+    lines += ["  except errors:", "    return validate(term, topic)"]
+    generator.globals["validate"] = ValidatingEncoder(definition).encode
+    encode: Callable[..., bytes] = codegen.function(
+        lines, generator.globals, f"encode {definition.name}", "encode"
+    )
     return encode
 
 
 def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     """Return the function that packs an array's list, preceded by its length if that is variable."""
-    make = number_decoder(slot)
-    if make is not None:
-        return _number_packer(slot, make)
-    code = _EncoderSource()
-    code.single(slot._replace(length=None), "term")
-    lines = ["def encode(term):", *("  " + line for line in code.body())]
-    element = codegen.function(lines, code.names, f"encode element {slot.type}", "encode")
+    decoder = number_decoder(slot)
+    if decoder is not None:
+        return _number_packer(slot, decoder)
+    generator = _EncoderGenerator()
+    generator.add_value(slot._replace(length=None), "term")
+    lines = ["def encode(term):", *("  " + line for line in generator.statements())]
+    element = codegen.function(lines, generator.globals, f"encode element {slot.type}", "encode")
     length = slot.length
 
     def encode(term: Term) -> bytes:
@@ -238,14 +242,14 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     return encode
 
 
-def _number_packer(slot: Field, make: ArrayDecoder) -> Callable[[Term], bytes]:
+def _number_packer(slot: Field, decoder: ArrayDecoder) -> Callable[[Term], bytes]:
     code, length = PRIMITIVES[slot.type], slot.length
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:
-        # An array term has the bytes of the numbers, which are copied. An equal `make` means that the
-        # elements have the same type.
-        if term.__class__ is Lazy and term.make is make:
+        # An array term has the bytes of the numbers, which are copied. The same decoder means that
+        # the elements have the same type.
+        if term.__class__ is Lazy and term.make is decoder:
             encoded_bytes = bytes(term.source)
             count = len(encoded_bytes) // size
         else:

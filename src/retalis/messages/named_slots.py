@@ -4,7 +4,8 @@ Programs may write a message with named slots (``T{a: X}``). `SlotNames` supplie
 default values. If the name is not a message, it suggests the messages that the name is another notation of
 (``Temperature``, ``sensor_msgs/Temperature``, ``sensor_msgs_Temperature``) or that are spelt like it.
 
-`positional`, `by_names` and `zero` print a type as a term that can be pasted into a program.
+`format_positional`, `format_with_names` and `format_with_zeros` print a type as a term that can be pasted into a
+program.
 """
 
 from difflib import get_close_matches
@@ -176,10 +177,10 @@ class _TemplateLine(NamedTuple):
     comment: str = ""
 
 
-def positional(definition: Definition) -> str:
+def format_positional(definition: Definition) -> str:
     """Return the term of a type with a variable for each slot, and the slots with their sizes as comments.
 
-    >>> print(positional(Definitions().find("std_msgs/Header")), end="")
+    >>> print(format_positional(Definitions().find("std_msgs/Header")), end="")
     std_msgs__0__Header(  % 16 bytes or more
         Seq,              % seq: uint32, 4 bytes
         [Sec, NSec],      % stamp: time, 8 bytes
@@ -189,10 +190,10 @@ def positional(definition: Definition) -> str:
     return _Template(named=False).text(definition)
 
 
-def by_names(definition: Definition) -> str:
+def format_with_names(definition: Definition) -> str:
     """Return the same term with named slots; slots that do not matter can be deleted from it.
 
-    >>> print(by_names(Definitions().find("std_msgs/Header")), end="")
+    >>> print(format_with_names(Definitions().find("std_msgs/Header")), end="")
     std_msgs__0__Header{     % 16 bytes or more
         seq: Seq,            % uint32, 4 bytes
         stamp: [Sec, NSec],  % time, 8 bytes
@@ -202,11 +203,11 @@ def by_names(definition: Definition) -> str:
     return _Template(named=True).text(definition)
 
 
-def zero(definition: Definition, definitions: Definitions) -> str:
+def format_with_zeros(definition: Definition, definitions: Definitions) -> str:
     """Return the message of a type with default values, on one line.
 
     >>> definitions = Definitions()
-    >>> print(zero(definitions.find("std_msgs/Header"), definitions), end="")
+    >>> print(format_with_zeros(definitions.find("std_msgs/Header"), definitions), end="")
     std_msgs__0__Header(0,[0,0],'""')
     """
     return write_term(copy(definitions.decoder(definition).decode(bytes(definition.measure.min_size)))) + "\n"

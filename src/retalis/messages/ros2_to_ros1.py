@@ -42,7 +42,7 @@ from .type_definition import (
     measure_of,
     split_sections,
 )
-from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, Installed
+from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, InstalledTypes
 
 FindText = Callable[[str], Optional[str]]
 """Function that returns the definition of ``pkg/Type`` with its nested types, in ROS 2 or ROS 1 form, or None."""
@@ -103,7 +103,7 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
     parts = [types[name].text]
     parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
     # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
-    registry = Definitions(Installed([], [], rosbags=False))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
     definition = registry.add(name, "".join(parts))
     wide_slots = frozenset(
         (type_name, slot) for type_name, section in types.items() for slot in section.wide_slots

@@ -1,6 +1,6 @@
 """Registry of message types: received definitions, and definitions that are installed on the system.
 
-`Installed` finds the definition of a type in the classes that genpy has generated, in ``.msg`` files, and in the
+`InstalledTypes` finds the definition of a type in the classes that genpy has generated, in ``.msg`` files, and in the
 package ``rosbags``. `Definitions` resolves nested types, compiles decoders and encoders once per version of a type,
 and bounds the memory of types that publishers send.
 
@@ -115,7 +115,7 @@ class InstalledType(NamedTuple):
     generated: Optional[GeneratedClass] = None
 
 
-class Installed:
+class InstalledTypes:
     """Message definitions that are installed on the system.
 
     They are searched in this order:
@@ -132,7 +132,7 @@ class Installed:
     Args:
         packages: folders that contain packages, instead of the standard ones.
         modules: folders of Python modules, instead of the module path.
-        rosbags: if ``rosbags`` is searched.
+        include_rosbags: whether the types of ``rosbags`` are included.
         extra_folders: folders that are searched first; each is a package or contains packages.
         inspect_class: inspects generated classes; none are used by default.
     """
@@ -141,7 +141,7 @@ class Installed:
         self,
         packages: Optional[Sequence[str]] = None,
         modules: Optional[Sequence[str]] = None,
-        rosbags: bool = True,
+        include_rosbags: bool = True,
         extra_folders: Sequence[str] = (),
         inspect_class: Optional[InspectClass] = None,
     ):
@@ -151,21 +151,21 @@ class Installed:
         # Without a function that imports them, generated modules are of no use.
         module_folders = () if inspect_class is None else sys.path if modules is None else modules
         self._module_folders = list(dict.fromkeys(module_folders))
-        self._rosbags = rosbags
+        self._include_rosbags = include_rosbags
 
     def types(self, package: str) -> List[str]:
         """Return the names of the types of a package in alphabetical order; empty for an unknown package."""
         folders = [*self._extra_folders.message_folders(package), *self._folders.message_folders(package)]
         folders += [os.path.join(folder, package, "msg") for folder in self._module_folders]
         names = {name for folder in folders for name in _type_names(folder)}
-        return sorted(names.union(_rosbags_types().get(package, ())) if self._rosbags else names)
+        return sorted(names.union(_rosbags_types().get(package, ())) if self._include_rosbags else names)
 
     def packages(self) -> List[str]:
         """Return the names of the packages that have messages, in alphabetical order."""
         names = {*self._extra_folders.packages(), *self._folders.packages()}
         for folder in self._module_folders:
             names.update(_packages_with_messages(folder))
-        return sorted(names.union(_rosbags_types()) if self._rosbags else names)
+        return sorted(names.union(_rosbags_types()) if self._include_rosbags else names)
 
     def text(self, name: str) -> Optional[Tuple[str, str]]:
         """Return the text of a type and its source, or None if the type is not installed.
@@ -195,7 +195,7 @@ class Installed:
                 import_error = error
         if installed_type is None:
             installed_type = self._folders.read(package, type_name)
-        if installed_type is None and self._rosbags:
+        if installed_type is None and self._include_rosbags:
             installed_type = _rosbags_type(package, type_name)
         if installed_type is None and import_error is not None:
             raise import_error
@@ -406,8 +406,8 @@ class Definitions:
         bare: limit for zero-byte elements in a message (elements of arrays whose type has no slots).
     """
 
-    def __init__(self, installed: Optional[Installed] = None, bare: int = MAX_EMPTY_ELEMENTS):
-        self._installed = Installed() if installed is None else installed
+    def __init__(self, installed: Optional[InstalledTypes] = None, bare: int = MAX_EMPTY_ELEMENTS):
+        self._installed = InstalledTypes() if installed is None else installed
         self._max_empty_elements = bare
         self._characters = 0
         self._added: Dict[str, Definition] = {}
@@ -668,7 +668,7 @@ class _Resolver:
     def __init__(
         self,
         registry: Definitions,
-        installed: Installed,
+        installed: InstalledTypes,
         sections: Dict[str, str],
         in_progress: Optional[Set[str]] = None,
     ):

@@ -31,7 +31,7 @@ from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, 
 from ..foundation.errors import MessageError, beginning, counted, place_at, shortened
 from ..foundation.ros_names import ros1_type_name, topic_fault
 from ..messages.ros2_to_ros1 import Ros2Type, ros2_type
-from ..messages.type_registry import Installed
+from ..messages.type_registry import InstalledTypes
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, unpack, zstd_reader
 from .rosbag1 import BagError, PathLike, Record, Topic
 
@@ -698,7 +698,7 @@ class _Types:
         self._typesys: Any = typesys
         # Types of ROS 2 that bags without definitions refer to.
         self._ros2_store: Any = typesys.get_typestore(typesys.Stores.LATEST)
-        self._installed = Installed()
+        self._installed = InstalledTypes()
         self._by_definition: Dict[Tuple[str, str], Ros2Type] = {}
 
     def source(self, connection: Connection) -> _ConvertedTopic:

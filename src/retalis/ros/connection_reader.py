@@ -264,7 +264,7 @@ def read_in_batches(subscriber: Any, handler_factory: BatchHandlerFactory, max_d
         or rospy_add_connection is None
         or getattr(topic, "data_class", None) is not rospy.AnyMsg
     ):
-        # This process subscribed the topic by its class before (rospy itself subscribes ``/clock``).
+        # This process subscribed to the topic by its class before (rospy itself uses ``/clock``).
         return
     if not _are_callbacks(getattr(topic, "callbacks", None)):
         return

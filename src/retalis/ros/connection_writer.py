@@ -1,7 +1,7 @@
 """Publishing of serialized messages to the connections of a topic, without generated message classes.
 
 rospy passes each message to a thread per connection: two more wake-ups, and two more changes of the interpreter lock.
-An `Outlet` writes to the sockets in the caller's thread instead. Bytes that a socket does not accept at once are
+A `TopicWriter` writes to the sockets in the caller's thread instead. Bytes that a socket does not accept at once are
 written by a thread, which exists only while its subscriber is slower than the publisher. Messages that arrive
 meanwhile are queued; if the queue is full, the oldest are dropped for this subscriber alone.
 
@@ -43,8 +43,8 @@ def serialized_class(definition: Definition) -> Type[rospy.AnyMsg]:
 def serialized_bytes(message: Any) -> bytes:
     """Return the serialized form of a message that rospy received.
 
-    The message is not a `rospy.AnyMsg` if this process subscribed the topic by its class before (rospy itself
-    subscribes ``/clock``).
+    The message is not a `rospy.AnyMsg` if this process subscribed to the topic by its class before (rospy itself
+    subscribes to ``/clock``).
     """
     if isinstance(message, rospy.AnyMsg):
         data: bytes = message._buff
@@ -55,7 +55,7 @@ def serialized_bytes(message: Any) -> bytes:
 
 
 RECEIVER_WAIT_SECONDS = 5.0
-"""Seconds that a patient publisher waits for a receiver that reads nothing.
+"""Seconds that a publisher waits for a receiver that reads nothing.
 
 TCP announces free buffer space only after a part of a large buffer is free again: on a busy machine, a second or more
 after the data were read.
@@ -74,25 +74,25 @@ The queue has room again when they are written. A larger value would let a wait 
 receiver reads steadily.
 """
 
-PatienceRule = Callable[[Any], bool]
-"""Returns whether publishers wait for the receiver of a connection before messages are dropped for it."""
+WaitRule = Callable[[Any], bool]
+"""Returns whether the publisher waits for the receiver of a connection before messages are dropped for it."""
 
 
-def never_patient(connection: Any) -> bool:
-    """Return False: publishers wait for no receiver."""
+def never_wait(connection: Any) -> bool:
+    """Return False: the publisher waits for no receiver."""
     return False
 
 
-class Outlet:
-    """A published topic.
+class TopicWriter:
+    """Writer of messages to the connections of a published topic.
 
     Args:
         topic: name of the topic.
         message_class: class of the messages.
         queue_size: number of messages to queue for one receiver; beyond it the oldest are dropped for this receiver.
         reports: receives a warning for every dropped message.
-        is_patient: returns whether publishers wait for a receiver before messages are dropped for it, so that a burst
-            loses nothing. They wait as long as the receiver reads.
+        must_wait_for: returns whether the publisher waits for a receiver before messages are dropped for it, so that
+            a burst loses nothing. It waits as long as the receiver reads.
         latched: whether each new receiver gets the last message.
         listener: rospy listener for new receivers; ignored if the topic is latched.
     """
@@ -103,13 +103,13 @@ class Outlet:
         message_class: Any,
         queue_size: int,
         reports: Reports,
-        is_patient: PatienceRule = never_patient,
+        must_wait_for: WaitRule = never_wait,
         latched: bool = False,
         listener: Optional[rospy.SubscribeListener] = None,
     ):
         self._max_queued = queue_size
         self._reports = reports
-        self._is_patient = is_patient
+        self._must_wait_for = must_wait_for
         self._receivers: Dict[Any, _Receiver] = {}
         self.counts = OutputCounts()
         self._latch = _Latch(self) if latched else None
@@ -125,15 +125,15 @@ class Outlet:
         topic = self.publisher.impl
         return getattr(topic, "connections", None) or ()
 
-    def send(self, frames: bytes, count: int = 1) -> None:
-        """Write messages, framed as on the wire, to all connections; only one message if the topic is latched."""
+    def send(self, messages: bytes, count: int = 1) -> None:
+        """Write serialized messages to all connections; only one message if the topic is latched."""
         self.counts.sent += count
         if self._latch is not None:
-            self._latch.send(frames)
+            self._latch.send(messages)
             return
-        self.write(self.connections(), frames, count)
+        self.write(self.connections(), messages, count)
 
-    def write(self, connections: Any, frames: bytes, count: int = 1) -> None:
+    def write(self, connections: Any, messages: bytes, count: int = 1) -> None:
         """Write messages to some of the connections."""
         self._remove_ended()
         for connection in connections:
@@ -141,20 +141,20 @@ class Outlet:
             if receiver is None:
                 new_receiver = _Receiver(
                     connection,
-                    self._end,
+                    self._close_connection,
                     self.publisher.name,
                     self._max_queued,
                     self._reports,
-                    self._is_patient,
+                    self._must_wait_for,
                     self.counts,
                 )
                 receiver = self._receivers.setdefault(connection, new_receiver)
             try:
-                receiver.write(frames, count)
+                receiver.write(messages, count)
             except (TransportException, OSError) as error:
-                self._end(connection, error)
+                self._close_connection(connection, error)
 
-    def _end(self, connection: Any, error: Exception) -> None:
+    def _close_connection(self, connection: Any, error: Exception) -> None:
         """Close a connection that has ended."""
         rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
         try:
@@ -194,48 +194,48 @@ class _Latch(rospy.SubscribeListener):  # type: ignore[misc]
     `new_connections`.
     """
 
-    def __init__(self, outlet: Outlet):
+    def __init__(self, topic_writer: TopicWriter):
         super().__init__()
-        self._outlet = outlet
+        self._topic_writer = topic_writer
         self._last = b""
         self._lock = threading.Lock()
 
-    def send(self, frame: bytes) -> None:
+    def send(self, message: bytes) -> None:
         """Write a message to all connections, and store it."""
         with self._lock:
-            self._last = frame
-            self._outlet.write(self._outlet.connections(), frame)
+            self._last = message
+            self._topic_writer.write(self._topic_writer.connections(), message)
 
     def peer_subscribe(self, topic: str, publish: object, publish_to_peer: object) -> None:
         """Write the last message to new connections; rospy calls this."""
         with self._lock:
             if self._last:
-                self._outlet.write(self._outlet.new_connections(), self._last)
+                self._topic_writer.write(self._topic_writer.new_connections(), self._last)
 
 
 class _Receiver:
-    """The connection to one receiver, with a queue that is used while the receiver is slow."""
+    """Connection to one receiver, with a queue that is used while the receiver is slow."""
 
     def __init__(
         self,
         connection: Any,
-        end: Callable[[Any, Exception], None],
+        close_connection: Callable[[Any, Exception], None],
         topic: str,
         queue_size: int,
         reports: Reports,
-        is_patient: PatienceRule,
+        must_wait_for: WaitRule,
         counts: OutputCounts,
     ):
         self._counts = counts
         self._rospy_connection = connection
-        self._end = end
+        self._close_connection = close_connection
         self._connection = getattr(
             connection, "_connection", connection
-        )  # of rospy's QueuedConnection, whose thread stays asleep
+        )  # the connection inside rospy's QueuedConnection, whose thread remains idle
         self._topic = topic
         self._max_queued = queue_size
         self._reports = reports
-        self._is_patient = is_patient
+        self._must_wait_for = must_wait_for
         self._lock = threading.Lock()
         self._queue: Deque[Tuple[bytes, int]] = deque()
         self._queued_messages = 0
@@ -243,21 +243,21 @@ class _Receiver:
         self._is_writing = False
         """True while a thread is writing to the socket; other threads append to the queue meanwhile."""
 
-    def write(self, frames: bytes, count: int) -> None:
+    def write(self, messages: bytes, count: int) -> None:
         """Write messages, or queue them while a thread is writing."""
         sock = getattr(self._connection, "socket", None)
         if sock is None:
-            # Closed, or an unexpected type of connection, whose own method is used.
-            self._rospy_connection.write_data(frames)
+            # The connection is closed, or of an unexpected type, whose own method is used.
+            self._rospy_connection.write_data(messages)
             return
         if self._queued_messages >= self._max_queued:
             self._make_room()
         with self._lock:
             if self._is_writing:
-                self._queue.append((frames, count))
+                self._queue.append((messages, count))
                 self._queued_messages += count
                 return
-            unsent = self._write_without_blocking(sock, frames, count)
+            unsent = self._write_without_blocking(sock, messages, count)
             if unsent:
                 self._is_writing = True
                 thread = threading.Thread(target=self._write_all, args=(sock, unsent, count), daemon=True)
@@ -266,22 +266,22 @@ class _Receiver:
             else:
                 self._is_slow = False
 
-    def _write_without_blocking(self, sock: socket.socket, frames: bytes, count: int) -> bytes:
-        """Write as much as the socket accepts without blocking; return the rest."""
+    def _write_without_blocking(self, sock: socket.socket, messages: bytes, count: int) -> bytes:
+        """Write as many bytes as the socket accepts without blocking; return the other bytes."""
         try:
-            sent: int = sock.send(frames, socket.MSG_DONTWAIT)
+            sent: int = sock.send(messages, socket.MSG_DONTWAIT)
         except BlockingIOError:
-            return frames
-        self._add_statistics(sent, count if sent == len(frames) else 0)
-        return frames[sent:]
+            return messages
+        self._add_statistics(sent, count if sent == len(messages) else 0)
+        return messages[sent:]
 
     def _add_statistics(self, size: int, count: int) -> None:
         self._connection.stat_bytes += size
         self._connection.stat_num_msg += count
 
     def _make_room(self) -> None:
-        """Wait for a receiver that deserves patience; then drop the oldest messages if the queue is still full."""
-        if not self._is_slow and self._is_patient(self._rospy_connection):
+        """Wait for the receiver if the rule requires it; then drop the oldest messages if the queue is still full."""
+        if not self._is_slow and self._must_wait_for(self._rospy_connection):
             # A receiver that used up the wait once stays `_is_slow` until its queue has drained: otherwise each
             # further message would delay the publisher, and all other receivers, by the whole wait.
             self._wait_for_room()
@@ -326,17 +326,17 @@ class _Receiver:
             pass
         return self._connection.stat_bytes, bytes(unacknowledged)
 
-    def _write_all(self, sock: socket.socket, frames: bytes, count: int) -> None:
-        """Write a rest and then the queue until it is empty; run by a thread."""
+    def _write_all(self, sock: socket.socket, messages: bytes, count: int) -> None:
+        """Write the unsent bytes and then the queue until it is empty; run by a thread."""
         try:
-            while frames:
-                sock.sendall(frames)
-                self._add_statistics(len(frames), count)
-                frames, count = self._take_queued()
+            while messages:
+                sock.sendall(messages)
+                self._add_statistics(len(messages), count)
+                messages, count = self._dequeue()
         except OSError as error:
-            self._end(self._rospy_connection, error)
+            self._close_connection(self._rospy_connection, error)
 
-    def _take_queued(self) -> Tuple[bytes, int]:
+    def _dequeue(self) -> Tuple[bytes, int]:
         """Return the next queued frames, combined, and their number of messages; mark the thread as ended if none."""
         with self._lock:
             writes: List[Tuple[bytes, int]] = []

@@ -1,7 +1,7 @@
-"""Subscription of topics by goals of the program (``subscribe_to``), during loading or at run time.
+"""Subscription to topics by goals of the program (``subscribe_to``), during loading or at run time.
 
-If node ``retalis`` contains the ROS interface, it subscribes the topics itself. Otherwise it publishes the complete
-list of topics on a latched topic after each change, so that an interface node that is restarted receives it.
+If node ``retalis`` contains the ROS interface, it subscribes to the topics itself. Otherwise it publishes the
+complete list of topics on a latched topic after each change, so that an interface node that is restarted receives it.
 """
 
 import json
@@ -20,7 +20,7 @@ from .internal_topics import INPUT, OUTPUT, read_control_json, resolve
 from .ros_interface import RosInterface
 
 SUBSCRIPTIONS_TOPIC = "retalisSubscribe"
-"""Topic with the list of subscriptions: JSON, a list of [topic, type, name of the events]."""
+"""Topic with the list of subscriptions: JSON, a list of [topic, type, event name]."""
 
 
 class DynamicSubscriptions:
@@ -34,11 +34,11 @@ class DynamicSubscriptions:
         self._requests: SimpleQueue[TopicRequest] = SimpleQueue()
         self.request: Callable[[TopicRequest], None] = self._requests.put
 
-    def begin(self, interface: Optional[RosInterface]) -> None:
+    def start(self, interface: Optional[RosInterface]) -> None:
         """Execute the queued requests, and start the thread for later ones.
 
         Args:
-            interface: the ROS interface of this node; None if it is another node.
+            interface: the ROS interface of this node; None if the interface runs in another node.
         """
         execute = (
             _SubscriptionPublisher().publish_added
@@ -50,7 +50,7 @@ class DynamicSubscriptions:
             while not rospy.is_shutdown():
                 execute(self._requests.get())
 
-        # Requests of the program's loading are executed before this returns, as the topics of `pub_sub.xml` are.
+        # Requests of the program's loading are executed before this returns, as for the topics of `pub_sub.xml`.
         try:
             while True:
                 execute(self._requests.get_nowait())
@@ -77,7 +77,7 @@ class _SubscriptionPublisher:
 
 
 class SubscriptionReceiver:
-    """Receiver of the list of subscriptions in the interface node; subscribes each topic once.
+    """Receiver of the list of subscriptions in the interface node; it subscribes to each topic once.
 
     Args:
         interface: the ROS interface.
@@ -130,8 +130,8 @@ def _subscribe(interface: RosInterface, request: TopicRequest) -> None:
         rospy.logdebug("subscribe_to: topic %s: %s", beginning(request.topic), error)
 
 
-def subscribable_name(topic: str) -> str:
-    """Return the full name of a topic that a goal may subscribe.
+def resolve_subscribable_topic(topic: str) -> str:
+    """Return the full name of a topic that a goal may subscribe to.
 
     Raises:
         UsageError: if the name is invalid, or the topic belongs to the protocol between the nodes.

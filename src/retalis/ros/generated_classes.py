@@ -12,16 +12,16 @@ from typing import Any
 from roslib.message import get_message_class
 
 from ..foundation.errors import MessageError, shortened
-from ..messages.type_registry import GeneratedClass, Installed
+from ..messages.type_registry import GeneratedClass, InstalledTypes
 
 
-def installed_types(rosbags: bool = True) -> Installed:
+def installed_types(include_rosbags: bool = True) -> InstalledTypes:
     """Return the installed types, with those that only exist as generated classes.
 
     Args:
-        rosbags: whether types that only the package ``rosbags`` has are included.
+        include_rosbags: whether types that only the package ``rosbags`` has are included.
     """
-    return Installed(rosbags=rosbags, inspect_class=inspect_class)
+    return InstalledTypes(include_rosbags=include_rosbags, inspect_class=inspect_class)
 
 
 def inspect_class(name: str) -> GeneratedClass:
@@ -35,7 +35,7 @@ def inspect_class(name: str) -> GeneratedClass:
     """
     try:
         message_class: Any = get_message_class(name)
-    except Exception as error:  # a module raises anything, for example SyntaxError if it is for Python 2
+    except Exception as error:  # the import can raise any exception, for example SyntaxError for Python 2
         raise _import_error(name, error) from error
     if message_class is None:
         raise _import_error(name, _find_import_error(name))

@@ -23,7 +23,7 @@ from .diagnostics import Diagnostics, InputRole, NodeHealth, program_health
 from .dynamic_subscriptions import SubscriptionReceiver
 from .generated_classes import installed_types
 from .internal_topics import INPUT, OUTPUT
-from .latched_inputs import LatchedConnection
+from .latched_deduplication import LatchedConnection
 from .node_lifecycle import run_node
 from .parameters import Parameters
 from .projection_sync import ProjectionReceiver
@@ -31,7 +31,7 @@ from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface
 from .ros_log import log_error
 from .ros_time import Receipts, SimulatedTime
 from .services import InterfaceServices, ListService
-from .text_topics import TextPublisher
+from .text_topics import EventTextPublisher
 from .topic_statistics import OutputStatus, StartupWarnings
 
 MAX_DELAY_SECONDS = 0.0018
@@ -61,7 +61,9 @@ class InterfaceNode:
         rospy.on_shutdown(skew.log_counts)
         rospy.on_shutdown(reports.sum_up)
         self._receipts = Receipts(self._time.now)
-        self._texts = TextPublisher(INPUT, parameters.queue, reports, self._receipts.epoch, self._time.epochs)
+        self._texts = EventTextPublisher(
+            INPUT, parameters.queue, reports, self._receipts.epoch, self._time.epochs
+        )
         self._unread = ProjectionReceiver(self._texts.connections, reports)
         self._event_reader = EventReader()
         self._interface = RosInterface(
@@ -75,7 +77,7 @@ class InterfaceNode:
             latched=self._latched_handler_factory,
             clock_epochs=self._time.epochs,
         )
-        self._texts.begin(self._interface.processing_lock, self._interface.publishers)
+        self._texts.start_identification(self._interface.processing_lock, self._interface.publishers)
         self._time.begin([self._interface.processing_lock], skew.begin_epoch, self._texts.begin_epoch)
         errors: List[str] = []
         try:
@@ -84,7 +86,7 @@ class InterfaceNode:
             errors = log_error(error)
             topics = Topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
-        # Before `connect`: node retalis subscribes these topics itself, and each message must enter the engine
+        # Before `connect`: node retalis subscribes to these topics itself, and each message must enter the engine
         # once.
         self._interface.exclude(direct)
         connect(self._interface, topics, direct)
@@ -144,7 +146,7 @@ class InterfaceNode:
                 is_valid = header_stamp is not None or epoch == receipts.epoch()
                 return event_text(write_again(data), instant if is_valid else receipts.stamp())
 
-            message = connection.message(data)
+            message = connection.describe_message(data)
             self._texts.add_latched(event_text(text, instant), message, publisher, current_text, len(data))
 
         return handle

@@ -8,8 +8,8 @@ other node, the *peer*, starts or restarts. This module adds two guarantees:
 * the newest message of each latched topic is delivered to every new instance of the peer.
 
 Other subscribers (``rostopic echo``, a logger) receive the plain stream. To tell them apart, the module asks the
-master which node offers the peer's service in this namespace: connections carry no such information, and node names
-differ between launch files. Each node offers its services before it connects. A subscriber therefore starts as
+master which node offers the peer's service in this namespace: connections do not contain this information, and node
+names differ between launch files. Each node offers its services before it connects. A subscriber therefore starts as
 *unidentified*. It receives nothing until it has been identified, and then everything that it has missed.
 
 States of a subscriber::
@@ -17,7 +17,7 @@ States of a subscriber::
     unidentified --identify(is_peer=True)--> peer        backlog, latched messages, then the live stream
          |                                    |
          |                                    +-- disconnects --> buffering starts again
-         +------identify(is_peer=False)--> bystander     texts since it connected, then the live stream
+         +------identify(is_peer=False)--> third party   texts since it connected, then the live stream
 
 Batches of texts are numbered in publication order. Delivery never skips a batch, so one number per subscriber is
 enough to decide which batches it has missed.
@@ -48,7 +48,7 @@ import rospy
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import RetalisError
-from .connection_writer import Outlet
+from .connection_writer import TopicWriter
 
 MAX_BUFFERED_BYTES = 64_000_000
 """Limit for buffered texts, and separately for latched messages."""
@@ -57,7 +57,7 @@ MAX_LATCHED_MESSAGES = 1000
 """Limit for latched messages; there is at most one per topic and publisher."""
 
 MAX_IDENTIFICATION_ATTEMPTS = 10
-"""Attempts to identify a bystander as the peer while no peer is connected; it may still be registering."""
+"""Attempts to identify a third party as the peer while no peer is connected; it may still be registering."""
 
 IDENTIFICATION_INTERVAL_SECONDS = 1.0
 """Seconds between two attempts."""
@@ -84,18 +84,18 @@ INTERFACE = Peer("add_input_subscription", "the ROS interface")
 
 
 class _Batch(NamedTuple):
-    """Texts that are published together, framed as on the wire.
+    """Texts that are published together, as serialized messages.
 
     Attributes:
         number: number of the batch.
-        mark: frame that only the peer receives, before the texts.
-        frames: the texts.
+        mark: message that only the peer receives, before the texts.
+        messages: the texts.
         text_count: number of texts.
     """
 
     number: int
     mark: bytes
-    frames: bytes
+    messages: bytes
     text_count: int
 
 
@@ -103,11 +103,11 @@ class _Latched(NamedTuple):
     """The newest message of a latched topic, with the number of its batch and its size in bytes."""
 
     number: int
-    write: Callable[[], bytes]
+    serialize: Callable[[], bytes]
     size: int
 
 
-class _Bystander(NamedTuple):
+class _ThirdParty(NamedTuple):
     """A subscriber that is not the peer: the last batch before it connected, and the attempts to identify it."""
 
     connected_at: int
@@ -115,16 +115,16 @@ class _Bystander(NamedTuple):
 
 
 class LateJoinerBuffer:
-    """Delivers texts to the peer and to bystanders. Not thread-safe: the caller holds a lock.
+    """Buffer that delivers texts to the peer and to third parties. Not thread-safe: the caller holds a lock.
 
     Args:
-        outlet: the topic's connections.
+        topic_writer: writes to the connections of the topic.
         peer: the node that the texts are intended for.
-        queue: number of texts to buffer while the peer is absent; the oldest are dropped and reported.
+        queue_size: number of texts to buffer while the peer is absent; the oldest are dropped and reported.
         reports: receives a warning for every dropped text.
-        epoch: returns the number of times that simulated time has jumped back. Texts of an earlier run are
-            meaningless to a peer that starts now, so they are discarded.
-        greeting: returns the bytes that a new peer receives first, framed as on the wire; none by default.
+        epoch: returns the current clock epoch, see `ClockEpochs`. Texts of an earlier epoch are meaningless to a peer
+            that starts now, so they are discarded.
+        greeting: returns the serialized message that a new peer receives first; empty by default.
 
     Attributes:
         peer: see above.
@@ -132,19 +132,19 @@ class LateJoinerBuffer:
 
     def __init__(
         self,
-        outlet: Outlet,
+        topic_writer: TopicWriter,
         peer: Peer,
-        queue: int,
+        queue_size: int,
         reports: Reports,
         epoch: Callable[[], int] = int,
         greeting: Callable[[], bytes] = bytes,
     ):
         self.peer = peer
         self._greeting = greeting
-        self._outlet = outlet
-        self._queue = queue
+        self._topic_writer = topic_writer
+        self._queue_size = queue_size
         self._reports = reports
-        self._current_epoch = epoch
+        self._get_epoch = epoch
         self._epoch = 0
         self._last_batch = 0
         """Number of the last batch."""
@@ -152,7 +152,7 @@ class LateJoinerBuffer:
         """The list of connections at the last update."""
         self._unidentified: Dict[Any, int] = {}
         """Unidentified subscribers, each with the number of the last batch before it connected."""
-        self._bystanders: Dict[Any, _Bystander] = {}
+        self._third_parties: Dict[Any, _ThirdParty] = {}
         """Subscribers that are not the peer."""
         self._peers: List[Any] = []
         self._buffered: Deque[_Batch] = deque()
@@ -162,94 +162,97 @@ class LateJoinerBuffer:
         self._latched: Dict[Hashable, _Latched] = {}
         self._latched_bytes = 0
 
-    def send(self, frames: bytes, count: int, mark: bytes = b"", for_peer: bool = True) -> None:
+    def send(self, messages: bytes, count: int, mark: bytes = b"", for_peer: bool = True) -> None:
         """Send texts to all identified subscribers, and buffer them if a subscriber may have to catch up.
 
         Args:
-            frames: the texts, framed as on the wire.
+            messages: the texts, as serialized messages.
             count: number of texts.
-            mark: frame that only the peer receives, before the texts.
+            mark: message that only the peer receives, before the texts.
             for_peer: whether the peer needs the texts, so that they are buffered while it is absent.
         """
-        connections = self._outlet.connections()
+        connections = self._topic_writer.connections()
         # The connection list is replaced whenever a subscriber comes or goes, so comparing its identity is enough.
         # A dead peer may remain in an unchanged list; buffering must begin before rospy notices.
         if connections is not self._known_connections or not self._peers or has_ended(self._peers[0]):
             self._update_subscribers(connections)
         self._last_batch += 1
-        self._outlet.counts.sent += count
+        self._topic_writer.counts.sent += count
         if self._peers:
             self._last_delivered = self._last_batch
         if self._unidentified or not self._peers:
             # An unidentified subscriber receives the texts from the buffer when it has been identified, whether
             # the peer needs them or not.
             if self._unidentified or for_peer:
-                self._buffer(_Batch(self._last_batch, mark, frames, count))
-            connections = [*self._peers, *self._bystanders]
+                self._buffer(_Batch(self._last_batch, mark, messages, count))
+            connections = [*self._peers, *self._third_parties]
         if mark:
-            self._outlet.write(self._peers, mark + frames, count)
+            self._topic_writer.write(self._peers, mark + messages, count)
             connections = [connection for connection in connections if connection not in self._peers]
-        self._outlet.write(connections, frames, count)
+        self._topic_writer.write(connections, messages, count)
 
-    def latch(self, key: Hashable, write: Callable[[], bytes], size: int) -> None:
+    def latch(self, key: Hashable, serialize: Callable[[], bytes], size: int) -> None:
         """Store the latched message that the next call of `send` delivers, for peers that connect later.
 
         Args:
             key: topic and publisher; a newer message with the same key replaces this one.
-            write: returns the text with its mark, framed as on the wire.
+            serialize: returns the text with its mark, as serialized messages.
             size: size of the stored message in bytes.
         """
-        self._forget(key)
+        self._discard_latched(key)
         while self._latched and (
             len(self._latched) >= MAX_LATCHED_MESSAGES or self._latched_bytes + size > MAX_BUFFERED_BYTES
         ):
-            self._forget(next(iter(self._latched)))
+            self._discard_latched(next(iter(self._latched)))
             self._reports.warning(
                 f"too many latched messages: {self.peer.title} does not get the oldest one if it is started again"
             )
         # The message has the number of the batch that `send` is about to create: a peer that finds this batch in the
         # buffer must not receive the message a second time.
-        self._latched[key] = _Latched(self._last_batch + 1, write, size)
+        self._latched[key] = _Latched(self._last_batch + 1, serialize, size)
         self._latched_bytes += size
 
-    def latched(self) -> Dict[Hashable, int]:
+    def latched_batch_numbers(self) -> Dict[Hashable, int]:
         """Return the batch number of the stored latched message, by topic and publisher."""
         return {key: message.number for key, message in self._latched.items()}
 
-    def forget(self, latched: Dict[Hashable, int]) -> None:
+    def discard(self, latched: Dict[Hashable, int]) -> None:
         """Discard latched messages by key and batch number, unless newer ones have replaced them."""
         for key, number in latched.items():
             if key in self._latched and self._latched[key].number == number:
-                self._forget(key)
+                self._discard_latched(key)
 
-    def unidentified(self) -> List[Any]:
-        """Return the subscribers that have to be identified, in addition bystanders while no peer is connected."""
-        self._update_subscribers(self._outlet.connections())
+    def subscribers_to_identify(self) -> List[Any]:
+        """Return the unidentified subscribers and, while no peer is connected, third parties.
+
+        A third party may be the peer that has not registered its service yet.
+        """
+        self._update_subscribers(self._topic_writer.connections())
         if self._peers:
             return list(self._unidentified)
         return [
             *self._unidentified,
             *(
                 connection
-                for connection, bystander in self._bystanders.items()
-                if bystander.attempts < MAX_IDENTIFICATION_ATTEMPTS
+                for connection, third_party in self._third_parties.items()
+                if third_party.attempts < MAX_IDENTIFICATION_ATTEMPTS
             ),
         ]
 
-    def is_bystander(self, connection: Any) -> bool:
-        """Return whether a subscriber has been identified as a bystander."""
-        return connection in self._bystanders
+    def is_third_party(self, connection: Any) -> bool:
+        """Return whether a subscriber has been identified as a third party."""
+        return connection in self._third_parties
 
     def identify(self, connection: Any, is_peer: bool) -> None:
         """Record whether a subscriber is the peer, and send the texts that it has missed.
 
-        A bystander may be identified again, because a starting peer connects before the master lists its service.
+        A third party may be identified again, because a starting peer connects before the master lists its service.
         """
-        bystander = self._bystanders.pop(connection, None)
+        third_party = self._third_parties.pop(connection, None)
         connected_at = (
             self._unidentified.pop(connection, self._last_batch)
-            if bystander is None
-            else bystander.connected_at
+            if third_party is None
+            else third_party.connected_at
         )
         if is_peer:
             # A restarted peer has lost its state, but batches that the previous instance received are not sent again:
@@ -258,28 +261,30 @@ class LateJoinerBuffer:
             self._peers.append(connection)
             self._last_delivered = self._last_batch
         else:
-            self._bystanders[connection] = _Bystander(
-                connected_at, 1 if bystander is None else bystander.attempts + 1
+            self._third_parties[connection] = _ThirdParty(
+                connected_at, 1 if third_party is None else third_party.attempts + 1
             )
             missed = [batch for batch in self._buffered if batch.number > connected_at]
-        if bystander is not None:
-            # A former bystander has received the live stream since it was identified.
+        if third_party is not None:
+            # A former third party has received the live stream since it was identified.
             missed = [batch for batch in missed if is_peer and batch.number <= connected_at]
-        frames = [self._greeting()] if is_peer else []
+        messages = [self._greeting()] if is_peer else []
         for batch in missed:
-            frames += (batch.mark, batch.frames) if is_peer else (batch.frames,)
-        if any(frames):
-            self._outlet.write([connection], b"".join(frames), sum(batch.text_count for batch in missed))
+            messages += (batch.mark, batch.messages) if is_peer else (batch.messages,)
+        if any(messages):
+            self._topic_writer.write(
+                [connection], b"".join(messages), sum(batch.text_count for batch in missed)
+            )
         if self._peers and not self._unidentified:
             self._clear_buffer()
 
     def _backlog(self, after_batch: int) -> List[_Batch]:
         """Return the buffered batches after a batch, and the latched messages, in batch order, each once."""
         missed = {batch.number: batch for batch in self._buffered if batch.number > after_batch}
-        for key, (number, write, _) in self._latched.items():
+        for key, (number, serialize, _) in self._latched.items():
             if number not in missed:
                 try:
-                    missed[number] = _Batch(number, b"", write(), 1)
+                    missed[number] = _Batch(number, b"", serialize(), 1)
                 except RetalisError as error:
                     self._reports.error(error, key)
         return [missed[number] for number in sorted(missed)]
@@ -287,33 +292,35 @@ class LateJoinerBuffer:
     def _update_subscribers(self, connections: Any) -> None:
         """Update the sets of subscribers from the topic's connections."""
         self._known_connections = connections
-        alive = [connection for connection in connections if not has_ended(connection)]
-        self._peers = [connection for connection in self._peers if connection in alive]
-        self._bystanders = {
-            connection: bystander for connection, bystander in self._bystanders.items() if connection in alive
+        alive_connections = [connection for connection in connections if not has_ended(connection)]
+        self._peers = [connection for connection in self._peers if connection in alive_connections]
+        self._third_parties = {
+            connection: third_party
+            for connection, third_party in self._third_parties.items()
+            if connection in alive_connections
         }
         unidentified, self._unidentified = self._unidentified, {}
-        for connection in alive:
-            if connection not in self._peers and connection not in self._bystanders:
+        for connection in alive_connections:
+            if connection not in self._peers and connection not in self._third_parties:
                 self._unidentified[connection] = unidentified.get(connection, self._last_batch)
 
     def _buffer(self, batch: _Batch) -> None:
         # Texts of an earlier clock epoch refer to a time line that has ended; see `ClockEpochs`.
-        epoch = self._current_epoch()
+        epoch = self._get_epoch()
         if epoch != self._epoch:
             self._epoch = epoch
             self._clear_buffer()
         self._buffered.append(batch)
         self._buffered_texts += batch.text_count
-        self._buffered_bytes += len(batch.mark) + len(batch.frames)
-        while self._buffered_texts > self._queue or self._buffered_bytes > MAX_BUFFERED_BYTES:
+        self._buffered_bytes += len(batch.mark) + len(batch.messages)
+        while self._buffered_texts > self._queue_size or self._buffered_bytes > MAX_BUFFERED_BYTES:
             oldest = self._buffered.popleft()
             self._buffered_texts -= oldest.text_count
-            self._buffered_bytes -= len(oldest.mark) + len(oldest.frames)
+            self._buffered_bytes -= len(oldest.mark) + len(oldest.messages)
             # Batches that a peer has received are buffered only for unidentified subscribers, so their loss is no
             # loss of events.
             if oldest.number > self._last_delivered:
-                self._outlet.counts.dropped += oldest.text_count
+                self._topic_writer.counts.dropped += oldest.text_count
                 for _ in range(oldest.text_count):
                     self._reports.warning(
                         f"{self.peer.title} is not connected: the oldest event that is buffered for it is dropped"
@@ -323,14 +330,14 @@ class LateJoinerBuffer:
         self._buffered.clear()
         self._buffered_texts = self._buffered_bytes = 0
 
-    def _forget(self, key: Hashable) -> None:
+    def _discard_latched(self, key: Hashable) -> None:
         message = self._latched.pop(key, None)
         if message is not None:
             self._latched_bytes -= message.size
 
 
 class SubscriberIdentifier(rospy.SubscribeListener):  # type: ignore[misc]
-    """Identifies the subscribers of the texts.
+    """Identification of the subscribers of the texts, in a thread.
 
     A separate thread does it, because identification requires a call of the master, which may block for seconds.
     """
@@ -343,7 +350,7 @@ class SubscriberIdentifier(rospy.SubscribeListener):  # type: ignore[misc]
         """Wake the thread for a new subscriber; rospy calls this."""
         self._wake_up.set()
 
-    def begin(
+    def start(
         self,
         late_joiners: LateJoinerBuffer,
         lock: ContextManager[object],
@@ -372,20 +379,22 @@ class SubscriberIdentifier(rospy.SubscribeListener):  # type: ignore[misc]
 def _identify_all(
     late_joiners: LateJoinerBuffer, lock: ContextManager[object], publishers: Optional[Publishers]
 ) -> bool:
-    """Identify all unidentified subscribers; return whether none is left."""
+    """Identify all unidentified subscribers; return whether all are identified."""
     with lock:
-        unidentified, latched = late_joiners.unidentified(), late_joiners.latched()
+        unidentified, latched = late_joiners.subscribers_to_identify(), late_joiners.latched_batch_numbers()
     if not unidentified:
         return True
     # The master is asked without the lock: texts are sent meanwhile, and subscribers come and go.
     peers = nodes_offering(late_joiners.peer.service)
-    publishing: Collection[Hashable] = latched if publishers is None else publishers()
+    current_publishers: Collection[Hashable] = latched if publishers is None else publishers()
     with lock:
-        # A node that subscribed the topics itself would receive nothing from publishers that have gone.
-        late_joiners.forget({key: number for key, number in latched.items() if key not in publishing})
-        for connection in set(unidentified) & set(late_joiners.unidentified()):
+        # A node that subscribed to the topics itself would receive nothing from publishers that have gone.
+        late_joiners.discard(
+            {key: number for key, number in latched.items() if key not in current_publishers}
+        )
+        for connection in set(unidentified) & set(late_joiners.subscribers_to_identify()):
             late_joiners.identify(connection, getattr(connection, "endpoint_id", None) in peers)
-        return not late_joiners.unidentified()
+        return not late_joiners.subscribers_to_identify()
 
 
 def nodes_offering(service: str) -> Set[str]:

@@ -1,7 +1,7 @@
 """Commands for a running node: ``query``, ``explain``, ``list``, ``status``, ``watch``, ``reload``, ``console``.
 
-A `LiveNode` finds the node through the master and calls its services. The process itself becomes a ROS node only if
-it has to subscribe topics or run for long (``status``, ``watch``).
+A `NodeClient` finds the node through the master and calls its services. The process itself becomes a ROS node only if
+it subscribes to topics or runs until it is interrupted (``status``, ``watch``).
 """
 
 import argparse
@@ -35,10 +35,10 @@ from .master_watch import MasterWatch
 from .services import NO_DURATION
 
 ENGINE_SERVICE_SUFFIX = "/add_memory"
-"""End of the name of a service that every version of a node with an engine offers."""
+"""Suffix of a service that identifies nodes with an engine, in all versions."""
 
 INTERFACE_SERVICE_SUFFIX = "/add_input_subscription"
-"""End of the name of a service that every node with a ROS interface offers."""
+"""Suffix of a service that identifies nodes with a ROS interface."""
 
 MASTER_TIMEOUT_SECONDS = 5.0
 """Timeout in seconds for calls of the master."""
@@ -65,48 +65,55 @@ def master_state() -> MasterState:
         raise UsageError(f"no master answers at {uri}: start one (roscore), or set ROS_MASTER_URI") from error
     finally:
         socket.setdefaulttimeout(default_timeout)
-    return _by_name(published), _by_name(services)
+    return _nodes_by_name(published), _nodes_by_name(services)
 
 
-def _by_name(pairs: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
+def _nodes_by_name(pairs: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
     return {name: set(nodes) for name, nodes in pairs}
 
 
-def nodes_of(services: Dict[str, Set[str]], include_interfaces: bool = False) -> List[str]:
-    """Return the running nodes with an engine, on request also those that are only a ROS interface."""
+def engine_nodes(services: Dict[str, Set[str]], include_interfaces: bool = False) -> List[str]:
+    """Return the running nodes with an engine.
+
+    Args:
+        services: nodes that offer each service.
+        include_interfaces: whether nodes that are only a ROS interface are included.
+    """
     suffixes = (
         (ENGINE_SERVICE_SUFFIX, INTERFACE_SERVICE_SUFFIX) if include_interfaces else (ENGINE_SERVICE_SUFFIX,)
     )
     return sorted({node for name, nodes in services.items() if name.endswith(suffixes) for node in nodes})
 
 
-class LiveNode:
-    """A running node ``retalis``.
+class NodeClient:
+    """Client of the services of a running node ``retalis``.
 
     Args:
         requested_name: name of the node, relative to the namespace of environment variable ``ROS_NAMESPACE``; by
             default the only one that runs in that namespace.
-        interfaces: whether a node that is only a ROS interface may be named, too.
+        include_interfaces: whether a node that is only a ROS interface may be named, too.
 
     Attributes:
         name: full name of the node.
         has_engine: whether the node has an engine.
-        published: topics that the node publishes.
+        published_topics: topics that the node publishes.
 
     Raises:
         UsageError: if no master answers, or the node does not exist or is ambiguous.
     """
 
-    def __init__(self, requested_name: Optional[str] = None, interfaces: bool = False):
+    def __init__(self, requested_name: Optional[str] = None, include_interfaces: bool = False):
         topics, self._services = master_state()
         # A node is identified by its services, not by its name, which launch files may change.
-        engine_nodes = nodes_of(self._services)
+        nodes_with_engine = engine_nodes(self._services)
         if requested_name is None:
-            self.name = _only_node(engine_nodes)
+            self.name = _only_node(nodes_with_engine)
         else:
-            self.name = _node_named(requested_name, nodes_of(self._services, interfaces), self._services)
-        self.has_engine = self.name in engine_nodes
-        self.published = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
+            self.name = _resolve_node(
+                requested_name, engine_nodes(self._services, include_interfaces), self._services
+            )
+        self.has_engine = self.name in nodes_with_engine
+        self.published_topics = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
 
     def call(self, service: str, service_class: Any, **fields: Any) -> Any:
         """Call a service of the node; return the response.
@@ -126,7 +133,7 @@ class LiveNode:
             )
         return self._call(name, service_class, fields)
 
-    def call_shared(self, service: str, service_class: Any, **fields: Any) -> Any:
+    def call_relative_service(self, service: str, service_class: Any, **fields: Any) -> Any:
         """Call a service of the node with a relative name, which is found by the end of its full name."""
         for name, nodes in self._services.items():
             if name.endswith(f"/{service}") and self.name in nodes:
@@ -140,7 +147,7 @@ class LiveNode:
             raise UsageError(f"service {name} does not answer: {error}") from error
 
 
-def _node_named(requested_name: str, nodes: List[str], services: Container[str]) -> str:
+def _resolve_node(requested_name: str, nodes: List[str], services: Container[str]) -> str:
     """Return the full name of a node that a user has named."""
     name = str(
         rosgraph.names.resolve_name(
@@ -149,7 +156,7 @@ def _node_named(requested_name: str, nodes: List[str], services: Container[str])
     )
     if name not in nodes and f"{name}/list" not in services:
         # The ROS interface offers `list`, too.
-        raise UsageError(f"there is no node {name}; {_running_nodes(nodes)}")
+        raise UsageError(f"there is no node {name}; {_running_nodes_text(nodes)}")
     return name
 
 
@@ -160,15 +167,15 @@ def _only_node(nodes: List[str]) -> str:
     if len(in_namespace) == 1:
         return in_namespace[0]
     if in_namespace:
-        raise UsageError(f"which node? {_running_nodes(in_namespace)}; choose one by --node")
+        raise UsageError(f"which node? {_running_nodes_text(in_namespace)}; choose one by --node")
     if nodes:
         raise UsageError(
-            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_running_nodes(nodes)}"
+            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_running_nodes_text(nodes)}"
         )
-    raise UsageError(_running_nodes(nodes))
+    raise UsageError(_running_nodes_text(nodes))
 
 
-def _running_nodes(nodes: List[str]) -> str:
+def _running_nodes_text(nodes: List[str]) -> str:
     return f"those that run are {', '.join(nodes)}" if nodes else "no node retalis runs"
 
 
@@ -229,11 +236,11 @@ def solution_lines(response: Any) -> Iterator[str]:
 
 def _query(options: argparse.Namespace) -> int:
     response = check_result(
-        LiveNode(options.node).call(
+        NodeClient(options.node).call(
             "query",
             srv.Query,
             goal=options.goal,
-            max_solutions=options.most,
+            max_solutions=options.max_solutions,
             seconds=options.seconds,
             inferences=options.inferences,
             wait_for=options.wait_for,
@@ -248,7 +255,11 @@ def _query(options: argparse.Namespace) -> int:
         if not response.solutions:
             print("false")
     if not response.complete:
-        reason = "one answer holds no more" if len(response.solutions) < options.most else "see --most"
+        reason = (
+            "the size of a response is limited"
+            if len(response.solutions) < options.max_solutions
+            else "see --most"
+        )
         print(f"there are more solutions ({reason})", file=sys.stderr)
     return 0 if response.solutions else 1
 
@@ -262,7 +273,7 @@ def _time(seconds: float) -> genpy.Time:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    response = check_result(LiveNode(options.node).call("explain", srv.Explain, event=options.event))
+    response = check_result(NodeClient(options.node).call("explain", srv.Explain, event=options.event))
     if options.json:
         print(json.dumps({"happened": response.happened, "lines": response.lines}))
         return 0
@@ -277,7 +288,7 @@ def _print_all(lines: Iterator[str]) -> None:
 
 
 def _reload(options: argparse.Namespace) -> int:
-    response = check_result(LiveNode(options.node).call("reload", srv.Reload))
+    response = check_result(NodeClient(options.node).call("reload", srv.Reload))
     if options.json:
         print(json.dumps(response.changes))
     else:
@@ -285,7 +296,7 @@ def _reload(options: argparse.Namespace) -> int:
     return 0
 
 
-def _list_node(node: LiveNode) -> Dict[str, Any]:
+def _node_status(node: NodeClient) -> Dict[str, Any]:
     """Return the answer of a node's service ``~list``."""
     status: Dict[str, Any] = to_plain(check_result(node.call("list", srv.List)))
     del status["result"]
@@ -293,7 +304,7 @@ def _list_node(node: LiveNode) -> Dict[str, Any]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    status = _list_node(LiveNode(options.node, interfaces=True))
+    status = _node_status(NodeClient(options.node, include_interfaces=True))
     print(
         json.dumps(status) if options.json else "\n".join(map(printable, text_tables.format_record(status)))
     )
@@ -305,28 +316,28 @@ def _status(options: argparse.Namespace) -> int:
         raise UsageError(
             f"--every: expected a number above 0, up to {_MAX_STATUS_INTERVAL_SECONDS}, found {options.every:g}"
         )
-    node = LiveNode(options.node, interfaces=True)
-    once = options.once or not (sys.stdout.isatty() or options.json)
-    if once and options.json:
+    node = NodeClient(options.node, include_interfaces=True)
+    is_single_report = options.once or not (sys.stdout.isatty() or options.json)
+    if is_single_report and options.json:
         return _list(options)
-    if once:
-        before, listed_at = _list_node(node), monotonic()
+    if is_single_report:
+        previous, listed_at = _node_status(node), monotonic()
         sleep(options.every)
-        status = _list_node(node)
-        _print_all(_status_lines(node, before, status, monotonic() - listed_at))
+        status = _node_status(node)
+        _print_all(_status_lines(node, previous, status, monotonic() - listed_at))
         return 0
     with _ros_node("retalis_status") as output:
         _show_status(node, options, output)
     return 0
 
 
-def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
+def _show_status(node: NodeClient, options: argparse.Namespace, output: IO[str]) -> None:
     """Show the status of a node until the command is interrupted."""
-    before, listed_at, last_error = _list_node(node), monotonic(), ""
+    previous, listed_at, last_error = _node_status(node), monotonic(), ""
     while True:
         rospy.rostime.wallsleep(options.every)
         try:
-            status, now = _list_node(node), monotonic()
+            status, now = _node_status(node), monotonic()
         except UsageError as error:
             # The node or the master may return.
             if str(error) != last_error:
@@ -335,12 +346,12 @@ def _show_status(node: LiveNode, options: argparse.Namespace, output: IO[str]) -
             continue
         last_error = ""
         if options.json:
-            print(json.dumps(_with_event_rate(before, status, now - listed_at)), file=output, flush=True)
+            print(json.dumps(_with_event_rate(previous, status, now - listed_at)), file=output, flush=True)
         else:
             height = shutil.get_terminal_size().lines
-            lines = list(_status_lines(node, before, status, now - listed_at))[: height - 1]
+            lines = list(_status_lines(node, previous, status, now - listed_at))[: height - 1]
             print(_CLEAR + "\n".join(lines), end="", file=output, flush=True)
-        before, listed_at = status, now
+        previous, listed_at = status, now
 
 
 @contextmanager
@@ -357,33 +368,33 @@ def _ros_node(name: str) -> Iterator[IO[str]]:
 
 
 def _status_lines(
-    node: LiveNode, before: Dict[str, Any], status: Dict[str, Any], seconds: float
+    node: NodeClient, previous: Dict[str, Any], status: Dict[str, Any], seconds: float
 ) -> Iterator[str]:
     """Yield the lines of a node's status, cut at the width of the terminal."""
     columns = shutil.get_terminal_size().columns
-    for line in text_tables.format_status(before, status, seconds, columns, node.has_engine):
+    for line in text_tables.format_status(previous, status, seconds, columns, node.has_engine):
         yield printable(line)[:columns]
 
 
-def _with_event_rate(before: Dict[str, Any], status: Dict[str, Any], seconds: float) -> Dict[str, Any]:
+def _with_event_rate(previous: Dict[str, Any], status: Dict[str, Any], seconds: float) -> Dict[str, Any]:
     """Return the answer of a node's service ``~list``, with the rate of events."""
     # A restarted node counts from 0.
-    processed = max(0, status["taken"] - before["taken"])
+    processed = max(0, status["taken"] - previous["taken"])
     return {"node": status["node"], "events_a_second": round(processed / seconds, 1), **status}
 
 
 def _watch(options: argparse.Namespace) -> int:
-    node = LiveNode(options.node)
+    node = NodeClient(options.node)
     with _ros_node("retalis_watch") as output:
         _watch_node(node, options, output)
     return 0
 
 
-def _watch_node(node: LiveNode, options: argparse.Namespace, output: IO[str]) -> None:
+def _watch_node(node: NodeClient, options: argparse.Namespace, output: IO[str]) -> None:
     """Print the outputs of a node, with a temporary subscription for each requested event."""
     MasterWatch().start()
     received: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
-    outputs = next((topic for topic in node.published if topic.endswith(f"/{OUTPUT}")), None)
+    outputs = next((topic for topic in node.published_topics if topic.endswith(f"/{OUTPUT}")), None)
     if outputs is None:
         raise UsageError(f"node {node.name} publishes no {OUTPUT}")
     topic = f"{WATCH}{os.getpid()}"
@@ -391,24 +402,28 @@ def _watch_node(node: LiveNode, options: argparse.Namespace, output: IO[str]) ->
     if options.inputs:
         input_topic = outputs[: -len(OUTPUT)] + INPUT
         rospy.Subscriber(input_topic, String, lambda text: received.put(("input", text.data)))
-    # The subscriptions exist in the node: they have to be deleted by whatever way this process ends.
+    # The subscriptions exist in the node, so they must be deleted however this process ends. Under nohup, SIGHUP is
+    # ignored and must stay so.
     for signal_number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(signal_number) is not signal.SIG_IGN:
-            # Nohup ignores SIGHUP.
-            signal.signal(signal_number, _exit)
+            signal.signal(signal_number, _raise_system_exit)
     subscription_ids = []
     try:
         for index, pattern in enumerate(options.event):
             fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(index)}
-            check_result(node.call_shared("add_output_subscription", srv.AddOutputSubscription, **fields))
+            check_result(
+                node.call_relative_service("add_output_subscription", srv.AddOutputSubscription, **fields)
+            )
             subscription_ids.append(str(index))
         _print_received(received, topic, options, output)
     finally:
-        for name in subscription_ids:
-            node.call_shared("delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=name)
+        for subscription_id in subscription_ids:
+            node.call_relative_service(
+                "delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=subscription_id
+            )
 
 
-def _exit(signal_number: int, frame: Any) -> None:
+def _raise_system_exit(signal_number: int, frame: Any) -> None:
     """Exit after a signal, so that the subscriptions are deleted."""
     raise SystemExit(128 + signal_number)
 
@@ -416,33 +431,33 @@ def _exit(signal_number: int, frame: Any) -> None:
 def _print_received(received: Any, own_topic: str, options: argparse.Namespace, output: IO[str]) -> None:
     shown = 0
     while not options.count or shown < options.count:
-        kind, text = received.get()
+        source, text = received.get()
         topic = None
-        if kind == "output":
-            kind, topic, text = _output_parts(text)
+        if source == "output":
+            topic, text = _output_parts(text)
             if topic == own_topic:
-                kind, topic = "event", None
-            # The outputs of other `retalis watch` commands.
+                source, topic = "event", None
             elif topic.startswith(WATCH):
+                # An output of another `retalis watch` command.
                 continue
         shown += 1
         if options.json:
-            print(json.dumps({"kind": kind, "topic": topic, "term": text}), file=output, flush=True)
+            print(json.dumps({"kind": source, "topic": topic, "term": text}), file=output, flush=True)
         else:
-            print(f"{kind if topic is None else topic}: {printable(text)}", file=output, flush=True)
+            print(f"{source if topic is None else topic}: {printable(text)}", file=output, flush=True)
 
 
-def _output_parts(text: str) -> Tuple[str, str, str]:
-    """Return kind, topic and term of an output text ``event(TERM,TOPIC,ID)``."""
+def _output_parts(text: str) -> Tuple[str, str]:
+    """Return topic and term of an output text ``event(TERM,TOPIC,ID)``."""
     try:
         term: Any = deref(read_term(text, Operators.prolog(), OUTPUT).term)
-        return "output", write_term(term[2]), writeq(term[1])
+        return write_term(term[2]), writeq(term[1])
     except (RetalisError, IndexError, TypeError):
         # Any node may publish on this topic.
-        return "output", OUTPUT, text
+        return OUTPUT, text
 
 
-def names(category: str, node: Optional[str]) -> List[str]:
+def completion_names(category: str, node: Optional[str]) -> List[str]:
     """Return the names of the running nodes, or the ids of a node's memories, for completion in a shell.
 
     Raises:
@@ -450,8 +465,8 @@ def names(category: str, node: Optional[str]) -> List[str]:
     """
     try:
         if category == "nodes":
-            return list(nodes_of(master_state()[1]))
-        response = LiveNode(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
+            return list(engine_nodes(master_state()[1]))
+        response = NodeClient(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
     finally:
         rospy.signal_shutdown("done")
     return [binding.text for solution in response.solutions for binding in solution.bindings]
@@ -462,10 +477,14 @@ _MAX_TERMINAL_SOLUTIONS = 100
 
 
 def _console(options: argparse.Namespace) -> int:
-    """Run ``console --node``: goals are parsed here and solved by the node; the status is 1 after an error."""
+    """Run ``console --node``: goals are parsed here and solved by the node.
+
+    Returns:
+        The exit status: 1 after an error, 0 otherwise and always for a terminal.
+    """
     if options.files:
         raise UsageError("files are loaded where the console is: leave them out with --node")
-    console = LiveConsole(LiveNode(options.node), options.most)
+    console = NodeConsole(NodeClient(options.node), options.max_solutions)
     if options.goal:
         for goal in options.goal:
             console.solve_goals(
@@ -480,7 +499,7 @@ def _console(options: argparse.Namespace) -> int:
     return 1 if console.errors else 0
 
 
-class LiveConsole:
+class NodeConsole:
     """Top level whose goals are solved by a node.
 
     Args:
@@ -491,17 +510,17 @@ class LiveConsole:
         errors: number of errors.
     """
 
-    def __init__(self, node: LiveNode, max_solutions: int):
+    def __init__(self, node: NodeClient, max_solutions: int):
         self.node = node
         self.errors = 0
         self._max_solutions = max_solutions
         self._logic = PrologSystem()
 
-    def solve_goals(self, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
+    def solve_goals(self, source: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
         while True:
             try:
-                parsed = toplevel_io.read_clause(lines, self._logic, "?- ")
+                parsed = toplevel_io.read_clause(source, self._logic, "?- ")
                 if parsed is None:
                     return
                 if isinstance(parsed, SyntaxFault):
@@ -510,11 +529,11 @@ class LiveConsole:
                 goal = deref(parsed.term)
                 if isinstance(goal, Atom) and goal.name in toplevel_io.QUIT_GOALS:
                     return
-                self._solve(parsed, lines)
+                self._solve(parsed, source)
             except UsageError as error:
                 self._print_error(str(error))
             except KeyboardInterrupt:
-                lines.unread_text = ""
+                source.unread_text = ""
                 print("\n% interrupted", flush=True)
 
     def _print_error(self, text: str) -> None:
@@ -522,26 +541,26 @@ class LiveConsole:
         print(text, file=sys.stderr, flush=True)
 
     def _solve(
-        self, parsed: ReadTerm, lines: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]
+        self, parsed: ReadTerm, source: Union[toplevel_io.PipedInput, toplevel_io.TerminalInput]
     ) -> None:
-        names = {var: name for name, var in parsed.names.items()}
+        variable_names = {var: name for name, var in parsed.names.items()}
         # Parsed and written again: the node gets a single goal without comments, with the names of its variables.
-        goal = write_term(parsed.term, self._logic.operators, quoted=True, variable_names=names)
-        limit = _MAX_TERMINAL_SOLUTIONS if lines.is_terminal else self._max_solutions
+        goal = write_term(parsed.term, self._logic.operators, quoted=True, variable_names=variable_names)
+        limit = _MAX_TERMINAL_SOLUTIONS if source.is_terminal else self._max_solutions
         response = check_result(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
-        lines_shown = list(solution_lines(response))
-        for number, line in enumerate(lines_shown, 1):
-            print(printable(line), end="", flush=True)
-            if number == len(lines_shown) and response.complete:
+        solution_texts = list(solution_lines(response))
+        for number, text in enumerate(solution_texts, 1):
+            print(printable(text), end="", flush=True)
+            if number == len(solution_texts) and response.complete:
                 print(".")
-            elif number == len(lines_shown) or not lines.wants_more():
+            elif number == len(solution_texts) or not source.wants_more():
                 print(" .")
                 break
             else:
                 print(" ;", flush=True)
-        if not lines_shown:
+        if not solution_texts:
             print("false.")
-        elif not response.complete and number == len(lines_shown):
+        elif not response.complete and number == len(solution_texts):
             print("% there may be more")
 
 

@@ -12,7 +12,7 @@ from ..foundation.errors import MessageError, RetalisError, UsageError, beginnin
 from ..messages.encoder import Encoder
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Term
-from .connection_writer import Outlet, serialized_class
+from .connection_writer import TopicWriter, serialized_class
 from .internal_topics import OUTPUT, WATCH, resolve
 from .topic_statistics import OutputStatus
 
@@ -39,7 +39,7 @@ class OutputTopics:
         self._queue = queue
         self._reports = reports
         self._lock = threading.Lock()
-        self._typed: Dict[str, Tuple[Outlet, Encoder]] = {}
+        self._typed: Dict[str, Tuple[TopicWriter, Encoder]] = {}
         self._awaiting_type: Dict[str, Tuple[str, bool]] = {}
         """Unknown type and latching of topics that are not advertised yet, by topic."""
         self._logged_topics: Set[str] = set()
@@ -71,7 +71,10 @@ class OutputTopics:
 
     def status(self) -> List[OutputStatus]:
         """Return the counters of each topic."""
-        return [outlet.status(encoder.definition.name) for outlet, encoder in list(self._typed.values())]
+        return [
+            topic_writer.status(encoder.definition.name)
+            for topic_writer, encoder in list(self._typed.values())
+        ]
 
     def knows(self, message_type: str) -> bool:
         """Return whether a message type is known."""
@@ -85,8 +88,10 @@ class OutputTopics:
 
     def _advertise(self, name: str, message_type: str, latched: bool) -> None:
         definition = self._definitions.find(message_type)
-        outlet = Outlet(name, serialized_class(definition), self._queue, self._reports, latched=latched)
-        self._typed[name] = (outlet, self._definitions.encoder(definition))
+        topic_writer = TopicWriter(
+            name, serialized_class(definition), self._queue, self._reports, latched=latched
+        )
+        self._typed[name] = (topic_writer, self._definitions.encoder(definition))
 
     def advertise_learned(self) -> None:
         """Advertise the topics whose types have become known through a new connection to a publisher."""
@@ -112,9 +117,9 @@ class OutputTopics:
             if output is None:
                 self._report_unpublished(topic)
                 return
-            outlet, encoder = output
+            topic_writer, encoder = output
             data = encoder.encode(term, topic)
-            outlet.send(_SIZE.pack(len(data)) + data)
+            topic_writer.send(_SIZE.pack(len(data)) + data)
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
 

@@ -41,7 +41,7 @@ class NodeDashboard:
         allow_queries: whether users of the page may ask goals.
         engine: the engine to show.
         inputs: returns the counters of the topics that this node subscribes.
-        program_topics: topics of the program, whichever node subscribes them.
+        program_topics: topics of the program, whichever node subscribes to them.
         event_names: returns pairs of topic and event name, for topics whose events are not named after their type.
 
     Attributes:

@@ -60,7 +60,7 @@ class Parameters(NamedTuple):
 
     Attributes:
         program: folder with pub_sub.xml and goalPredicates.txt.
-        direct: ``auto``, True, False, or the topics that node retalis subscribes itself.
+        direct: ``auto``, True, False, or the topics that node retalis subscribes to itself.
         embedded: whether the ROS interface runs inside node retalis.
         queue: length of each queue, in events or messages.
         settings: settings of the engine.

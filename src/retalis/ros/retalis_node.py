@@ -2,7 +2,7 @@
 
 The order of construction matters. The engine exists first, restored from a checkpoint if there is one; then the
 program is loaded, so that subscriptions of its goals are known; then topics are subscribed. Services are offered
-before the node subscribes the texts of the interface, because they identify it as the receiver (`late_joiners`).
+before the node subscribes to the texts of the interface, because they identify it as the receiver (`late_joiners`).
 
 The ROS interface runs in its own node by default, and inside this one with parameter ``~embedded``.
 """
@@ -46,10 +46,10 @@ from .diagnostics import (
     NodeHealth,
     program_health,
 )
-from .dynamic_subscriptions import DynamicSubscriptions, subscribable_name
+from .dynamic_subscriptions import DynamicSubscriptions, resolve_subscribable_topic
 from .generated_classes import installed_types
 from .internal_topics import INPUT, OUTPUT, UntypedTopicWarnings, resolve
-from .latched_inputs import LatchedConnection, LatchedInputs
+from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .node_dashboard import NodeDashboard
 from .node_lifecycle import run_node
 from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
@@ -65,7 +65,7 @@ from .services import (
     ReloadService,
     RuleServices,
 )
-from .text_topics import OutputTexts
+from .text_topics import OutputTextPublisher
 from .tf2_buffer import choose_buffer
 from .topic_statistics import OutputStatus, StartupWarnings
 
@@ -273,14 +273,15 @@ class RetalisNode:
             record_origins(self.engine)
         topics = self._topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
-        # Before the program is loaded: its goals may subscribe topics, which are queued until the interface exists.
+        # Before the program is loaded: its goals may subscribe to topics, which are queued until the interface
+        # exists.
         subscriptions = DynamicSubscriptions()
         input_topics = self.engine.input_topics
-        input_topics.begin(subscriptions.request, topics, direct, subscribable_name)
+        input_topics.begin(subscriptions.request, topics, direct, resolve_subscribable_topic)
         if not checkpoint_file.resumed:
             self._load()
         epochs = self._time.epochs
-        self._latched = LatchedInputs(int if epochs is None else lambda: epochs.epoch)
+        self._latched = LatchedMessageDeduplicator(int if epochs is None else lambda: epochs.epoch)
         self._texts = self._output_texts(topics)
         self._interface = RosInterface(
             self._handler_factory,
@@ -307,7 +308,7 @@ class RetalisNode:
         transforms.set_feed(self._begin_transforms)
         for topic, message_type in direct:
             self._subscribe(topic, message_type, topics.event_of(topic, rospy.resolve_name))
-        subscriptions.begin(self._interface if parameters.embedded else None)
+        subscriptions.start(self._interface if parameters.embedded else None)
         types = {rospy.resolve_name(topic): message_type for topic, message_type in topics.published}
         EngineServices(
             self.engine,
@@ -354,7 +355,7 @@ class RetalisNode:
             threading.Thread(target=self._run_missed_alarms, daemon=True).start()
 
     def _begin_transforms(self) -> None:
-        """Subscribe the topics of transforms, because the program reads transforms.
+        """Subscribe to the topics of transforms, because the program reads transforms.
 
         A goal may be the first that does, and must not wait for the master.
         """
@@ -442,7 +443,7 @@ class RetalisNode:
         """Log probable mistakes in the loaded program."""
         self._untyped_topics.mark_reported(self.engine.output_topics())
         # Separate definitions, which are freed afterwards: the checks load types that the node does not need.
-        definitions = Definitions(installed_types(rosbags=False))
+        definitions = Definitions(installed_types(include_rosbags=False))
         direct = direct_topics(self._parameters.direct, topics, rospy.resolve_name)
         for warning in self.engine.warnings(self._parameters.program, definitions, topics, direct):
             self._program_warnings.append(warning.brief())
@@ -457,7 +458,7 @@ class RetalisNode:
 
     def _missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
-        definitions = Definitions(installed_types(rosbags=False))
+        definitions = Definitions(installed_types(include_rosbags=False))
         return explain_missing_source(self.engine, pattern, definitions, topics, direct)
 
     def _type_mismatch(
@@ -473,7 +474,9 @@ class RetalisNode:
             return ""
         # Types that publishers define are in the node's definitions; `find` there would load the types of rosbags.
         type_definitions = (
-            definitions if definitions.known(message_type) else Definitions(installed_types(rosbags=False))
+            definitions
+            if definitions.known(message_type)
+            else Definitions(installed_types(include_rosbags=False))
         )
         return explain_unsendable(goal, topic, message_type, type_definitions)
 
@@ -507,22 +510,22 @@ class RetalisNode:
         self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
     ) -> MessageHandler:
         """Return the handler of latched messages, which skips messages that the engine has processed already."""
-        decode_event, latched_inputs = self._handler_factory(decoder), self._latched
+        decode_event, deduplicator = self._handler_factory(decoder), self._latched
 
         def handle(data: bytes) -> Any:
-            # Before `is_repetition`, which records the message as processed: decoding may fail, or the message may
+            # Before `record_message`, which records the message as processed: decoding may fail, or the message may
             # belong to the next clock epoch.
             event = decode_event(data)
-            return None if latched_inputs.is_repetition(connection.message(data)) else event
+            return None if deduplicator.record_message(connection.describe_message(data)) else event
 
         return handle
 
-    def _output_texts(self, topics: Topics) -> OutputTexts:
+    def _output_texts(self, topics: Topics) -> OutputTextPublisher:
         """Return the publisher of output texts; with an embedded interface, no other node requires them."""
         if self._parameters.embedded:
             topics = Topics()
         published = [topic for topic, _ in topics.published]
-        return OutputTexts(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
+        return OutputTextPublisher(OUTPUT, self._parameters.queue, self._reports, published, topics.latched)
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
         # A rule may have added a subscription to a new topic.

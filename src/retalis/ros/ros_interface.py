@@ -1,7 +1,7 @@
 """Conversion between ROS messages and terms: subscription of input topics, publishing of output topics.
 
-Both nodes use it: the interface node, and node ``retalis`` for the topics that it subscribes itself. A message passes
-through these steps:
+Both nodes use it: the interface node, and node ``retalis`` for the topics that it subscribes to itself. A message
+passes through these steps:
 
 1. `connection_reader` reads a batch of serialized messages of one connection.
 2. The handler that was created for the connection (`HandlerFactory`) converts each message. The types of publisher
@@ -31,7 +31,7 @@ from ..prolog.terms.types import functor
 from .connection_reader import read_in_batches
 from .connection_writer import serialized_bytes
 from .internal_topics import INPUT, OUTPUT, resolve
-from .latched_inputs import LatchedConnection, LatchedInputs
+from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .message_publishers import OutputTopics
 from .text_topics import text_handler_factory
 from .topic_statistics import InputCounts, InputStatus
@@ -118,7 +118,7 @@ class RosInterface:
         self._reports = reports
 
     def subscribe(self, topic: str, message_type: str, event_name: str = "") -> None:
-        """Subscribe a topic; each message becomes an event.
+        """Subscribe to a topic; each message becomes an event.
 
         Args:
             topic: name of the topic.
@@ -182,9 +182,9 @@ class RosInterface:
         topic: str,
         handler: Callable[[str], object],
         clock_epochs: Optional[ClockEpochs] = None,
-        latched: Optional[LatchedInputs] = None,
+        latched: Optional[LatchedMessageDeduplicator] = None,
     ) -> ContextManager[object]:
-        """Subscribe a topic of texts between the nodes; return the lock under which the texts are processed.
+        """Subscribe to a topic of texts between the nodes; return the lock under which the texts are processed.
 
         Args:
             topic: name of the topic.
@@ -209,7 +209,7 @@ class RosInterface:
         return processing_lock
 
     def subscribe_transforms(self, consume_results: ResultConsumer) -> None:
-        """Subscribe the topics of transforms; their messages become no events, unless a program names the topics.
+        """Subscribe to the topics of transforms; their messages become no events, unless a program names the topics.
 
         Args:
             consume_results: receives the messages that were read together, as pairs of a `TransformMessage` and None.
@@ -231,7 +231,7 @@ class RosInterface:
             )
 
     def exclude(self, topics: Iterable[TopicType]) -> None:
-        """Reject topics that node retalis subscribes itself, so that no message is processed twice."""
+        """Reject topics that node retalis subscribes to itself, so that no message is processed twice."""
         self._excluded = {rospy.resolve_name(topic) for topic, _ in topics}
 
     def learn(self, topic: str, message_type: str) -> None:
@@ -268,7 +268,7 @@ class RosInterface:
         return [topic.status() for topic in [*topics.values(), *self._text_topics]]
 
     def unsubscribe(self, topic: str) -> None:
-        """Unsubscribe a topic.
+        """Unsubscribe from a topic.
 
         Raises:
             UsageError: if it is not subscribed.
@@ -512,7 +512,7 @@ OUTPUT_EVENT = functor("event", 3)
 
 
 def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[TopicType] = ()) -> None:
-    """Subscribe and advertise the topics of ``pub_sub.xml``, except those that node retalis subscribes itself."""
+    """Subscribe and advertise the topics of ``pub_sub.xml``, except those that node retalis subscribes to itself."""
     direct_topics = tuple(direct_topics)
     direct_names = {rospy.resolve_name(topic) for topic, _ in direct_topics}
     may_be_learned = any(

@@ -13,7 +13,7 @@ from typing import List
 
 import rospy
 
-from ..engine.runtime.problem_reports import COUNTED
+from ..engine.runtime.problem_reports import COUNTED_ATTRIBUTE
 from ..foundation.errors import ProgramErrors, RetalisError, printable
 from ..prolog.system.prolog_system import PrologSystem
 
@@ -46,7 +46,7 @@ _thread_state = threading.local()
 
 class _RosHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        _thread_state.is_counted = getattr(record, COUNTED, False)
+        _thread_state.is_counted = getattr(record, COUNTED_ATTRIBUTE, False)
         try:
             self._send(record)
         finally:

@@ -1,9 +1,9 @@
 """Events as text on the ``std_msgs/String`` topics between node ``retalis`` and the interface node.
 
-`TextPublisher` sends events to node ``retalis``, `OutputTexts` sends outputs to the interface. Both deliver through a
-`LateJoinerBuffer`. Some texts are *marks* that control the receiver: one announces the clock epoch of the texts after
-it, another describes the latched message after it. A mark has the syntax of an event, so that other subscribers can
-read the stream.
+`EventTextPublisher` sends events to node ``retalis``, `OutputTextPublisher` sends outputs to the interface. Both
+deliver through a `LateJoinerBuffer`. Some texts are *marks*, control texts for the receiver: one announces the clock
+epoch of the texts after it, another describes the latched message after it. A mark has the syntax of an event, so
+that other subscribers can read the stream.
 """
 
 import threading
@@ -17,32 +17,37 @@ from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError
-from .connection_writer import Outlet
+from .connection_writer import TopicWriter
 from .internal_topics import resolve
-from .latched_inputs import LATCHED_MARK, LatchedInputs, LatchedMessage, latched_message
+from .latched_deduplication import (
+    LATCHED_MARK_PREFIX,
+    LatchedMessage,
+    LatchedMessageDeduplicator,
+    parse_latched_mark,
+)
 from .late_joiners import ENGINE, INTERFACE, LateJoinerBuffer, Publishers, SubscriberIdentifier
 from .topic_statistics import OutputStatus
 
 MAX_TEXTS_PER_WRITE = 64
 """Limit for the texts that one write combines."""
 
-_SIZE = Struct("<I")
-_SIZES = Struct("<II")
+_UINT32 = Struct("<I")
+_TWO_UINT32 = Struct("<II")
 
 
-def text_frame(text: str) -> bytes:
+def serialize_string(text: str) -> bytes:
     """Return a text as a ``std_msgs/String`` message, framed as on the wire."""
     data = text.encode("utf-8", "surrogateescape")
     size = len(data)
-    return _SIZES.pack(size + 4, size) + data
+    return _TWO_UINT32.pack(size + 4, size) + data
 
 
-class TextPublisher:
-    """Publishes events as text for node retalis, several texts per write. Not thread-safe.
+class EventTextPublisher:
+    """Publisher of events as text for node retalis, several texts per write. Not thread-safe.
 
     Args:
         topic: name of the topic.
-        queue: number of texts to buffer.
+        queue_size: number of texts to buffer.
         reports: receives a warning for every dropped text.
         epoch: returns the current clock epoch; see `LateJoinerBuffer`.
         clock_epochs: the epochs of a simulated clock, which are announced to the receivers; None for wall time.
@@ -51,52 +56,63 @@ class TextPublisher:
     def __init__(
         self,
         topic: str,
-        queue: int,
+        queue_size: int,
         reports: Reports,
         epoch: Callable[[], int],
         clock_epochs: Optional[ClockEpochs] = None,
     ):
         self._clock_epochs = clock_epochs
-        self._identifier = SubscriberIdentifier()
-        self._outlet = Outlet(topic, String, queue, reports, self._is_patient, listener=self._identifier)
-        self._late_joiners = LateJoinerBuffer(self._outlet, ENGINE, queue, reports, epoch, self._mark)
-        self._pending: List[bytes] = []
+        self._subscriber_identifier = SubscriberIdentifier()
+        self._topic_writer = TopicWriter(
+            topic, String, queue_size, reports, self._must_wait_for, listener=self._subscriber_identifier
+        )
+        self._late_joiners = LateJoinerBuffer(
+            self._topic_writer, ENGINE, queue_size, reports, epoch, self._epoch_mark_bytes
+        )
+        self._pending_messages: List[bytes] = []
 
-    def begin(self, processing_lock: ContextManager[object], publishers: Publishers) -> None:
+    def start_identification(self, processing_lock: ContextManager[object], publishers: Publishers) -> None:
         """Start to identify subscribers.
 
         Args:
             processing_lock: lock that the caller holds in all other methods.
             publishers: returns topic and publisher of all connections that deliver messages.
         """
-        self._identifier.begin(self._late_joiners, processing_lock, publishers)
+        self._subscriber_identifier.start(self._late_joiners, processing_lock, publishers)
 
-    def _mark(self) -> bytes:
-        """Return the mark of the current epoch, framed as on the wire; empty for wall time."""
-        return b"" if self._clock_epochs is None else text_frame(epoch_mark(self._clock_epochs.epoch))
+    def _epoch_mark_bytes(self) -> bytes:
+        """Return the mark of the current epoch as a serialized message; empty for wall time."""
+        return b"" if self._clock_epochs is None else serialize_string(epoch_mark(self._clock_epochs.epoch))
 
     def begin_epoch(self, previous_end: int) -> None:
-        """Announce a new epoch of simulated time, after all texts of the former one."""
-        self.flush()
-        self._late_joiners.send(self._mark(), 1)
+        """Announce a new epoch of simulated time, after all texts of the former one.
 
-    def _is_patient(self, connection: Any) -> bool:
-        """Return whether publishers wait for a receiver: not for a bystander, which may be slow."""
-        return not self._late_joiners.is_bystander(connection)
+        Args:
+            previous_end: end of the former epoch in ns; unused, but passed to each callback of `ClockEpochs`.
+        """
+        self.flush()
+        self._late_joiners.send(self._epoch_mark_bytes(), 1)
+
+    def _must_wait_for(self, connection: Any) -> bool:
+        """Return whether the publisher blocks until this subscriber accepts a message.
+
+        It does not block for third parties, which may be slow.
+        """
+        return not self._late_joiners.is_third_party(connection)
 
     def add(self, text: str) -> None:
         """Add a text to the next write."""
-        self._pending.append(text_frame(text))
-        if len(self._pending) >= MAX_TEXTS_PER_WRITE:
+        self._pending_messages.append(serialize_string(text))
+        if len(self._pending_messages) >= MAX_TEXTS_PER_WRITE:
             self.flush()
 
     def connections(self) -> Any:
         """Return the connections to the receivers."""
-        return self._outlet.connections()
+        return self._topic_writer.connections()
 
     def status(self) -> OutputStatus:
         """Return the counters of the topic."""
-        return self._outlet.status("std_msgs/String")
+        return self._topic_writer.status("std_msgs/String")
 
     def add_latched(
         self,
@@ -116,67 +132,69 @@ class TextPublisher:
             size: size of the stored message in bytes.
         """
         self.flush()
-        # A node whose connection has only dropped and returned has processed the message already. The flag makes
-        # it compare the message with the last one that it has taken.
-        repeated_mark = text_frame(message._replace(is_first=True).mark())
-        self._late_joiners.latch(publisher, lambda: repeated_mark + text_frame(current_text()), size)
-        self._late_joiners.send(text_frame(text), 1, text_frame(message.mark()))
+        # A node whose connection has only dropped and returned has processed the message already.
+        # ``may_be_repetition`` makes that node compare the message with the last one that it has processed.
+        repeated_mark = serialize_string(message._replace(may_be_repetition=True).to_mark())
+        self._late_joiners.latch(publisher, lambda: repeated_mark + serialize_string(current_text()), size)
+        self._late_joiners.send(serialize_string(text), 1, serialize_string(message.to_mark()))
 
     def flush(self) -> None:
         """Write the added texts."""
-        pending = self._pending
-        if pending:
-            self._late_joiners.send(b"".join(pending), len(pending))
-            pending.clear()
+        messages = self._pending_messages
+        if messages:
+            self._late_joiners.send(b"".join(messages), len(messages))
+            messages.clear()
 
 
-class OutputTexts:
-    """Publishes outputs as text for the interface node and for all other subscribers. Thread-safe.
+class OutputTextPublisher:
+    """Publisher of outputs as text for the interface node and all other subscribers. Thread-safe.
 
     An output to a topic that the interface publishes is buffered until the interface has connected. The last output
     to a latched topic is sent again to an interface that is restarted.
 
     Args:
         topic: topic of the texts.
-        queue: number of texts to buffer.
+        queue_size: number of texts to buffer.
         reports: receives a warning for every dropped text.
         published: topics that the interface publishes.
         latched: latched topics among ``published``.
     """
 
     def __init__(
-        self, topic: str, queue: int, reports: Reports, published: Iterable[str], latched: Iterable[str]
+        self, topic: str, queue_size: int, reports: Reports, published: Iterable[str], latched: Iterable[str]
     ):
         self._published = frozenset(map(_full_name, published))
         self._latched = frozenset(map(_full_name, latched))
-        self._names: Cache[str, str] = Cache(1000, 1 << 20)
+        self._full_names: Cache[str, str] = Cache(1000, 1 << 20)
         """Full names of topics by their names in programs."""
-        self._identifier = SubscriberIdentifier()
-        self._outlet = Outlet(topic, String, queue, reports, listener=self._identifier)
-        self._late_joiners = LateJoinerBuffer(self._outlet, INTERFACE, queue, reports)
+        self._subscriber_identifier = SubscriberIdentifier()
+        self._topic_writer = TopicWriter(
+            topic, String, queue_size, reports, listener=self._subscriber_identifier
+        )
+        self._late_joiners = LateJoinerBuffer(self._topic_writer, INTERFACE, queue_size, reports)
         self._processing_lock = threading.Lock()
-        self._identifier.begin(self._late_joiners, self._processing_lock)
+        self._subscriber_identifier.start(self._late_joiners, self._processing_lock)
 
-    def send(self, topic: str, write: Callable[[], str]) -> None:
-        """Send or buffer an output to a topic; ``write`` returns the text, and is called only if it is needed."""
-        name = self._names.get(topic) or self._names.store(topic, _full_name(topic), 2 * len(topic))
+    def send(self, topic: str, format_text: Callable[[], str]) -> None:
+        """Send or buffer an output to a topic; ``format_text`` is called only if the text is needed."""
+        name = self._full_names.get(topic) or self._full_names.store(topic, _full_name(topic), 2 * len(topic))
         is_published = name in self._published
         # Topics such as those of `retalis watch` exist only as text: without a subscriber nothing is written.
         if not is_published and not self.connections():
             return
-        frame = text_frame(write())
+        data = serialize_string(format_text())
         with self._processing_lock:
             if name in self._latched:
-                self._late_joiners.latch(name, lambda: frame, len(frame))
-            self._late_joiners.send(frame, 1, for_peer=is_published)
+                self._late_joiners.latch(name, lambda: data, len(data))
+            self._late_joiners.send(data, 1, for_peer=is_published)
 
     def connections(self) -> Any:
         """Return the connections to the subscribers."""
-        return self._outlet.connections()
+        return self._topic_writer.connections()
 
     def status(self) -> OutputStatus:
         """Return the counters of the topic."""
-        return self._outlet.status("std_msgs/String")
+        return self._topic_writer.status("std_msgs/String")
 
 
 def _full_name(topic: str) -> str:
@@ -187,51 +205,51 @@ def _full_name(topic: str) -> str:
         return topic
 
 
-EPOCH_MARK = "event(retalis_run("
-"""Beginning of the mark that announces the clock epoch of the texts after it."""
+EPOCH_MARK_PREFIX = "event(retalis_run("
+"""Prefix of the mark that announces the clock epoch of the texts after it."""
 
 _MARK_END = "))"
 
 
 def epoch_mark(epoch: int) -> str:
     """Return the mark that announces texts of an epoch."""
-    return f"{EPOCH_MARK}{epoch}{_MARK_END}"
+    return f"{EPOCH_MARK_PREFIX}{epoch}{_MARK_END}"
 
 
 def _epoch_of_mark(text: str) -> Optional[int]:
     """Return the epoch that a mark announces; None if the text is an event."""
-    number = text[len(EPOCH_MARK) : -len(_MARK_END)]
+    number = text[len(EPOCH_MARK_PREFIX) : -len(_MARK_END)]
     is_mark = len(number) < 10 and number.isascii() and number.isdigit() and text.endswith(_MARK_END)
     return int(number) if is_mark else None
 
 
-_ANY_MARK = "event(retalis_"
-"""Beginning of all marks."""
+_MARK_PREFIX = "event(retalis_"
+"""Prefix of all marks."""
 
 
 def text_handler_factory(
     handler: Callable[[str], object],
     epochs: Optional[ClockEpochs] = None,
-    latched: Optional[LatchedInputs] = None,
+    latched: Optional[LatchedMessageDeduplicator] = None,
 ) -> Callable[[object], Callable[[bytes], None]]:
     """Return a factory of message handlers that pass the texts of ``std_msgs/String`` messages to ``handler``.
 
     Args:
         handler: handler of a text.
-        epochs: clock epochs; texts of an epoch that has not begun are queued there. None if marks are not expected.
+        epochs: clock epochs, which buffer texts of an epoch that has not begun. None if marks are not expected.
         latched: recognizes texts of latched messages that ``handler`` has received already.
     """
     return lambda decoder: _TextReceiver(handler, epochs, latched).receive
 
 
 class _TextReceiver:
-    """Receives the texts of one connection; see `text_handler_factory`."""
+    """Receiver of the texts of one connection; see `text_handler_factory`."""
 
     def __init__(
         self,
         handler: Callable[[str], object],
         epochs: Optional[ClockEpochs],
-        latched: Optional[LatchedInputs],
+        latched: Optional[LatchedMessageDeduplicator],
     ):
         self._handler = handler
         self._epochs = epochs
@@ -240,41 +258,43 @@ class _TextReceiver:
         """Latched message that the next text contains."""
 
     def receive(self, data: bytes) -> None:
-        if len(data) < 4 or _SIZE.unpack_from(data)[0] != len(data) - 4:
+        if len(data) < 4 or _UINT32.unpack_from(data)[0] != len(data) - 4:
             raise MessageError("expected a std_msgs/String, found other bytes")
         text = str(data[4:], "utf-8", "replace")
-        # A test of the prefix first: nearly all texts are events, and this runs for each of them.
-        if text.startswith(_ANY_MARK) and self._apply_mark(text):
+        # The prefix is tested first, because nearly all texts are events.
+        if text.startswith(_MARK_PREFIX) and self._apply_mark(text):
             return
         epochs, latched_message = self._epochs, self._latched_message
         if latched_message is not None:
             self._latched_message = None
         if epochs is not None and epochs.is_buffering and epochs.must_buffer_texts(self):
-            # The text of a latched message is compared when it is taken: the next epoch may have begun by then.
+            # The text of a latched message is compared when it is processed: the next epoch may have begun by then.
             epochs.buffer(
-                self._take_all if latched_message is None else partial(self._take_latched, latched_message),
+                self._handle_texts
+                if latched_message is None
+                else partial(self._handle_latched, latched_message),
                 [text],
             )
         elif latched_message is None:
             self._handler(text)
         else:
-            self._take_latched(latched_message, [text])
+            self._handle_latched(latched_message, [text])
 
     def _apply_mark(self, text: str) -> bool:
         """Apply a mark; return False if the text is an event."""
-        epoch = _epoch_of_mark(text) if text.startswith(EPOCH_MARK) else None
+        epoch = _epoch_of_mark(text) if text.startswith(EPOCH_MARK_PREFIX) else None
         if epoch is not None and self._epochs is not None:
             self._epochs.report_epoch(self, epoch)
             return True
-        message = latched_message(text) if text.startswith(LATCHED_MARK) else None
+        message = parse_latched_mark(text) if text.startswith(LATCHED_MARK_PREFIX) else None
         if message is not None:
             self._latched_message = message
         return message is not None
 
-    def _take_all(self, texts: List[str]) -> None:
+    def _handle_texts(self, texts: List[str]) -> None:
         for text in texts:
             self._handler(text)
 
-    def _take_latched(self, latched_message: LatchedMessage, texts: List[str]) -> None:
-        if self._latched is None or not self._latched.is_repetition(latched_message):
-            self._take_all(texts)
+    def _handle_latched(self, latched_message: LatchedMessage, texts: List[str]) -> None:
+        if self._latched is None or not self._latched.record_message(latched_message):
+            self._handle_texts(texts)

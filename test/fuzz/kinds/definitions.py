@@ -2,7 +2,7 @@
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import text_writer
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 
 from ..mutate import changed_text, soup, to_bytes, to_text
 from ..side_effects import Finding
@@ -54,7 +54,7 @@ class Inputs(Kind):
     block = 100
 
     def setup(self):
-        self.installed = Installed()
+        self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
 
     def begin(self):

@@ -3,7 +3,7 @@
 import json
 
 from retalis import Definitions
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 
 from ..mutate import changed_text, to_bytes, to_text
 from .base import Kind
@@ -18,7 +18,7 @@ class Inputs(Kind):
     block = 100
 
     def setup(self):
-        self.installed = Installed()
+        self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
         self.headers = [json.loads(data) for data in self.corpus if data.startswith(b"{")]
         self.values = {

@@ -10,7 +10,7 @@ import re
 from retalis import Definitions, atom, functor
 from retalis.messages.event_text_writer import text_writer
 from retalis.messages.type_definition import functor_name
-from retalis.messages.type_registry import Installed
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 from retalis.prolog.syntax.term_reader import read_term
@@ -126,7 +126,7 @@ class Inputs(Kind):
     block = 50
 
     def setup(self):
-        self.installed = Installed()
+        self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
         self.places = sorted(name[3:] for name in dir(self) if name.startswith("in_"))
         for number, data in enumerate(self.corpus):

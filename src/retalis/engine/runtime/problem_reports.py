@@ -14,7 +14,7 @@ from ...foundation.errors import (
 
 log = logging.getLogger("retalis")
 
-COUNTED = "counted"
+COUNTED_ATTRIBUTE = "counted"
 """Attribute of log records whose problems `Reports` has counted."""
 
 _MAX_PROBLEMS = 1000
@@ -33,7 +33,7 @@ class Reports:
     Attributes:
         errors: number of errors, logged or not.
         warnings: number of warnings, logged or not.
-        once: whether only first occurrences are logged; for runs with an end, where `sum_up` logs the counts.
+        once: whether only first occurrences are logged; for batch runs, which call `sum_up` at the end.
     """
 
     def __init__(self) -> None:
@@ -41,9 +41,9 @@ class Reports:
         self.warnings = 0
         self.once = False
         self._problems: Dict[int, _RecurringProblem] = {}
-        """By hash of the kind, as kinds may be large objects."""
+        """Problems by the hash of their kind, because kinds may be large objects."""
         self._evicted_count = 0
-        """Number of problems that were not logged, of kinds that were evicted."""
+        """Number of unlogged occurrences of problems that were evicted from the table."""
 
     def error(self, error: Exception, kind: object = None) -> None:
         """Log an error of a program, or an internal error with its traceback.
@@ -93,17 +93,21 @@ class Reports:
                     "%d times in all: %s",
                     problem.count,
                     problem.first_line,
-                    extra={COUNTED: True},
+                    extra={COUNTED_ATTRIBUTE: True},
                 )
         if self._evicted_count:
-            log.warning("%d more problems were not shown", self._evicted_count, extra={COUNTED: True})
+            log.warning(
+                "%d more problems were not shown", self._evicted_count, extra={COUNTED_ATTRIBUTE: True}
+            )
             self._evicted_count = 0
 
-    def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
-        key = hash(key)
+    def _log(self, level: int, kind: object, text: str, max_texts: int = 1, first_only: bool = False) -> None:
+        key = hash(kind)
         text = printable(beginning(text, MAX_MESSAGE_CHARACTERS))
         problem = self._problems.get(key)
         if problem is None:
+            # The whole table is cleared: evicting single entries would need their order, for a case that only a
+            # program with more than `_MAX_PROBLEMS` kinds of problems reaches.
             if len(self._problems) >= _MAX_PROBLEMS:
                 self._evicted_count += sum(
                     evicted.count - evicted.logged_count for evicted in list(self._problems.values())
@@ -112,25 +116,26 @@ class Reports:
             problem = self._problems[key] = _RecurringProblem(
                 level, text[:MAX_SHOWN_CHARACTERS].split("\n", 1)[0]
             )
-        problem.count = times = problem.count + 1
-        is_new = len(problem.texts) < texts and hash(text) not in problem.texts
+        problem.count = count = problem.count + 1
+        is_new = len(problem.text_hashes) < max_texts and hash(text) not in problem.text_hashes
         if is_new:
-            problem.texts.add(hash(text))
-        elif times & (times - 1) or once or self.once:
+            problem.text_hashes.add(hash(text))
+        # Counts other than 1, 2, 4, 8, ... have more than one bit.
+        elif count & (count - 1) or first_only or self.once:
             return
-        problem.logged_count = times
-        shown = text if is_new else f"{text}\n({times} times so far)"
-        log.log(level, "%s", shown, extra={COUNTED: True})
+        problem.logged_count = count
+        logged_text = text if is_new else f"{text}\n({count} times so far)"
+        log.log(level, "%s", logged_text, extra={COUNTED_ATTRIBUTE: True})
 
 
 class _RecurringProblem:
-    """A recurring problem: its count, the count at the last log entry, and its first line."""
+    """Recurring problem: its count, the count at the last log entry, its first line, and hashes of logged texts."""
 
-    __slots__ = ("first_line", "level", "texts", "count", "logged_count")
+    __slots__ = ("first_line", "level", "text_hashes", "count", "logged_count")
 
     def __init__(self, level: int, first_line: str):
         self.level = level
         self.first_line = first_line
         self.count = 0
         self.logged_count = 0
-        self.texts: Set[int] = set()
+        self.text_hashes: Set[int] = set()

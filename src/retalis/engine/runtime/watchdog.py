@@ -23,17 +23,17 @@ from .problem_reports import Reports
 OnSlowWork = Callable[[float, object], None]
 
 _SAMPLES_PER_LIMIT = 5
-"""Minimum number of samples within the shortest of the configured times."""
+"""Minimum number of samples within the shortest configured time limit."""
 
 _MAX_CONJUNCTION_DEPTH = 1000
 """Maximum depth of conjunctions for finding the first goal."""
 
-_MIN_SAMPLE_SECONDS = 0.005
-_MAX_SAMPLE_SECONDS = 0.5
+_MIN_SAMPLE_INTERVAL_SECONDS = 0.005
+_MAX_SAMPLE_INTERVAL_SECONDS = 0.5
 
 
 class RunningWork(NamedTuple):
-    """A description of the running work.
+    """Description of the running work.
 
     Attributes:
         entry: event, goal or text that was received.
@@ -49,37 +49,37 @@ class RunningWork(NamedTuple):
 
 
 class Watchdog:
-    """Warns about an entry (see `Budget`) that runs for a long time, and ends it at its time limit.
+    """Watchdog of entries: warns about an entry that runs for a long time, and ends it at its time limit.
+
+    An entry is an event, a query or another call from outside, with everything that it starts.
 
     Args:
-        turn: the executor, with the current ``thread`` and ``entry``.
+        executor: the executor, with the current ``thread`` and ``entry``.
         budget: limits of the entry.
-        warn_after: seconds until the first warning; each further one comes after twice that time; None for none.
+        warn_after: seconds until the first warning; the interval doubles after each warning. None disables warnings.
         on_warning: called in the watchdog's thread with the duration in seconds and the entry.
     """
 
-    def __init__(self, turn: Turn, budget: Budget, warn_after: Optional[float], on_warning: OnSlowWork):
-        self._turn = turn
+    def __init__(self, executor: Turn, budget: Budget, warn_after: Optional[float], on_warning: OnSlowWork):
+        self._executor = executor
         self._budget = budget
         self._warn_after = warn_after
         self._on_warning = on_warning
-        self._entry: object = None
+        self._measured_entry: object = None
         self._start_time = 0.0
         self._next_warning: Optional[float] = warn_after
 
     def sample(self, now: float) -> None:
         """Sample the running work at a time of the monotonic clock."""
         budget = self._budget
-        entry = None if self._turn.thread is None else self._turn.entry
-        # The reference keeps the entry alive, so another entry cannot have the same identity.
-        if entry is None or entry is not self._entry:
-            self._entry = entry
-            self._start_time = now
-            self._next_warning = self._warn_after
+        entry = None if self._executor.thread is None else self._executor.entry
+        if entry is None or entry is not self._measured_entry:
+            self._start_measurement(entry, now)
             return
         elapsed = now - self._start_time
         seconds = budget.limits.seconds
-        # `rounds` counts the limits that were granted so far: a goal may catch the first resource error and continue.
+        # After a goal has caught a resource error, the budget grants the time limit once more; `rounds` counts the
+        # grants.
         if seconds is not None and elapsed >= seconds * budget.rounds:
             budget.expire(entry)
         if self._next_warning is not None and elapsed >= self._next_warning:
@@ -87,27 +87,37 @@ class Watchdog:
             self._on_warning(elapsed, entry)
 
     def running_entry(self, now: float) -> Optional[Tuple[object, float]]:
-        """Return the running entry and its sampled duration in seconds; None if nothing is running."""
-        entry = None if self._turn.thread is None else self._turn.entry
+        """Return the running entry and its measured duration in seconds; None if nothing is running.
+
+        The duration of a new entry is measured from this call on.
+        """
+        entry = None if self._executor.thread is None else self._executor.entry
         if entry is None:
             return None
-        if entry is not self._entry:
-            self._entry = entry
-            self._start_time = now
-            self._next_warning = self._warn_after
+        if entry is not self._measured_entry:
+            self._start_measurement(entry, now)
         return entry, now - self._start_time
+
+    def _start_measurement(self, entry: object, now: float) -> None:
+        # The reference keeps the entry alive, so another entry cannot have the same identity.
+        self._measured_entry = entry
+        self._start_time = now
+        self._next_warning = self._warn_after
 
     def sample_interval(self) -> float:
         """Return the time until the next sample in seconds."""
         limits = [limit for limit in (self._warn_after, self._budget.limits.seconds) if limit is not None]
         return max(
-            _MIN_SAMPLE_SECONDS,
-            min(_MAX_SAMPLE_SECONDS, min(limits, default=_MAX_SAMPLE_SECONDS) / _SAMPLES_PER_LIMIT),
+            _MIN_SAMPLE_INTERVAL_SECONDS,
+            min(
+                _MAX_SAMPLE_INTERVAL_SECONDS,
+                min(limits, default=_MAX_SAMPLE_INTERVAL_SECONDS) / _SAMPLES_PER_LIMIT,
+            ),
         )
 
 
 def start_watchdog(
-    turn: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, warn_after: Optional[float]
+    executor: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, warn_after: Optional[float]
 ) -> Watchdog:
     """Create the watchdog of an engine, and start its thread if it has a time to check."""
     budget = logic.machine.budget
@@ -119,23 +129,23 @@ def start_watchdog(
             # The engine's thread may change the data while it is read here. Such an error must not end the watchdog.
             reports.error(error)
 
-    def warn_of_refusal(number: int, limit: str, entry: object) -> None:
-        text = f"{_format_entry(entry)} has exceeded its limit of {limit}; goals refused: {number}"
-        reports.warning(text, ("refused goals", _format_entry(entry)))
+    def warn_of_refusal(goal_count: int, limit: str, entry: object) -> None:
+        text = f"{_short_name(entry)} has exceeded its limit of {limit}; goals refused: {goal_count}"
+        reports.warning(text, ("refused goals", _short_name(entry)))
 
-    def warn_of_stop(rule: Any, limit: str, steps: int, entry: object) -> None:
+    def warn_of_stop(rule: Any, limit: str, omitted_count: int, entry: object) -> None:
         name = "retraction of events" if rule is None else rule.name
         text = (
-            f"{name}: {_format_entry(entry)} has exceeded its limit of {limit} while patterns were matched:"
-            f" {steps} pairs, items or derived events were omitted, with all their consequences"
+            f"{name}: {_short_name(entry)} has exceeded its limit of {limit} while patterns were matched:"
+            f" {omitted_count} pairs, items or derived events were omitted, with all their consequences"
         )
         reports.warning(
-            RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _format_entry(entry))
+            RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _short_name(entry))
         )
 
     budget.on_refused = warn_of_refusal
     budget.on_stopped = warn_of_stop
-    watchdog = Watchdog(turn, budget, warn_after, warn)
+    watchdog = Watchdog(executor, budget, warn_after, warn)
     # Without a warning and a time limit there is nothing to sample, so no thread is started.
     if warn_after is not None or budget.limits.seconds is not None:
         _start_thread(watchdog)
@@ -183,10 +193,10 @@ def _slow_work_warning(
     Terms of events and queries are not shown, only named: they may be large, and the other thread may change them.
     """
     work = describe_work(logic, dispatcher, entry)
-    culprit = work.goal or "no goal"
+    goal_text = work.goal or "no goal"
     event = f" at event {work.event}" if work.event else ""
-    text = f"{culprit} is running{event}; {work.entry} has taken {seconds:.1f} s so far"
-    return RuleError(text, work.place), ("held up", culprit)
+    text = f"{goal_text} is running{event}; {work.entry} has taken {seconds:.1f} s so far"
+    return RuleError(text, work.place), ("held up", goal_text)
 
 
 def describe_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) -> RunningWork:
@@ -198,14 +208,14 @@ def describe_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) ->
         place = goal.place
         goal_text = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
-        goal_text = f"goal {_format_entry((_first_goal(goal),))}"
+        goal_text = f"goal {_short_name((_first_goal(goal),))}"
     return RunningWork(
-        _format_entry(entry), goal_text, "" if current is None else _format_entry((current[TERM],)), place
+        _short_name(entry), goal_text, "" if current is None else _short_name((current[TERM],)), place
     )
 
 
 def _first_goal(term: Any) -> Any:
-    """Return the first goal of a conjunction, because its own functor says nothing; else the term."""
+    """Return the first goal of a conjunction, because the functor ``,/2`` does not identify a goal; else the term."""
     term = deref(term)
     for _ in range(_MAX_CONJUNCTION_DEPTH):
         if term.__class__ is not tuple or term[0] is not COMMA:
@@ -214,11 +224,11 @@ def _first_goal(term: Any) -> Any:
     return term
 
 
-def _format_entry(entry: object) -> str:
-    """Return a name of an entry: the functor of a term or the beginning of a text."""
-    name = _first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
-    if isinstance(name, str):
-        return beginning(name)
-    if isinstance(name, Atom):
-        return beginning(name.name)
-    return beginning(str(name[0])) if isinstance(name, tuple) else "a request"
+def _short_name(entry: object) -> str:
+    """Return a short name of an entry, an event or a goal: the functor of its term, or the beginning of its text."""
+    goal = _first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
+    if isinstance(goal, str):
+        return beginning(goal)
+    if isinstance(goal, Atom):
+        return beginning(goal.name)
+    return beginning(str(goal[0])) if isinstance(goal, tuple) else "a request"
