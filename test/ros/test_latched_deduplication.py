@@ -36,7 +36,11 @@ def test_the_first_message_of_a_new_connection_is_a_repetition_if_it_was_the_las
 def test_what_a_publisher_publishes_again_is_new():
     inputs = LatchedMessageDeduplicator()
     connection = LatchedConnection(*MAP)
-    assert [inputs.record_message(connection.describe_message(b"a")) for _ in range(3)] == [False, False, False]
+    assert [inputs.record_message(connection.describe_message(b"a")) for _ in range(3)] == [
+        False,
+        False,
+        False,
+    ]
     again = LatchedConnection(*MAP)
     assert [inputs.record_message(again.describe_message(b"a")) for _ in range(3)] == [True, False, False]
 
@@ -76,7 +80,9 @@ def test_the_publisher_that_was_quiet_for_longest_is_forgotten(monkeypatch):
     inputs = LatchedMessageDeduplicator()
 
     def repeats(topic):
-        return inputs.record_message(LatchedConnection(topic, "/node", "http://robot:1/").describe_message(b"a"))
+        return inputs.record_message(
+            LatchedConnection(topic, "/node", "http://robot:1/").describe_message(b"a")
+        )
 
     assert [repeats(topic) for topic in "abacab"] == [False, False, True, False, True, False]
 
