@@ -202,9 +202,9 @@ class RosClock(Clock):
         super().call_at(instant, alarm)
         self._set_timer()
 
-    def restore_alarm(self, instant: int, order: int, alarm: Alarm) -> None:
+    def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
         """Schedule ``alarm`` with the order that it had in another clock; see `call_at`."""
-        super().restore_alarm(instant, order, alarm)
+        super().put_back(instant, order, alarm)
         self._set_timer()
 
     def due(self, until: Optional[int] = None) -> Optional[Tuple[int, Alarm]]:

@@ -527,7 +527,7 @@ def restore_matches(
             if len(arguments) == 1
             else RuleAlarm(rules, *arguments)
         )
-        clock.restore_alarm(due_at, order, alarm)
+        clock.put_back(due_at, order, alarm)
     rules.timers.restore(*checked.timers)
     knowledge.states.restore(checked.state_intervals)
     knowledge.subscriptions.restore_rates(checked.rate_limiters)

@@ -176,11 +176,11 @@ class Clock:
         """
         heapq.heappush(self.alarms, (instant, next(self._order), alarm))
 
-    def restore_alarm(self, instant: int, order: int, alarm: Alarm) -> None:
+    def put_back(self, instant: int, order: int, alarm: Alarm) -> None:
         """Set an alarm of another clock with its order among alarms of the same instant.
 
         >>> clock = Clock(lambda: 5_000_000_000)
-        >>> clock.restore_alarm(6_000_000_000, 2, print)
+        >>> clock.put_back(6_000_000_000, 2, print)
         >>> clock.next_alarm()
         6000000000
         """

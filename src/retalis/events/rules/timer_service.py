@@ -101,7 +101,7 @@ class NodeTimers:
         heap, alarm_instants = self._heap, self._alarm_instants
         if heap and (not alarm_instants or heap[0][0] < alarm_instants[0]):
             heapq.heappush(alarm_instants, heap[0][0])
-            self._rules.clock.restore_alarm(heap[0][0], _FIRST_ORDER, self._on_alarm)
+            self._rules.clock.put_back(heap[0][0], _FIRST_ORDER, self._on_alarm)
 
     def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
@@ -522,7 +522,7 @@ class Timers:
             timer = ProgramTimer(event, parse_schedule(schedule_term))
             timer.instant, timer.alarm_instant = instant, alarm_instant
             self._all.add(timer)
-            self._program.clock.restore_alarm(alarm_instant, order, TimerAlarm(self, timer, alarm_instant))
+            self._program.clock.put_back(alarm_instant, order, TimerAlarm(self, timer, alarm_instant))
 
 
 class TimerAlarm:
