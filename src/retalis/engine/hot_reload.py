@@ -224,7 +224,7 @@ _LOADING_WORK = atom("the program's folder")
 class NullReports(Reports):
     """Reports that discard everything: the same problems are reported again by the load into the running engine."""
 
-    def _log(self, level: int, key: object, text: str, texts: int = 1, once: bool = False) -> None:
+    def _log(self, level: int, kind: object, text: str, max_texts: int = 1, first_only: bool = False) -> None:
         """Discard a message."""
 
 
