@@ -52,6 +52,8 @@ html_show_sourcelink = False
 html_show_copyright = False
 # A browser refuses to read summaries of search results from files.
 html_show_search_summary = False
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
 
 # Copy the commands of a console block without their prompts and their output.
 copybutton_prompt_text = r"\$ |\?- |>>> |\.\.\. "
