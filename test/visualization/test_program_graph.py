@@ -83,6 +83,45 @@ def test_a_synchronized_query_reads_its_memories():
     }
 
 
+def test_transforms_have_one_node_with_edges_to_their_readers():
+    found = edges(
+        "synchronized(seen(X), ask(X), [[tf(map, C), T], [odom, T]]) <- marker(X, C, T). "
+        "near(P) <- ping(T) where (tf_lookup(map, base, T, P)). "
+        "null_event do place(X) <- base(X). place(X) :- tf_add(map, base, 1, X). "
+        "null_event do (tf_missing(a, b, 0, R), log(R)) <- lost."
+    )
+    assert {edge for edge in found if "transforms" in edge[0] + edge[1]} == {
+        ("transforms:transforms", "query:0", "reads"),
+        ("transforms:transforms", "rule:1", "reads"),
+        ("rule:2", "transforms:transforms", "flow"),
+        ("transforms:transforms", "rule:3", "reads"),
+    }
+    assert ("memory:odom", "query:0", "reads") in found
+
+
+def test_a_memory_whose_id_is_a_transform_is_read_as_a_memory():
+    found = edges(
+        "synchronized(seen(X), ask(X), [[tf(map, base), T]]) <- marker(X, T).",
+        "memorize(pose(_), [], _, tf(map, base), 10)",
+    )
+    assert {edge for edge in found if "reads" in edge} == {("memory:tf(map,base)", "query:0", "reads")}
+
+
+@pytest.mark.parametrize(
+    ("conditions", "text"),
+    [
+        ("[tf(a, b), T]", "transforms"),
+        ("[odom, T]", "memories"),
+        ("[tf(a, b), T], [odom, T]", "memories and transforms"),
+    ],
+)
+def test_a_query_says_what_it_waits_for(conditions, text):
+    engine = Engine()
+    engine.load(rules=f"synchronized(seen(X), ask(X), [{conditions}]) <- marker(X, T).")
+    (query,) = [node for node in program_graph(engine).nodes if node.kind == "query"]
+    assert query.text == f"waits for its {text}, then asks ask(_)"
+
+
 def test_the_nao_example_is_one_way_from_its_topics_to_its_outputs():
     engine = Engine()
     engine.load_program(NAO)

@@ -1,8 +1,9 @@
-"""Graph of a program: topics, events, rules, queries, memories, outputs, and the flow of events between them.
+"""Graph of a program: topics, events, rules, queries, memories, transforms, outputs, and the flow of events.
 
 `program_graph` derives the graph from the engine's rules, memories and subscriptions. Goals of rules are searched for
-events that they create and memories that they read, also in the clauses that they call, up to a limit. `dot_text`
-writes the graph in the DOT language of Graphviz, and `draw_graph` renders it with the command ``dot``.
+events that they create, and memories and transforms that they read, also in the clauses that they call, up to a
+limit. `dot_text` writes the graph in the DOT language of Graphviz, and `draw_graph` renders it with the command
+``dot``.
 """
 
 import re
@@ -14,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, Dict, Hashable, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..engine.engine import Engine
+from ..events.knowledge.transforms import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_head_parser import ALARMS, SYNCHRONIZED, sets_timer
 from ..foundation.errors import UsageError, beginning, counted, printable
@@ -42,6 +44,9 @@ _READING_GOALS = frozenset(
     )
 )
 _POSE_CHAIN = functor("pose_chain", 3)
+_TRANSFORM_STORING_GOALS = frozenset((functor("tf_add", 4), functor("tf_add_static", 3)))
+
+_PLURALS = {"memory": "memories", "transforms": "transforms"}
 
 ANY_EVENT_LABEL = "any event"
 
@@ -54,7 +59,7 @@ class GraphNode(NamedTuple):
 
     Attributes:
         id: unique identifier.
-        kind: ``topic``, ``event``, ``rule``, ``query``, ``memory`` or ``output``.
+        kind: ``topic``, ``event``, ``rule``, ``query``, ``memory``, ``transforms`` or ``output``.
         label: short name.
         text: full description.
     """
@@ -72,7 +77,8 @@ class GraphEdge(NamedTuple):
         source: id of a node.
         target: id of a node.
         rate: name of the counter of its events; empty if there is none.
-        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a query of a memory.
+        kind: ``flow``, ``absent`` for an event that must not happen, or ``reads`` for a query of a memory or of
+            transforms.
     """
 
     source: str
@@ -190,21 +196,37 @@ class _GraphBuilder:
         if head.__class__ is not tuple or head[0] not in SYNCHRONIZED:
             self._add_edge(node, self._add_event(head), f"rule:{index}")
             return
-        goal_text = self._format_term(deref(head[2]))
+        sources = self._find_awaited_sources(head[3])
         query = self._add_node(
             "query",
             f"{index}",
-            f"waits for its memories, then asks {goal_text}",
+            f"waits for its {_name_kinds(sources)}, then asks {self._format_term(deref(head[2]))}",
             _get_predicate_name(deref(head[2])),
         )
         self._add_edge(node, query, f"rule:{index}")
         self._add_edge(query, self._add_event(deref(head[1])), "")
-        for pair in list_items(head[3]) or ():
-            memory_items = list_items(pair)
-            name = deref(memory_items[0]) if memory_items else None
-            if isinstance(name, Atom):
-                self._add_edge(_make_node_id("memory", name.name), query, "", "reads")
+        for source in sources:
+            self._add_edge(source, query, "", "reads")
         self._add_goals(query, [head[2]])
+
+    def _find_awaited_sources(self, conditions: Term) -> List[str]:
+        """Return the ids of the memories and of the transforms that the conditions of a synchronized query name."""
+        sources = []
+        for pair in list_items(conditions) or ():
+            items = list_items(pair)
+            name: Any = deref(items[0]) if items else None
+            if isinstance(name, Atom):
+                sources.append(_make_node_id("memory", name.name))
+            elif _get_functor(name) is TF:
+                is_memory = not variables(name) and self._engine.knowledge.memories.find(name) is not None
+                sources.append(
+                    _make_node_id("memory", self._format_term(name)) if is_memory else self._add_transforms()
+                )
+        return sources
+
+    def _add_transforms(self) -> str:
+        """Return the id of the node for the tree of transforms."""
+        return self._add_node("transforms", "transforms", "tree of the transforms on /tf and /tf_static")
 
     def _add_memory(self, memory_instance: Any) -> None:
         # Ids can be compound terms, so the text is used if there is no name.
@@ -214,7 +236,10 @@ class _GraphBuilder:
         self._add_edge(self._add_event(memory_instance.recorder.pattern), memory, f"memory:{name}")
 
     def _add_goals(self, node: str, goals: List[Term]) -> None:
-        """Add the events that goals create, and the memories that they read, including the clauses that they call."""
+        """Add edges for the events that goals create, and for the memories and transforms that they read or store.
+
+        The clauses that the goals call are included.
+        """
         for term in self._find_called_terms(goals):
             if term[0] in _CREATING_GOALS or sets_timer(term):
                 event = self._add_event(deref(term[1]))
@@ -224,6 +249,10 @@ class _GraphBuilder:
                 for name in map(deref, names):
                     if isinstance(name, Atom):
                         self._add_edge(_make_node_id("memory", name.name), node, "", "reads")
+            elif term[0] in TRANSFORM_PREDICATES:
+                self._add_edge(self._add_transforms(), node, "", "reads")
+            elif term[0] in _TRANSFORM_STORING_GOALS:
+                self._add_edge(node, self._add_transforms(), "")
 
     def _find_called_terms(self, goals: List[Term]) -> Iterator[Any]:
         """Yield all compound terms in goals, and in the bodies of the program's clauses that they call."""
@@ -278,6 +307,12 @@ def _make_node_id(kind: str, name: str) -> str:
     return f"{kind}:{beginning(name)}"
 
 
+def _name_kinds(ids: Iterable[str]) -> str:
+    """Return the kinds of the nodes that a query waits for, as text."""
+    kinds = {node_id.partition(":")[0] for node_id in ids}
+    return " and ".join(_PLURALS[kind] for kind in sorted(kinds)) or "memories"
+
+
 def _get_functor(term: Term) -> Optional[Functor]:
     """Return the functor of an atom or compound term, or None for other terms."""
     term_functor: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
@@ -322,8 +357,9 @@ NODE_STYLES = {
     "topic": _NodeStyle("cds", "#d7e9f5", "topic"),
     "event": _NodeStyle("box", "#eceff3", "event"),
     "rule": _NodeStyle("box", "#e8defa", "rule"),
-    "query": _NodeStyle("hexagon", "#fdeccb", "query that waits for memories"),
+    "query": _NodeStyle("hexagon", "#fdeccb", "query that waits for memories or transforms"),
     "memory": _NodeStyle("cylinder", "#d9f0df", "memory"),
+    "transforms": _NodeStyle("cylinder", "#d3efee", "transforms on /tf and /tf_static"),
     "output": _NodeStyle("cds", "#cfe3f1", "published topic"),
 }
 
@@ -339,7 +375,7 @@ EDGE_ATTRIBUTES = {
     "absent": 'style=dashed color="#b3261e" arrowhead=tee',
     "reads": 'style=dotted color="#3c7d50"',
 }
-"""Attributes of edges by kind: flow of events, events that must not happen, and memories that are read."""
+"""Attributes of edges by kind: flow of events, events that must not happen, memories or transforms that are read."""
 
 
 def dot_text(graph: Graph, title: str) -> str:

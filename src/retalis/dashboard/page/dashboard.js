@@ -3,8 +3,8 @@
 
 import { draw } from "./graph.js";
 
-const KINDS = { topic: "topic", event: "event", rule: "rule", memory: "memory", query: "synchronized query",
-  output: "published topic" };
+const KINDS = { topic: "topic", event: "event", rule: "rule", memory: "memory", transforms: "transforms",
+  query: "synchronized query", output: "published topic" };
 const RETRY = 4000;
 
 const find = (id) => document.getElementById(id);
