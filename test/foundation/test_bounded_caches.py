@@ -47,7 +47,7 @@ HELD = {
     ("messages/type_registry.py", "self._by_text"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._decoders"): (1000, 32 << 20),
     ("messages/type_registry.py", "self._encoders"): (1000, 32 << 20),
-    ("messages/named_slots.py", "self.forms"): (1000, 1 << 20),
+    ("messages/named_slots.py", "self.notations"): (1000, 1 << 20),
     ("messages/encoder.py", "_packed_texts"): (2048, 1 << 20),
     ("messages/decoder.py", "cache"): (
         2048,

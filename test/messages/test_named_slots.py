@@ -35,11 +35,11 @@ def slots():
 
 PROGRAM = PrologSystem()
 KNOWING = PROGRAM.operators
-KNOWING.slots = slots()
+KNOWING.message_types = slots()
 
 
-def read(text, made=False, operators=KNOWING):
-    return read_term(text, operators, flags=ReadFlags(made=made)).term
+def read(text, is_constructed=False, operators=KNOWING):
+    return read_term(text, operators, flags=ReadFlags(is_constructed=is_constructed)).term
 
 
 READS = {
@@ -85,7 +85,7 @@ READS = {
 def test_what_messages_with_named_slots_read_as():
     for text, same in READS.items():
         assert term_key(read(text)) == term_key(read(same)), text
-    assert to_text(read(f"{POINT}{{x: 3}}", made=True)) == f"{POINT}(3.0,0.0)"
+    assert to_text(read(f"{POINT}{{x: 3}}", is_constructed=True)) == f"{POINT}(3.0,0.0)"
 
 
 WRONG = {
@@ -195,7 +195,7 @@ SHOWN = (
 
 def test_terms_are_shown_as_they_were_written():
     for text in SHOWN:
-        KNOWING.slots.forms.clear()
+        KNOWING.message_types.notations.clear()
         found = read_term(text, KNOWING)
         shown = PROGRAM.show(found.term, names={var: name for name, var in found.names.items()})
         assert shown == text
@@ -204,7 +204,7 @@ def test_terms_are_shown_as_they_were_written():
 
 def test_a_head_alone_is_shown_as_what_is_made():
     rule = read(f"{POINT}{{x: 1}} <- {POINT}{{y: 1}}")
-    assert PROGRAM.show(rule[1], made=True) == f"{POINT}{{x: 1}}"
+    assert PROGRAM.show(rule[1], is_constructed=True) == f"{POINT}{{x: 1}}"
     assert PROGRAM.show(rule[1]) == f"{POINT}(1.0,0.0)"  # as a pattern it would match more
     assert PROGRAM.show(rule) == f"{POINT}{{x: 1}}<-{POINT}{{y: 1}}"
 

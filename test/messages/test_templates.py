@@ -10,7 +10,7 @@ from retalis.prolog.terms.term_traversal import term_key
 
 DEFINITIONS = Definitions()
 OPERATORS = Operators.prolog()
-OPERATORS.slots = SlotNames(DEFINITIONS)
+OPERATORS.message_types = SlotNames(DEFINITIONS)
 
 
 def read(text):

@@ -92,7 +92,7 @@ class OnEvent(Protocol):
 
 
 TERM_FLAGS = ReadFlags()
-EVENT_FLAGS = ReadFlags(made=True)
+EVENT_FLAGS = ReadFlags(is_constructed=True)
 """Read flags for goals and patterns, and for events."""
 
 Instant = Union[int, Term]
@@ -154,7 +154,7 @@ class Engine:
         self.clock: Clock = clock or followed  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
         self.logic = PrologSystem()
-        self.slots = self.logic.operators.slots = SlotNames(definitions)
+        self.slots = self.logic.operators.message_types = SlotNames(definitions)
         self._budget = budget = self.logic.machine.budget
         self.logic.limits = settings.limits
         self.logic.allow_flags = settings.allow_flags

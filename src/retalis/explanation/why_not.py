@@ -57,7 +57,7 @@ from ..foundation import codegen
 from ..foundation.cancellation import check_limits
 from ..foundation.errors import RetalisError, RuleError
 from ..prolog.syntax.operators import Operators
-from ..prolog.syntax.term_writer import by_name, write_term
+from ..prolog.syntax.term_writer import named_message_portray, write_term
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import copy, variables
@@ -596,7 +596,9 @@ def show_term(
     shown_names = {}
     for var in variables(term):
         shown_names[var] = names.get(var) or ("_" if counts[var] == 1 else next(letters, "_"))
-    portray = by_name(term, operators, field_named_variables, quoted=True, variable_names=shown_names)
+    portray = named_message_portray(
+        term, operators, field_named_variables, quoted=True, variable_names=shown_names
+    )
     return write_term(term, operators, quoted=True, wide=True, variable_names=shown_names, portray=portray)
 
 

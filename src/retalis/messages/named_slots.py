@@ -14,7 +14,7 @@ from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tu
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError, counted
 from ..prolog.syntax.event_text import to_text
-from ..prolog.syntax.message_fields import Meant, MessageSlot, NamedForm
+from ..prolog.syntax.message_slots import MessageNotation, MessageSlot, MessageSuggestions
 from ..prolog.syntax.term_writer import write_term
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import atom
@@ -91,13 +91,13 @@ class SlotNames:
 
     Attributes:
         events: message types of the events that the program gives another name.
-        forms: the slots that messages were written with.
+        notations: the slots that messages were written with.
     """
 
     def __init__(self, definitions: Optional[Definitions] = None):
         self._definitions = definitions
         self.events: Dict[str, str] = {}
-        self.forms: Cache[NamedForm, bool] = Cache(1000, 1 << 20)
+        self.notations: Cache[MessageNotation, bool] = Cache(1000, 1 << 20)
         self._installed: Optional[TypeNotations] = None
 
     @property
@@ -138,7 +138,7 @@ class SlotNames:
             )
         return self._slots(definition)
 
-    def meant(self, name: str) -> Meant:
+    def suggest(self, name: str) -> MessageSuggestions:
         """Return suggestions for a name that is not a message."""
         if self._installed is None:
             self._installed = TypeNotations(
@@ -150,9 +150,9 @@ class SlotNames:
         notations = (declared, added, self._installed)
         same_message = [match for notation in notations for match in notation.other_notations(name)]
         if same_message:
-            return Meant(tuple(dict.fromkeys(same_message)), True)
+            return MessageSuggestions(tuple(dict.fromkeys(same_message)), True)
         similar_names = [match for notation in notations for match in notation.similar(name)]
-        return Meant(tuple(dict.fromkeys(similar_names)))
+        return MessageSuggestions(tuple(dict.fromkeys(similar_names)))
 
     def _slots(self, definition: Definition) -> List[MessageSlot]:
         # A message of zero bytes contains the default value of every slot. It is copied, because terms of a program

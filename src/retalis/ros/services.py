@@ -237,7 +237,7 @@ class EngineServices:
                 raise UsageError(f"{field} is empty")
             try:
                 # Separate parsing of the fields gives errors with positions within the field that the caller sent.
-                flags = ReadFlags(made=field == "format")
+                flags = ReadFlags(is_constructed=field == "format")
                 parsed = read_term(text, self._engine.operators, field, flags)
             except SyntaxFault as fault:
                 raise UsageError(f"{field}: {fault.brief()}") from fault

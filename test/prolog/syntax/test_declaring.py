@@ -56,7 +56,7 @@ def test_elsewhere_an_operator_is_missing(text):
 
 def test_no_event_is_a_declaration():
     with pytest.raises(SyntaxFault, match="expected an operator"):
-        read("event t", ReadFlags(made=True))
+        read("event t", ReadFlags(is_constructed=True))
 
 
 def test_an_operator_of_the_program_goes_first():

@@ -357,7 +357,7 @@ class RuleBase:
         # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
         if definition.head is not None:
             unnamed = dict.fromkeys(variables(definition.head), "_")
-            head = show(definition.head, {**unnamed, **definition.names}, made=True)
+            head = show(definition.head, {**unnamed, **definition.names}, is_constructed=True)
         label = "" if definition.label is None else f"{show(definition.label)}: "
         return f"rule {label}{head}"
 

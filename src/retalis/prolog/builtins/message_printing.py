@@ -13,7 +13,7 @@ from ..database.predicate import Predicate
 from ..machine.errors import ERROR, describe, indicator
 from ..machine.machine import LAST, Machine
 from ..syntax.operators import Operator, Operators
-from ..syntax.term_writer import add_full_stop, by_name, write_term
+from ..syntax.term_writer import add_full_stop, named_message_portray, write_term
 from ..terms.list_terms import list_items
 from ..terms.term_traversal import copy
 from ..terms.types import COMMA, SLASH, TRUE, Atom, Functor, String, Term, Var, atom, deref, functor
@@ -94,7 +94,7 @@ def clause_text(machine: Machine, term: Term) -> str:
     names = letter_names(term)
     term = deref(term)
     operators = machine.logic.operators
-    portray = by_name(term, operators, **_LINE, variable_names=names)
+    portray = named_message_portray(term, operators, **_LINE, variable_names=names)
     layout = _BodyLayout(operators, names, portray)
     if any(operators.find(key.name) != standard for key, standard in _layout_operators()):
         # The layout assumes the standard priorities; with other ones the text would be read as a different term.

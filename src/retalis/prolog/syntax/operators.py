@@ -9,7 +9,7 @@ from typing import AbstractSet, Dict, Iterable, Iterator, List, Mapping, NamedTu
 
 from ...foundation.errors import UsageError
 from ..terms.types import Functor, functor
-from .message_fields import Slots
+from .message_slots import MessageTypes
 
 
 class Operator(NamedTuple):
@@ -156,7 +156,7 @@ class Operators:
     the same time, an infix or postfix one.
 
     Attributes:
-        slots: provides the fields of messages to the parsers that use this table; None if there are no messages.
+        message_types: the message types that parsers with this table know; None if there are no messages.
 
     >>> engine = Engine()
     >>> engine.call("op(700, xfx, near)")
@@ -165,13 +165,13 @@ class Operators:
     True
     """
 
-    __slots__ = ("prefix", "infix", "postfix", "slots", "_patterns")
+    __slots__ = ("prefix", "infix", "postfix", "message_types", "_patterns")
 
     def __init__(self) -> None:
         self.prefix: Dict[str, Operator] = {}
         self.infix: Dict[str, Operator] = {}
         self.postfix: Dict[str, Operator] = {}
-        self.slots: Optional[Slots] = None
+        self.message_types: Optional[MessageTypes] = None
         self._patterns: Optional[Dict[str, Operator]] = None
 
     @classmethod
@@ -204,7 +204,7 @@ class Operators:
         table.prefix = dict(self.prefix)
         table.infix = dict(self.infix)
         table.postfix = dict(self.postfix)
-        table.slots = self.slots
+        table.message_types = self.message_types
         return table
 
     def become(self, source: "Operators") -> None:

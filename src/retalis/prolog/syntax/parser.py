@@ -12,8 +12,8 @@ from typing import Optional, Tuple
 
 from ..terms.types import FALSE, TRUE, Term, Var, atom, functor
 from . import parser_stack
-from .message_fields import complete
-from .named_field_parser import NamedFieldParser
+from .message_slots import bind_defaults
+from .named_slot_parser import NamedSlotParser
 from .operators import DECLARING, EVENT_SYNTAX
 from .parser_stack import ARGUMENTS, LABEL, LIST
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, TEXT, VARIABLE, AnyToken
@@ -24,7 +24,7 @@ _ENDS = frozenset((")", "]", "}", ",", "|", END, "eof"))
 """Kinds of tokens before which a term must be complete."""
 
 
-class Parser(NamedFieldParser):
+class Parser(NamedSlotParser):
     """Parses one clause; create a new parser for each clause."""
 
     def read(self) -> Term:
@@ -39,8 +39,10 @@ class Parser(NamedFieldParser):
                 self._operand()
             else:
                 self._operator()
-        if self.expanded and self.operators.slots is not None:
-            complete(self.left, self.expanded, self.operators.slots, self.flags.made)
+        if self.parsed_messages and self.operators.message_types is not None:
+            bind_defaults(
+                self.left, self.parsed_messages, self.operators.message_types, self.flags.is_constructed
+            )
         return self.left
 
     def _operand(self) -> None:
@@ -77,7 +79,7 @@ class Parser(NamedFieldParser):
 
     def _open_bracket(self, token_kind: str, position: int, start: int) -> None:
         closer = parser_stack.CLOSER[token_kind]
-        if token_kind == "{" and self._open_inner(position, start):
+        if token_kind == "{" and self._open_nested_message(position, start):
             return
         if self.tokens[position + 1][0] == closer:
             self.position = position + 2
@@ -122,7 +124,7 @@ class Parser(NamedFieldParser):
         if following[0] == OPEN_CT:
             self._open_arguments(name, start)
             return
-        if following[0] == "{" and self._open_slots(name, start):
+        if following[0] == "{" and self._open_named_message(name, start):
             return
         # A minus directly before a number is its sign; `- 1` is the compound term -(1), except in ISO mode.
         if name == "-" and (self.flags.iso or (token_kind == NAME and following[2] == start + 1)):
@@ -218,7 +220,11 @@ class Parser(NamedFieldParser):
     def _is_declaration(self) -> bool:
         """Return whether the operand is the ``event`` of a declaration, ``:- event E.``, and not an atom."""
         position = self.position - 1
-        if self.tokens[position][:2] != (NAME, "event") or self.patterns is not None or self.flags.made:
+        if (
+            self.tokens[position][:2] != (NAME, "event")
+            or self.patterns is not None
+            or self.flags.is_constructed
+        ):
             return False
         return position == 0 or (position == 1 and self.tokens[0][:2] in _BEFORE_GOALS)
 

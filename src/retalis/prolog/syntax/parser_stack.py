@@ -18,7 +18,7 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import SyntaxFault
 from ..terms.types import COMMA, CONS, NIL, Term, Var, functor
-from .message_fields import Expanded
+from .message_slots import ParsedMessage
 from .operators import EVENT_SYNTAX, Operator, Operators
 from .rule_detection import ARROW, NO_RULES, Layout
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, shown
@@ -38,7 +38,7 @@ class ParserState:
         names: variables by name, in order of appearance, without ``_``.
         counts: number of occurrences of each name.
         offsets: ``id`` of a compound term -> offsets of its functor and of its arguments.
-        expanded: messages with named slots.
+        parsed_messages: messages with named slots.
     """
 
     INFIX, PREFIX, GROUP = INFIX, PREFIX, GROUP
@@ -60,7 +60,7 @@ class ParserState:
         self.offsets = offsets
         self.names: Dict[str, Var] = {}
         self.counts: Dict[str, int] = {}
-        self.expanded: List[Expanded] = []
+        self.parsed_messages: List[ParsedMessage] = []
         self.position = 0
         self.stack: List[Any] = []
         self.brackets: List[List[Any]] = []

@@ -5,8 +5,7 @@ not recurse, so terms of any depth can be written. Brackets follow from the prio
 7.10.5): an operator term whose priority exceeds the limit of its position is put in brackets. A space separates two
 tokens only if they would be read as one, as in SWI-Prolog 9.
 
-`by_name` returns a `Portray` that shows messages with named fields in the notation in which the program has written
-them.
+`named_message_portray` returns a `Portray` that writes messages with named slots in the notation of the program.
 """
 
 from typing import (
@@ -42,7 +41,13 @@ from ..terms.types import (
     serial,
 )
 from .literals import atom_text, float_text, integer_text, quote
-from .message_fields import MessageSlot, NamedForm, as_integers, compound_subterms, constructed_parts
+from .message_slots import (
+    MessageNotation,
+    MessageSlot,
+    compound_subterms,
+    constructed_parts,
+    floats_to_integers,
+)
 from .operators import Operator, Operators, standard_operators
 
 _BRACES = functor("{}", 1)
@@ -476,108 +481,119 @@ Portray = Callable[[Term], Optional[str]]
 
 
 MAX_NAMED_DEPTH = 50
-"""Largest nesting depth of messages that are shown with named fields; message types cannot be nested deeper."""
+"""Largest nesting depth of messages that are shown with named slots; message types cannot be nested deeper."""
 
 
-def by_name(
+def named_message_portray(
     term: Term,
     operators: Operators,
     named_variables: Collection[Var] = (),
-    made: bool = False,
+    is_constructed: bool = False,
     **options: Any,
 ) -> Optional[Portray]:
-    """Return a `Portray` for the messages in a term that were written with named fields; None if there are none.
+    """Return a `Portray` for the messages in a term that were written with named slots; None if there are none.
 
     Args:
         term: the term to show.
         operators: its operator table.
-        named_variables: variables that have names, so that the fields with these variables were named.
-        made: whether the whole term is constructed, such as the head of a rule.
+        named_variables: variables that have names; slots with these variables were named.
+        is_constructed: whether the whole term is constructed, such as the head of a rule.
         **options: options for the values; see `WriteOptions`.
     """
-    if operators.slots is None or not operators.slots.forms:
+    if operators.message_types is None or not operators.message_types.notations:
         return None
-    shower = _NamedShower(term, operators, named_variables, made, options)
-    return shower.text if shower.forms else None
+    writer = _NamedMessageWriter(term, operators, named_variables, is_constructed, options)
+    return writer.write_message if writer.notations else None
 
 
-class _NamedShower:
-    """Shows messages with named fields, in the notations that the program has used for their types."""
+class _NamedMessageWriter:
+    """Writes messages with named slots, in the notations that the program has used for their types."""
 
     def __init__(
         self,
         term: Term,
         operators: Operators,
         named_variables: Collection[Var],
-        made: bool,
+        is_constructed: bool,
         options: Dict[str, Any],
     ):
         self.depth = 0
         self.operators = operators
         self.options = options
-        self.forms: Dict[Functor, List[NamedForm]] = {}
-        assert operators.slots is not None
-        self.find = operators.slots.find
-        forms_by_functor: Dict[Functor, List[NamedForm]] = {}
-        for form in list(operators.slots.forms):
-            forms_by_functor.setdefault(form.functor, []).append(form)
+        self.notations: Dict[Functor, List[MessageNotation]] = {}
+        assert operators.message_types is not None
+        self.find_message = operators.message_types.find
+        notations_by_functor: Dict[Functor, List[MessageNotation]] = {}
+        for notation in list(operators.message_types.notations):
+            notations_by_functor.setdefault(notation.functor, []).append(notation)
         for part in compound_subterms(term):
-            if part[0] in forms_by_functor:
-                self.forms[part[0]] = forms_by_functor[part[0]]
-        if self.forms:
-            self.open = _singleton_variables(term, named_variables)
-            roots = [term] if made else constructed_parts(term)
-            self.made: Set[int] = {
+            if part[0] in notations_by_functor:
+                self.notations[part[0]] = notations_by_functor[part[0]]
+        if self.notations:
+            self.singleton_variables = _singleton_variables(term, named_variables)
+            roots = [term] if is_constructed else constructed_parts(term)
+            self.constructed_ids: Set[int] = {
                 id(part) for constructed in roots for part in compound_subterms(constructed)
             }
 
-    def text(self, term: Term) -> Optional[str]:
-        """Return the text of a message that was written with named fields; None for any other term."""
-        if term.__class__ is not tuple or term[0] not in self.forms or self.depth > MAX_NAMED_DEPTH:
+    def write_message(self, term: Term) -> Optional[str]:
+        """Return the text of a message that was written with named slots; None for any other term."""
+        if term.__class__ is not tuple or term[0] not in self.notations or self.depth > MAX_NAMED_DEPTH:
             return None
-        slots = self.slots(term[0])
-        # Several notations may describe this message. The one with the fewest needless fields is probably the
-        # original.
-        fitting = [form for form in self.forms[term[0]] if slots and self.fits(term, form, slots)]
+        slots = self.find_slots(term[0])
+        # If several notations fit this message, the one with the fewest needless slots is probably the original one.
+        fitting = [
+            notation
+            for notation in self.notations[term[0]]
+            if slots and self.reads_back(term, notation, slots)
+        ]
         if slots is None or not fitting:
             return None
-        form = min(
-            fitting, key=lambda form: (self.needless_fields(term, form), len(form.named), -len(form.whole))
+        notation = min(
+            fitting,
+            key=lambda notation: (
+                self.count_needless_slots(term, notation),
+                len(notation.named_slots),
+                -len(notation.integer_slots),
+            ),
         )
         self.depth += 1
-        values = [self.slot(slots[number - 1], term[number], number in form.whole) for number in form.named]
+        values = [
+            self.write_slot(slots[number - 1], term[number], number in notation.integer_slots)
+            for number in notation.named_slots
+        ]
         self.depth -= 1
         return f"{atom_text(term[0].name)}{{{', '.join(values)}}}"
 
-    def slots(self, key: Functor) -> Optional[Sequence[MessageSlot]]:
+    def find_slots(self, key: Functor) -> Optional[Sequence[MessageSlot]]:
         try:
-            slots = self.find(key.name)
+            slots = self.find_message(key.name)
         except RetalisError:  # the definition cannot be read any more: the message is shown in full
             return None
         return slots if slots is not None and len(slots) == key.arity else None
 
-    def needless_fields(self, term: CompoundTerm, form: NamedForm) -> int:
-        """Return the number of fields that a notation names although their values are anonymous variables."""
-        return sum(deref(term[number]) in self.open for number in form.named)
+    def count_needless_slots(self, term: CompoundTerm, notation: MessageNotation) -> int:
+        """Return the number of slots that a notation names although their values are anonymous variables."""
+        return sum(deref(term[number]) in self.singleton_variables for number in notation.named_slots)
 
-    def fits(self, term: CompoundTerm, form: NamedForm, slots: Sequence[MessageSlot]) -> bool:
-        """Return whether a message reads back from a notation."""
-        if form.made is not (id(term) in self.made):
+    def reads_back(self, term: CompoundTerm, notation: MessageNotation, slots: Sequence[MessageSlot]) -> bool:
+        """Return whether a message that is written in a notation is read back as the same message."""
+        if notation.is_constructed is not (id(term) in self.constructed_ids):
             return False
-        others = [number for number in range(1, len(term)) if number not in form.named]
-        if not form.made:
-            return all(deref(term[number]) in self.open for number in others)
+        unnamed_slots = [number for number in range(1, len(term)) if number not in notation.named_slots]
+        if not notation.is_constructed:
+            return all(deref(term[number]) in self.singleton_variables for number in unnamed_slots)
         return all(
-            is_ground(term[number]) and term_key(term[number]) == term_key(slots[number - 1].zero)
-            for number in others
+            is_ground(term[number]) and term_key(term[number]) == term_key(slots[number - 1].default)
+            for number in unnamed_slots
         )
 
-    def slot(self, slot: MessageSlot, value: Term, is_complete: bool) -> str:
-        value = as_integers(deref(value), slot.array) if is_complete else deref(value)
-        text = self.text(value) if slot.message and not slot.array else None
+    def write_slot(self, slot: MessageSlot, value: Term, is_integer: bool) -> str:
+        value = floats_to_integers(deref(value), slot.is_array) if is_integer else deref(value)
+        text = self.write_message(value) if slot.message_functor and not slot.is_array else None
         if text is None:
-            text = write_term(value, self.operators, portray=self.text, priority=999, **self.options)
-        elif value[0].name == slot.message:  # type: ignore[index]
+            text = write_term(value, self.operators, portray=self.write_message, priority=999, **self.options)
+        elif value[0].name == slot.message_functor:  # type: ignore[index]
             text = text[text.index("{") :]
         return f"{slot.name}: {text}"
 
@@ -588,9 +604,9 @@ def _singleton_variables(term: Term, named_variables: Collection[Var]) -> Set[Va
     excluded: Set[Var] = set(named_variables)
     stack: List[Any] = [term]
     while stack:
-        part = deref(stack.pop())
-        if part.__class__ is tuple:
-            stack += part[1:]
-        elif part.__class__ is Var:
-            (excluded if part in occurring else occurring).add(part)
+        subterm = deref(stack.pop())
+        if subterm.__class__ is tuple:
+            stack += subterm[1:]
+        elif subterm.__class__ is Var:
+            (excluded if subterm in occurring else occurring).add(subterm)
     return occurring - excluded

@@ -39,7 +39,7 @@ class ReadFlags(NamedTuple):
         iso: priorities of ISO 13211-1: arguments at most 999, operators as operands in brackets, no special floats.
         event_text: the syntax of events on String topics: ``inf``, ``nan`` and ``-inf`` are floats wherever they are
             arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and ``False`` are ``true`` and ``false``.
-        made: the term is constructed and not matched: message slots that are not named are zero or empty.
+        is_constructed: whether the term is constructed and not matched: unnamed message slots have default values.
         multiline: quoted text may continue on the next line.
     """
 
@@ -47,7 +47,7 @@ class ReadFlags(NamedTuple):
     back_quotes: str = "codes"
     iso: bool = False
     event_text: bool = False
-    made: bool = False
+    is_constructed: bool = False
     multiline: bool = False
 
 

@@ -43,7 +43,7 @@ from ..machine.errors import CONTEXT, PrologError, existence_error, indicator, p
 from ..machine.machine import Code, Guard, Machine
 from ..machine.resource_limits import Budget, BudgetState, Limits
 from ..syntax.operators import Operators
-from ..syntax.term_writer import by_name, write_term
+from ..syntax.term_writer import named_message_portray, write_term
 from ..terms.term_traversal import copy
 from ..terms.types import (
     COLON,
@@ -735,7 +735,7 @@ class PrologSystem(PredicateTable):
         term: Term,
         quoted: bool = True,
         names: Optional[Mapping[Var, str]] = None,
-        made: bool = False,
+        is_constructed: bool = False,
         longest: Optional[int] = None,
     ) -> str:
         """Return a term as text that reads back with the program's operators.
@@ -744,17 +744,23 @@ class PrologSystem(PredicateTable):
             term: any term.
             quoted: whether atoms and strings are quoted if necessary.
             names: names of variables.
-            made: whether the term is constructed and not matched; see `ReadFlags`.
+            is_constructed: whether the term is constructed and not matched; see `ReadFlags`.
             longest: length in characters after which the text ends with ``...``.
         """
         options = {"quoted": quoted, "numbervars": True, "variable_names": names, "longest": longest}
         named_variables = [var for var, name in (names or {}).items() if name != "_"]
-        portray = by_name(term, self.operators, named_variables, made, **options) if quoted else None
+        portray = (
+            named_message_portray(term, self.operators, named_variables, is_constructed, **options)
+            if quoted
+            else None
+        )
         return write_term(term, self.operators, portray=portray, **options)
 
-    def brief(self, term: Term, names: Optional[Mapping[Var, str]] = None, made: bool = False) -> str:
+    def brief(
+        self, term: Term, names: Optional[Mapping[Var, str]] = None, is_constructed: bool = False
+    ) -> str:
         """Return the text of a term, shortened for reports."""
-        return self.show(term, names=names, made=made, longest=MAX_SHOWN_CHARACTERS)
+        return self.show(term, names=names, is_constructed=is_constructed, longest=MAX_SHOWN_CHARACTERS)
 
     # Internals
 

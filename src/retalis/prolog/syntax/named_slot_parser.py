@@ -1,10 +1,10 @@
-"""Parser of messages with named fields: ``sensor_msgs__0__BatteryState{percentage: P, header: {stamp: S}}``.
+"""Parser of messages with named slots: ``sensor_msgs__0__BatteryState{percentage: P, header: {stamp: S}}``.
 
-A message with named fields is an entry of kind ``SLOTS`` on the parser's stack. When its bracket closes, the term is
-built with all arguments in the order of the message type: a variable for each field that is not named, and floats in
-place of integers in float fields. The fields come from `Slots`, which knows the message types.
+A message with named slots is an entry of kind ``SLOTS`` on the parser's stack. When its bracket closes, the term is
+built with all arguments in the order of the message type: a variable for each slot that is not named, and floats in
+place of integers in float slots. `MessageTypes` provides the slots of a message type.
 
-`misnamed_message_error` creates the error for a name before the bracket that is no message: a ROS notation
+`misnamed_message_error` creates the error for a name before the bracket that is not a message type: a ROS notation
 (``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
 
@@ -15,45 +15,49 @@ from ...foundation.errors import RetalisError, SyntaxFault
 from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
-from .message_fields import Expanded, MessageSlot, Slots, as_floats
+from .message_slots import MessageSlot, MessageTypes, ParsedMessage, integers_to_floats
 from .parser_stack import LIST, SLOTS, ParserStack, ParserState
 from .tokenizer import NAME, QUOTED, VARIABLE, shown
 
-_MAX_NAMED_TYPES = 3
-"""Largest number of message types that an error suggests."""
+_MAX_SUGGESTED_TYPES = 3
+"""Maximum number of message types that an error suggests."""
 
 
-def misnamed_message_error(parser: ParserState, slots: Slots) -> Optional[SyntaxFault]:
-    """Return the error for a curly bracket after a name that is no message; None if it was not meant as a message."""
+def misnamed_message_error(parser: ParserState, message_types: MessageTypes) -> Optional[SyntaxFault]:
+    """Return the error for a curly bracket after a name that is not a message type.
+
+    Returns:
+        The error, or None if the name is probably not meant as a message type.
+    """
     previous_token, bracket = parser.tokens[parser.position - 1], parser.tokens[parser.position]
-    is_apart = previous_token[3] != bracket[2]
-    if previous_token[0] != VARIABLE and _is_message(previous_token[1], slots):
+    has_space_before = previous_token[3] != bracket[2]
+    if previous_token[0] != VARIABLE and _is_message(previous_token[1], message_types):
         message = f'no space is allowed between {atom_text(previous_token[1])} and its "{{"'
-        return parser.source.fault(message, bracket[2]) if is_apart else None
+        return parser.source.fault(message, bracket[2]) if has_space_before else None
     name, start = _full_name(parser)
-    candidates = slots.meant(name)
-    names = candidates.names[:_MAX_NAMED_TYPES]
-    if candidates.other:
+    suggestions = message_types.suggest(name)
+    names = suggestions.names[:_MAX_SUGGESTED_TYPES]
+    if suggestions.is_other_notation:
         hint = f"; write {' or '.join(f'{atom_text(suggestion)}{{...}}' for suggestion in names)}"
     elif names:
         hint = f"; did you mean {' or '.join(map(atom_text, names))}?"
-    # Without a similar name, nothing shows that a message was meant: the general error is better.
-    elif is_apart or previous_token[0] == VARIABLE or name != previous_token[1]:
+    # Without a similar name, the general error is better, because nothing indicates a message.
+    elif has_space_before or previous_token[0] == VARIABLE or name != previous_token[1]:
         return None
     else:
         hint = ""
     return parser.source.fault(f"no message type or event of a topic is called {name}{hint}", start)
 
 
-def _is_message(name: str, slots: Slots) -> bool:
+def _is_message(name: str, message_types: MessageTypes) -> bool:
     try:
-        return slots.find(name) is not None
-    except RetalisError:  # a message whose definition cannot be read
+        return message_types.find(name) is not None
+    except RetalisError:  # The message type exists, but its definition cannot be read.
         return True
 
 
 def _full_name(parser: ParserState) -> Tuple[str, int]:
-    """Return the name before the current token, with a package written before it, and the offset of the name."""
+    """Return the name before the current token, with the package if one precedes it, and the offset of the name."""
     last = parser.tokens[parser.position - 1]
     if parser.position > 2:
         package, slash = parser.tokens[parser.position - 3 : parser.position - 1]
@@ -65,98 +69,110 @@ def _full_name(parser: ParserState) -> Tuple[str, int]:
 _TYPE_INFIX = "__0__"
 """Infix of all names of message types as terms."""
 
-# Indexes of the items of a message's stack entry after priority, kind, token and table: values with their offsets by
-# slot number, name of the term, its offset, its slots, and the number of the slot that is being read.
+# Indexes of the items of stack entries; see `parser_stack`. Items of all kinds of brackets:
+_KIND, _TOKEN, _TABLE = 1, 2, 3
+# Items of a list: whether the bar has been read.
+_HAS_BAR = 6
+# Items of a message: values and their offsets by slot number; functor name; offset of the name; slots of the message
+# type; number of the slot that is being read.
 _VALUES, _TERM, _START, _SLOTS, _NUMBER = range(4, 9)
 
 
-class NamedFieldParser(ParserStack):
-    """Parser state for messages with named fields; opens and closes their brackets."""
+class NamedSlotParser(ParserStack):
+    """Parser state for messages with named slots: opens and closes their brackets."""
 
-    def _open_slots(self, name: str, start: int) -> bool:
-        """Open the message whose name was just read; return whether it is one."""
+    def _open_named_message(self, name: str, start: int) -> bool:
+        """Open the message whose name was just read; return whether the name is a message type."""
         position = self.position
         if self.tokens[position][2] != self.tokens[position - 1][3] or self.flags.event_text:
             return False
-        # An operator before a curly bracket is an operator: `X = {a}` must not look for a message called `=`.
+        # An operator before a curly bracket is not the name of a message, as in `X = {a}`.
         if name in self.operators.prefix or name in self.table:
             return False
-        provider = self.operators.slots
-        if provider is None:
+        message_types = self.operators.message_types
+        if message_types is None:
             if _TYPE_INFIX in name:
                 raise self.source.fault(
                     f"slots by name are not available here: write all slots of {name}", start
                 )
             return False
         try:
-            slots = provider.find(name)
+            slots = message_types.find(name)
         except RetalisError as error:
             raise self.source.fault(error.message, start) from error
         if slots is None:
-            return False  # reported by `_missing_operator_error` if the clause does not parse
+            return False  # If the clause is invalid, `_missing_operator_error` reports the name.
         self._open_message(name, start, slots)
         return True
 
     def _missing_operator_error(self) -> SyntaxFault:
         """Return the error for a token after a complete term; the token may be the bracket of a misspelt message."""
-        provider = self.operators.slots
+        message_types = self.operators.message_types
         previous_token, token = self.tokens[self.position - 1], self.tokens[self.position]
         may_be_message = token[0] == "{" and previous_token[0] in (NAME, QUOTED, VARIABLE)
         error = None
-        if may_be_message and provider is not None and not self.flags.event_text:
-            error = misnamed_message_error(self, provider)
+        if may_be_message and message_types is not None and not self.flags.event_text:
+            error = misnamed_message_error(self, message_types)
         return error or parser_stack.missing_operator_error(self, self.brackets[-1])
 
-    def _open_inner(self, position: int, start: int) -> bool:
-        """Open a nested message, whose name follows from the type of its field; return whether it is one."""
-        around = self.brackets[-1]
-        # An operator waits for this operand, so it is not the whole value of the field.
-        if self.stack[-1] is not around:
+    def _open_nested_message(self, position: int, start: int) -> bool:
+        """Open a nested message without a name, whose type is that of the slot.
+
+        Returns:
+            Whether the bracket opened a message.
+        """
+        enclosing_bracket = self.brackets[-1]
+        # If an operator is on the stack, the bracket is its operand and not the value of the slot.
+        if self.stack[-1] is not enclosing_bracket:
             return False
-        if around[1] == SLOTS:
-            slot = around[_SLOTS][around[_NUMBER] - 1]
-            if slot.array:
+        if enclosing_bracket[_KIND] == SLOTS:
+            slot = enclosing_bracket[_SLOTS][enclosing_bracket[_NUMBER] - 1]
+            if slot.is_array:
                 raise self.source.fault(f"{slot.name} is {slot.type}: expected a list of its elements", start)
-        elif around[1] == LIST and len(self.brackets) > 1 and self.brackets[-2][1] == SLOTS:
+        elif (
+            enclosing_bracket[_KIND] == LIST and len(self.brackets) > 1 and self.brackets[-2][_KIND] == SLOTS
+        ):
             slot = self.brackets[-2][_SLOTS][self.brackets[-2][_NUMBER] - 1]
-            if not slot.array or around[6]:
+            if not slot.is_array or enclosing_bracket[_HAS_BAR]:
                 return False
         else:
             return False
-        if not slot.message:
+        if not slot.message_functor:
             raise self.source.fault(f"{slot.name} is {slot.type}, which has no slots", start)
-        slots = self.operators.slots and self.operators.slots.find(slot.message)
-        self._open_message(slot.message, start, slots or ())
+        slots = self.operators.message_types and self.operators.message_types.find(slot.message_functor)
+        self._open_message(slot.message_functor, start, slots or ())
         return True
 
     def _open_message(self, name: str, start: int, slots: Sequence[MessageSlot]) -> None:
         """Open a message at its bracket."""
-        bracket_at = self.position
-        self.position = bracket_at + 1
-        self._push_bracket([self.argument_limit, SLOTS, bracket_at, self.table, {}, name, start, slots, 0])
+        bracket_position = self.position
+        self.position = bracket_position + 1
+        self._push_bracket(
+            [self.argument_limit, SLOTS, bracket_position, self.table, {}, name, start, slots, 0]
+        )
         if self.tokens[self.position][0] == "}":
-            self._close_slots()
+            self._close_message()
         else:
             self._begin_slot()
 
     def _begin_slot(self) -> None:
-        """Read the name of a field and its colon."""
+        """Read the name of a slot and its colon."""
         bracket = self.brackets[-1]
         token, following = self.tokens[self.position], self.tokens[self.position + 1]
         if token[0] not in (NAME, QUOTED) or following[0] != NAME or following[1] != ":":
-            raise self._field_name_error()
-        # Fields may be named in any order, each at most once.
+            raise self._slot_name_error()
+        # Slots may be named in any order, each at most once.
         name, slots = token[1], bracket[_SLOTS]
         names = [slot.name for slot in slots]
         if name not in names:
-            raise self.source.fault(_unknown_field_message(bracket[_TERM], name, slots), token[2])
+            raise self.source.fault(_unknown_slot_message(bracket[_TERM], name, slots), token[2])
         number = bracket[_NUMBER] = names.index(name) + 1
         if number in bracket[_VALUES]:
             raise self.source.fault(f"slot {name} has a value already", token[2])
         self.position += 2
         self._begin_segment(self.position, self.operators.infix)
 
-    def _field_name_error(self) -> RetalisError:
+    def _slot_name_error(self) -> RetalisError:
         token, following = self.tokens[self.position : self.position + 2]
         shown_token = shown(token, self.source.text)
         if token[0] in (NAME, QUOTED) and following[0] == NAME:
@@ -179,7 +195,7 @@ class NamedFieldParser(ParserStack):
         self._begin_slot()
 
     def _store_value(self) -> None:
-        """Store the value of the field that was just read."""
+        """Store the value of the slot that was just read."""
         bracket = self._close_operators()
         bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_at)
 
@@ -189,31 +205,31 @@ class NamedFieldParser(ParserStack):
             return
         self._store_value()
         if bracket_kind != "}":
-            raise parser_stack.unbalanced_bracket_error(self, self.brackets[-1][2])
-        self._close_slots()
+            raise parser_stack.unbalanced_bracket_error(self, self.brackets[-1][_TOKEN])
+        self._close_message()
 
-    def _close_slots(self) -> None:
+    def _close_message(self) -> None:
         """Build the term of the message."""
         bracket = self.brackets.pop()
         self.stack.pop()
         self.position += 1
-        self.table = bracket[3]
+        self.table = bracket[_TABLE]
         name, start, slots = bracket[_TERM], bracket[_START], bracket[_SLOTS]
         values: Dict[int, Tuple[Term, int]] = bracket[_VALUES]
-        zeros: Dict[Var, Term] = {}
+        default_values: Dict[Var, Term] = {}
         arguments: List[Any] = []
         offsets = []
         integer_slots = []
         for number, slot in enumerate(slots, 1):
             value, offset = values.get(number, (None, start))
             if value is None:
-                # A variable for now. Whether it stays one or is bound to its zero value depends on the position of
-                # the message in the clause, which is known at the end; see `message_fields.complete`.
+                # `message_slots.bind_defaults` binds the variable if the message is in a constructed part of the
+                # clause, which is known when the whole clause has been read.
                 value = Var()
-                zeros[value] = slot.zero
-            elif slot.real:
-                original_value, value = value, as_floats(value, slot.array)
-                # Recorded, so that listings show `{x: 0}` as written and not as `{x: 0.0}`.
+                default_values[value] = slot.default
+            elif slot.is_float:
+                original_value, value = value, integers_to_floats(value, slot.is_array)
+                # Recorded, so that listings show `{x: 0}` as it was written, not as `{x: 0.0}`.
                 if value is not original_value:
                     integer_slots.append(number)
                     self._move_positions(original_value, value)
@@ -222,7 +238,9 @@ class NamedFieldParser(ParserStack):
         if arguments:
             term = (functor(name, len(slots)), *arguments)
             self._build(term, start, tuple(offsets))
-            self.expanded.append(Expanded(term, tuple(values), zeros, tuple(integer_slots)))
+            self.parsed_messages.append(
+                ParsedMessage(term, tuple(values), default_values, tuple(integer_slots))
+            )
         else:
             self.left = atom(name)
         self.left_at = start
@@ -235,10 +253,10 @@ class NamedFieldParser(ParserStack):
             self.offsets[id(new)] = self.offsets.pop(id(old))
 
 
-def _unknown_field_message(term: str, name: str, slots: Sequence[MessageSlot]) -> str:
-    """Return the error message for the name of a field that does not exist."""
+def _unknown_slot_message(term: str, name: str, slots: Sequence[MessageSlot]) -> str:
+    """Return the error message for the name of a slot that does not exist."""
     names = [slot.name for slot in slots]
-    near = get_close_matches(name, names, 1)
-    if near:
-        return f"{term} has no slot {name}; did you mean {near[0]}?"
+    similar_names = get_close_matches(name, names, 1)
+    if similar_names:
+        return f"{term} has no slot {name}; did you mean {similar_names[0]}?"
     return f"{term} has no slot {name}; it has {', '.join(names) or 'none'}"
