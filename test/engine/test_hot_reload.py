@@ -81,7 +81,7 @@ class Program:
             {
                 str(one): [engine.show(clause.head) for clause in one.active_clauses()]
                 for one in predicates
-                if not one.library
+                if not one.is_library_predicate
             },
             {key: list(one.memory.records) for key, one in engine.knowledge.memories.instances.items()},
             [(key, one.tally.number) for key, one in engine.knowledge.subscriptions.items()],

@@ -117,12 +117,12 @@ def _of_rule(rule):
 
 def _of_predicates(logic):
     for key, predicate in logic.database.predicates.items():
-        if predicate.library:
+        if predicate.is_library_predicate:
             continue
         live = list(predicate.active_clauses())
         if len(predicate) != len(live):
             yield f"{key}: {len(live)} clauses live and {len(predicate)} are counted"
-        if predicate.ground and not all(clause.ground for clause in live):
+        if predicate.has_only_ground_facts and not all(clause.is_ground_fact for clause in live):
             yield f"{key} is no table of facts"
         if live and predicate.kind == "undefined":
             yield f"{key} has clauses and is not defined"

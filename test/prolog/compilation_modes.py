@@ -19,15 +19,14 @@ import pytest
 
 from retalis import Engine, PrologError, functor
 from retalis.foundation.errors import TermTooLarge
-from retalis.prolog.database.clause_index import NEVER
 from retalis.prolog.database.database import Database
-from retalis.prolog.database.predicate import COMPILE_AFTER
+from retalis.prolog.database.predicate import COMPILE_AFTER, NEVER_COMPILE
 from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem
 from retalis.prolog.terms.term_traversal import copy, variables
 
-WAYS = {"never": NEVER, "at once": 0, "default": COMPILE_AFTER}
+WAYS = {"never": NEVER_COMPILE, "at once": 0, "default": COMPILE_AFTER}
 SUITES = (
     "test/prolog",
     "test/events",

@@ -20,12 +20,12 @@ GO, HELPER, OTHER, COUNTED = (
 
 
 def compiled(logic, key):
-    return logic.database.predicate(key).compiled
+    return logic.database.predicate(key).is_compiled
 
 
 def test_what_a_term_names_is_compiled_with_what_it_calls():
     logic = prolog(PROGRAM, 12)
-    logic.database.compile_named([read_term("go(X), counted(_)", logic.operators).term])
+    logic.database.compile_reachable([read_term("go(X), counted(_)", logic.operators).term])
     assert [compiled(logic, key) for key in (GO, HELPER, OTHER, COUNTED)] == [True, True, False, False]
     assert answers(logic, "go(1)") == answers(prolog(PROGRAM, 12), "go(1)")
 
@@ -37,9 +37,9 @@ def test_a_goal_is_ready_at_the_end_of_preparing():
         ready = logic.compile_goal((GO, x), [x])
     later = logic.compile_goal((GO, x), [x])
     for goal in (ready, later):
-        assert goal.test((1,)) == () and goal.test((5,)) is None
+        assert goal.first_solution((1,)) == () and goal.first_solution((5,)) is None
     assert (
-        ready.straight is later.straight or ready.straight.__code__.co_code == later.straight.__code__.co_code
+        ready.function is later.function or ready.function.__code__.co_code == later.function.__code__.co_code
     )
 
 
@@ -50,7 +50,7 @@ def test_a_goal_whose_predicates_come_later_is_made_when_it_is_asked():
         goal = logic.compile_goal((GO, x), [x])
     for text in ("go(1)", "go(2)"):
         logic.add_clause(read_term(text, logic.operators).term)
-    assert goal.test((2,)) == () and goal.test((3,)) is None
+    assert goal.first_solution((2,)) == () and goal.first_solution((3,)) is None
 
 
 def test_what_changes_after_it_was_compiled_is_as_it_is_now():
@@ -58,9 +58,9 @@ def test_what_changes_after_it_was_compiled_is_as_it_is_now():
     x = Var()
     with logic.preparing(lambda: [(GO, x)]):
         goal = logic.compile_goal((GO, x), [x])
-    assert goal.test((9,)) is None
+    assert goal.first_solution((9,)) is None
     logic.add_clause(read_term("facts(10)", logic.operators).term)
-    assert goal.test((9,)) == ()
+    assert goal.first_solution((9,)) == ()
     assert first(logic, "go(9)") == {}
 
 

@@ -418,7 +418,7 @@ class Console:
         """Return whether the program defines the predicate of a goal."""
         key = goal[0] if goal.__class__ is tuple else getattr(goal, "functor", None)
         predicate = None if key is None else self.logic.database.predicates.get(key)
-        return predicate is not None and predicate.kind == "user" and not predicate.library
+        return predicate is not None and predicate.kind == "user" and not predicate.is_library_predicate
 
     def _try_event(self, goal: Term) -> bool:
         """Process ``event(E)`` and ``event(E,[T1,T2])`` as events; return False for another goal."""

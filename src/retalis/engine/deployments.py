@@ -115,9 +115,11 @@ def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: Knowledg
     """Return all items of an engine's program."""
     database = logic.database
     # A tabled predicate is wrapped; its clauses belong to the inner predicate.
-    predicates = [predicate.tabled or predicate for predicate in list(database.predicates.values())]
+    predicates = [predicate.hidden_predicate or predicate for predicate in list(database.predicates.values())]
     own_predicates = [
-        predicate for predicate in predicates if predicate.kind == "user" and not predicate.library
+        predicate
+        for predicate in predicates
+        if predicate.kind == "user" and not predicate.is_library_predicate
     ]
     return Deployment(
         rules.rules,
@@ -126,8 +128,8 @@ def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: Knowledg
         dict(knowledge.subscriptions.items()),
         rules.all_properties(),
         {name: rules.flags.get(name) for name in rules.flags.names()},
-        {predicate for predicate in predicates if predicate.dynamic and not predicate.library},
-        set(database.library.kept),
+        {predicate for predicate in predicates if predicate.dynamic and not predicate.is_library_predicate},
+        set(database.library.shadowed_predicates),
         set(rules.files.loaded),
         rules.timers.all_by_key(),
         knowledge.states.all_by_key(),
@@ -269,7 +271,7 @@ def restore_deployments(
 
 def _find_predicate(logic: PrologSystem, functor: Functor) -> Predicate:
     predicate = logic.database.predicate(functor)
-    return predicate.tabled or predicate
+    return predicate.hidden_predicate or predicate
 
 
 def _restore_clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predicate, List[Clause]]:
@@ -284,6 +286,6 @@ def _restore_clauses(logic: PrologSystem, saved: Dict[str, Any]) -> Dict[Predica
         for head, body, place in retracted_clauses:
             clause = Clause(predicate, head, body, place)
             # Marked as retracted before any goal can call it.
-            clause.died = 0
+            clause.retracted_at = 0
             clauses.setdefault(predicate, []).append(clause)
     return clauses

@@ -93,7 +93,7 @@ class EngineSnapshot:
         # Lists of objects are compared by identity: definitions are immutable, so a change replaces an object. The
         # objects stay referenced by the signature, so no new object can get the address of an old one.
         return (
-            engine.logic.database.changes,
+            engine.logic.database.change_count,
             len(engine.logic.database.predicates),
             engine.logic.operators.changes(),
             [rule.serial for rule in named_rules],

@@ -459,7 +459,7 @@ class ReloadTransaction:
         if predicate in self._old_deployment.dynamic:
             predicate.dynamic = False
         key = predicate.functor
-        library = self._engine.logic.database.library.kept.get(key)
+        library = self._engine.logic.database.library.shadowed_predicates.get(key)
         if key in self._old_deployment.replaced and library is not None:
             # The library predicate that the folder had redefined becomes visible again.
             self._engine.logic.database.restore_library(library)

@@ -271,8 +271,8 @@ class _GraphBuilder:
             if key not in seen:
                 seen.add(key)
                 predicate = predicates.get(key)
-                if predicate is not None and not predicate.library:
-                    pending += [clause.body for clause in predicate.active_clauses() if not clause.fact]
+                if predicate is not None and not predicate.is_library_predicate:
+                    pending += [clause.body for clause in predicate.active_clauses() if not clause.is_fact]
             if term.__class__ is tuple:
                 yield term
                 pending += term[1:]

@@ -292,8 +292,8 @@ def test_which_goals_are_joined(first, second, joined):
     calls = []
     engine.load(rules=TOGETHER.format(first, second))
     predicate = engine.logic.database.predicate(functor("prev", 5))
-    joins = predicate.functional.joins
-    predicate.functional = predicate.functional._replace(
+    joins = predicate.functional_modes.joins
+    predicate.functional_modes = predicate.functional_modes._replace(
         joins=lambda goals, counts: calls.append(joins(goals, counts)) or calls[-1]
     )
     for _ in range(30):

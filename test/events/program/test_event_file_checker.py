@@ -26,7 +26,7 @@ def test_they_are_errors_that_name_the_arrow(goal, key):
     assert "write :- before a goal" in error.message
     assert (error.place.line, error.place.column) == (3, 3)
     assert not engine.call("catch(fact(1), _, fail)")
-    assert engine.logic.is_of_system(next(k for k in engine.logic.names() if str(k) == key))
+    assert engine.logic.is_system_predicate(next(k for k in engine.logic.names() if str(k) == key))
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def compiled(logic, text, inputs, outputs):
 def told(goal, values):
     """Return what a goal says: its outputs as texts, or its error's."""
     try:
-        found = goal.test(values)
+        found = goal.first_solution(values)
     except PrologError as error:
         return show(error.term)
     return None if found is None else tuple(map(show, found))
@@ -57,14 +57,14 @@ def told(goal, values):
 
 def both_ways(logic, text, inputs, outputs, values):
     """Return what a goal says, after comparing with what it says by frames; and whether a function told it."""
-    straight = compiled(logic, text, inputs, outputs)
+    with_function = compiled(logic, text, inputs, outputs)
     by_frames = compiled(logic, text, inputs, outputs)
-    by_frames.straight = None
+    by_frames.function = None
     expected = told(by_frames, values)
     for _ in range(2):
-        assert told(straight, values) == expected
+        assert told(with_function, values) == expected
         assert logic.machine.trail == [] == logic.machine.choices
-    return expected, straight.straight is not None and straight.straight(*values) is not BAIL
+    return expected, with_function.function is not None and with_function.function(*values) is not BAIL
 
 
 CASES = [
@@ -131,10 +131,10 @@ def test_variables_among_the_values_are_free_again():
     logic = prolog(PROGRAM)
     var = Var()
     goal = compiled(logic, "two(X)", ["X"], ["X"])
-    assert goal.test((var,)) == (1,)
+    assert goal.first_solution((var,)) == (1,)
     assert var.ref is None
     failing = compiled(logic, "X = 1, !, X = 2", ["X"], [])
-    assert failing.test((var,)) is None
+    assert failing.first_solution((var,)) is None
     assert var.ref is None and logic.machine.trail == []
 
 
@@ -145,9 +145,9 @@ def test_facts_that_come_and_go():
     change = {True: "assertz(state(lamp, on))", False: "retract(state(lamp, on))"}
     for on in [True, False] * 3:
         assert logic.once(read_term(change[on], logic.operators).term)
-        assert (goal.test((lamp,)) is not None) is on
+        assert (goal.first_solution((lamp,)) is not None) is on
     assert logic.once(read_term("assertz((state(X, on) :- X == lamp))", logic.operators).term)
-    assert goal.test((lamp,)) == ()
+    assert goal.first_solution((lamp,)) == ()
 
 
 def test_many_facts_are_found_by_their_index():
@@ -161,28 +161,28 @@ def test_many_facts_are_found_by_their_index():
 def test_clauses_that_are_added_count():
     logic = prolog("p(1). q(X) :- p(X).")
     goal = compiled(logic, "q(X)", ["X"], [])
-    assert goal.test((2,)) is None
+    assert goal.first_solution((2,)) is None
     logic.add_clause(read_term("p(2)", logic.operators).term)
-    assert goal.test((2,)) == ()
+    assert goal.first_solution((2,)) == ()
     logic.add_clause(read_term("p(X) :- q(X)", logic.operators).term)
-    assert goal.test((1,)) == ()
-    assert goal.straight(1) is BAIL
+    assert goal.first_solution((1,)) == ()
+    assert goal.function(1) is BAIL
 
 
 def test_predicates_may_be_defined_after_the_goal():
     logic = prolog()
     goal = compiled(logic, "inc(X, Y)", ["X"], ["Y"])
     logic.add_clause(read_term("inc(X, Y) :- Y is X + 1", logic.operators).term)
-    assert goal.test((1,)) == (2,)
-    assert goal.straight(1) == (2,)
+    assert goal.first_solution((1,)) == (2,)
+    assert goal.function(1) == (2,)
 
 
 def test_what_cannot_tell_is_not_asked_for_ever():
     logic = prolog(PROGRAM)
     goal = compiled(logic, "later(Y)", [], ["Y"])
     for _ in range(30):
-        assert goal.test(()) == (2,)
-    assert goal.straight is None
+        assert goal.first_solution(()) == (2,)
+    assert goal.function is None
 
 
 def test_attempts_use_functions_and_frames():

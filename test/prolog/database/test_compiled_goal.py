@@ -25,18 +25,18 @@ FACTS = "p(1). p(2). p(3). q(X, Y) :- p(X), Y is X * 2."
 def test_an_inline_goal_is_straight_python():
     logic = prolog()
     found = goal(logic, "Z is Sec + NSec * 1.0e-9", ["Sec", "NSec"], ["Z"])
-    assert found.straight is not None
-    assert found.test((5, 500_000_000)) == (5.5,)
+    assert found.function is not None
+    assert found.first_solution((5, 500_000_000)) == (5.5,)
     with pytest.raises(PrologError, match="Arguments are not sufficiently instantiated"):
-        found.test((Var(), 1))
+        found.first_solution((Var(), 1))
 
 
 def test_a_goal_on_clauses_gives_its_first_solution():
     logic = prolog(FACTS)
     found = goal(logic, "q(X, Y), Y > A", ["A"], ["X", "Y"])
-    assert found.test((2,)) == (2, 4)
-    assert found.test((10,)) is None
-    assert found.all((0,)) == [(1, 2), (2, 4), (3, 6)]
+    assert found.first_solution((2,)) == (2, 4)
+    assert found.first_solution((10,)) is None
+    assert found.all_solutions((0,)) == [(1, 2), (2, 4), (3, 6)]
     assert logic.machine.trail == [] == logic.machine.choices
 
 
@@ -44,12 +44,12 @@ def test_bindings_of_values_are_undone_and_outputs_resolved():
     logic = prolog()
     found = goal(logic, "X = f(Y, Z), Y = 3", ["X"], ["Y", "Z", "X"])
     point = functor("f", 2)
-    assert found.test(((point, 3, 4),)) == (3, 4, (point, 3, 4))
+    assert found.first_solution(((point, 3, 4),)) == (3, 4, (point, 3, 4))
     given = Var()
-    three, other, whole = found.test((given,))
+    three, other, whole = found.first_solution((given,))
     assert three == 3 and other.__class__ is Var and whole == (point, 3, other)
     assert given.ref is None
-    assert found.test((4,)) is None
+    assert found.first_solution((4,)) is None
     assert logic.machine.trail == []
 
 

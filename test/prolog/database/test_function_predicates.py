@@ -75,7 +75,7 @@ def test_functions_as_predicates(logic, goal, expected):
 
 def test_a_program_may_not_define_it_where_it_is_locked():
     logic = prolog()
-    logic.define_function("half_of", 2, half_of).locked = True
+    logic.define_function("half_of", 2, half_of).is_locked = True
     with pytest.raises(PrologError, match="permission"):
         logic.add_clause((functor("half_of", 2), 1, 2))
 

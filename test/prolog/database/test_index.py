@@ -19,9 +19,9 @@ def test_gives_what_may_match_in_its_order(seed, most, monkeypatch):
         key = random.choice([None, "a", "a", "b", "c"] if number > 5 else ["a", "b"])
         found.add(key, number)
         added.append((key, number))
-        if found.others and random.random() < 0.5:
+        if found.unkeyed_clauses and random.random() < 0.5:
             asked = random.choice("abcd")
-            assert found.merged(asked) == [clause for key, clause in added if key in (None, asked)]
+            assert found.merged_clauses(asked) == [clause for key, clause in added if key in (None, asked)]
 
 
 def test_what_has_a_variable_is_not_entered_under_keys_that_nobody_asks_for():
@@ -31,8 +31,8 @@ def test_what_has_a_variable_is_not_entered_under_keys_that_nobody_asks_for():
     for number in range(1000):
         found.add(None, 1000 + number)
         found.add(1000 + number, 2000 + number)
-        assert len(found.merged(7)) == number + 2
-    assert len(found) - len(found.others) < 5000
+        assert len(found.merged_clauses(7)) == number + 2
+    assert len(found) - len(found.unkeyed_clauses) < 5000
 
 
 PROGRAM = """

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prolog.support import answers, first, prolog
 
-from retalis.prolog.database.clause_index import NEVER
+from retalis.prolog.database.predicate import NEVER_COMPILE
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.system.logic_state import (
     restore_program,
@@ -20,7 +20,7 @@ def load(logic, *texts):
     """Load files one after the other."""
     problems = []
     for text in texts:
-        with logic.database.modules.of_file():
+        with logic.database.modules.loading_file():
             for read in read_program(text, logic.operators, "file.pl"):
                 logic.load([(read.term, read.place)], lambda message, place: problems.append(message))
     assert problems == []
@@ -58,7 +58,7 @@ ok(X) :- X > 0.
 """
 
 
-@pytest.fixture(params=[0, NEVER], ids=["compiled", "interpreted"])
+@pytest.fixture(params=[0, NEVER_COMPILE], ids=["compiled", "interpreted"])
 def both(request):
     return load(PrologSystem(compile_after=request.param), UTIL.replace("\\\\", "\\"), MINE)
 
@@ -159,8 +159,8 @@ def test_two_modules_that_export_the_same_name():
     ]
     modules = logic.database.modules
     for name, used in (("three", ["two"]), ("four", ["one", "two"])):
-        with modules.of_file():
-            modules.begin(name, [])
+        with modules.loading_file():
+            modules.begin_module(name, [])
             for one in used:
                 modules.import_exports(one)
             for read in read_program("ask(X) :- p(X).", logic.operators):
@@ -210,7 +210,7 @@ def test_clauses_for_others():
 def test_a_module_with_a_wrong_export_is_one():
     logic = PrologSystem()
     problems = []
-    with logic.database.modules.of_file():
+    with logic.database.modules.loading_file():
         for read in read_program(":- module(m, [p/1, q(x)]).\np(X) :- own(X).\nown(1).\n", logic.operators):
             logic.load([(read.term, read.place)], lambda message, place: problems.append(message))
     assert len(problems) == 1 and "predicate_indicator" in problems[0]
@@ -226,8 +226,8 @@ def test_operators_are_exported():
 def test_imported_names_are_those_of_the_other_module():
     logic = load(prolog(), ":- module(store, [fact/1]).\n:- dynamic fact/1.\n")
     modules = logic.database.modules
-    with modules.of_file():
-        modules.begin("user_of_it", [])
+    with modules.loading_file():
+        modules.begin_module("user_of_it", [])
         modules.import_exports("store")
         for read in read_program("add(X) :- assertz(fact(X)).", logic.operators):
             logic.add_clause(read.term)

@@ -6,7 +6,7 @@ from prolog.support import answers, first, prolog
 from retalis import Engine, ProgramErrors, PrologError, Var, atom, functor
 from retalis.prolog.builtins.builtin_registry import ENTRIES
 from retalis.prolog.compiler.clause_nodes import FIXED
-from retalis.prolog.database.clause_index import NEVER
+from retalis.prolog.database.predicate import NEVER_COMPILE
 
 
 def rule_for(key):
@@ -33,7 +33,7 @@ def test_those_cannot(key):
         prolog().add_clause(rule_for(key))
 
 
-@pytest.mark.parametrize("compile_after", [0, NEVER], ids=["compiled", "interpreted"])
+@pytest.mark.parametrize("compile_after", [0, NEVER_COMPILE], ids=["compiled", "interpreted"])
 @pytest.mark.parametrize(
     ("program", "goal", "expected"),
     [
@@ -66,11 +66,11 @@ def test_what_was_compiled_before_sees_it():
         assert answers(logic, "a(X)") == [{"X": "2"}]
     wanted = Var()
     goal = logic.compile_goal((functor("succ", 2), 1, wanted), outputs=[wanted])
-    assert goal.test(()) == (2,)
+    assert goal.first_solution(()) == (2,)
     logic.add_clause((functor("succ", 2), 1, atom("own")))
     assert answers(logic, "a(X)") == [{"X": "own"}]
-    assert goal.test(()) == (atom("own"),)
-    assert goal.all(()) == [(atom("own"),)]
+    assert goal.first_solution(()) == (atom("own"),)
+    assert goal.all_solutions(()) == [(atom("own"),)]
 
 
 def test_a_clause_that_is_asserted_does_not_replace_one_of_the_standard():
@@ -102,7 +102,7 @@ def test_a_file_that_is_refused_leaves_those_of_the_system():
     with pytest.raises(ProgramErrors):
         engine.load(rules="succ(1, own) :- true.\nc <- a.\n:- throw(no).\n")
     assert engine.call("succ(1, 2)")
-    assert engine.logic.is_of_system(functor("succ", 2))
+    assert engine.logic.is_system_predicate(functor("succ", 2))
 
 
 @pytest.mark.parametrize(

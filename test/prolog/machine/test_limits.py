@@ -319,7 +319,7 @@ def test_a_limit_that_runs_out_in_a_function_is_not_run_into_again():
     goal = logic.compile_goal((functor("p", 2), x, y), [x], [y])
     for number in (1, 2):
         with pytest.raises(PrologError, match="inferences"):
-            goal.test((number,))
+            goal.first_solution((number,))
     assert calls == [1, 2]
     assert first(logic, "catch(p(3, _), error(resource_error(inferences), _), true)") == {}
 

@@ -574,7 +574,7 @@ class EngineRecovery(Recovery):
         self._logic.new_goals = goals
         if rebuild and state is None:
             repair(self._logic)
-            self._logic.from_outside = False
+            self._logic.is_serving_client = False
             dispatcher.repair()
             self._rules.repair()
             self._knowledge.repair()

@@ -205,7 +205,7 @@ def _untracked_reads(program: ProgramModel, reads: Dict[Functor, _Dependency]) -
 
 def _is_incremental(program: ProgramModel, key: Functor) -> bool:
     predicate = program.logic.database.predicates.get(key)
-    return predicate is not None and predicate.incremental
+    return predicate is not None and predicate.is_incremental
 
 
 def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _TableDeclaration]:
@@ -326,7 +326,7 @@ def _dependency_of_goal(
         return None
     if key in changed_predicates:
         return _Dependency(f"{key}, which the program changes", key)
-    if goal.__class__ is not tuple or not program.logic.is_of_system(key):
+    if goal.__class__ is not tuple or not program.logic.is_system_predicate(key):
         return None
     if key in MEMORY_READS or key is POSE_CHAIN:
         name: Any = deref(goal[1])

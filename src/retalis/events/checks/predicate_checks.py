@@ -118,11 +118,11 @@ def _calls_in(clause: SourceTerm) -> Iterator[Subterm]:
 
 def find_redefined_builtins(program: ProgramModel) -> Iterator[RuleError]:
     """Yield predicates of the program that replace built-in ones."""
-    built_in = program.logic.database.library.kept
+    built_in = program.logic.database.library.shadowed_predicates
     reported: Set[Functor] = set()
     for clause in program.clauses:
         key = None if clause.head is None else key_of(clause.head)
-        if key is None or key in reported or key not in built_in or not built_in[key].system:
+        if key is None or key in reported or key not in built_in or not built_in[key].is_protected:
             continue
         reported.add(key)
         yield RuleError(f"{key} is built in: the definition of this program replaces it", clause.place)
@@ -179,7 +179,9 @@ def find_never_asserted(program: ProgramModel) -> Iterator[RuleError]:
 def _is_empty(program: ProgramModel, key: Functor) -> bool:
     """Return whether a predicate has no clauses; a retract on an unknown predicate leaves an empty dynamic one."""
     predicate = program.logic.database.predicates.get(key)
-    return predicate is None or (predicate.kind != "builtin" and not predicate.library and not len(predicate))
+    return predicate is None or (
+        predicate.kind != "builtin" and not predicate.is_library_predicate and not len(predicate)
+    )
 
 
 def key_of_clause(term: Any) -> Optional[Functor]:
@@ -213,7 +215,7 @@ def find_undeclared_states(program: ProgramModel) -> Iterator[RuleError]:
     nearby = FunctorSuggestions()
     for subterm in program.calls():
         key = queried_state(subterm.term)
-        if key is None or key in declared_functors or not program.logic.is_of_system(subterm.term[0]):
+        if key is None or key in declared_functors or not program.logic.is_system_predicate(subterm.term[0]):
             continue
         nearest = nearby.suggest(key, declared_functors)
         hint = (

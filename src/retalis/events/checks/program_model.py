@@ -560,7 +560,7 @@ def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[SourceTerm]:
     clauses = []
     for predicate in list(logic.database.predicates.values()):
         # Predicates of libraries are not part of the program.
-        if predicate.kind == "user" and not predicate.library:
+        if predicate.kind == "user" and not predicate.is_library_predicate:
             for clause in predicate.active_clauses():
                 if clause.place is None or clause.place.source not in sources:
                     clauses.append(clause_at(clause.head, clause.body, clause.place))

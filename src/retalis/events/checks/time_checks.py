@@ -507,7 +507,7 @@ def _operator_place(rule: SourceRule, operator: str) -> Optional[Place]:
 
 def find_invalid_timers(program: ProgramModel) -> Iterator[RuleError]:
     """Yield goals that set a timer with an invalid schedule."""
-    if not program.logic.is_of_system(TIMER):
+    if not program.logic.is_system_predicate(TIMER):
         return
     for subterm in program.calls():
         fault = schedule_error(subterm.term[2]) if subterm.key is TIMER else None

@@ -216,7 +216,7 @@ class Dispatcher(ListenerIndex):
                 context, goal, inputs, on_error, solved, term, values, start, end, frame
             )
         try:
-            outputs = goal.test(inputs)
+            outputs = goal.first_solution(inputs)
         except PrologError as error:
             self.current = context
             on_error(values, error)

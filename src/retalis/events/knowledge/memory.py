@@ -107,9 +107,9 @@ def compile_recording(
     preserves_ground = is_event or pattern_variables.issuperset(variables(form))
     if body is TRUE:
         return recording, preserves_ground
-    test = logic.compile_goal(body, inputs, output_vars, name=name).test
+    test = logic.compile_goal(body, inputs, output_vars, name=name).first_solution
     # An event with variables may have them bound by the conditions, so the form is an output of the goal then.
-    test_open = logic.compile_goal(body, inputs, [TRUE if is_event else form], name=name).test
+    test_open = logic.compile_goal(body, inputs, [TRUE if is_event else form], name=name).first_solution
     build = compile_builder(form, [*inputs, *output_vars], "form")
 
     def record(term: Term, values: Values, ground: bool) -> Optional[Term]:

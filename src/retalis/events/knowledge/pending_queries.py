@@ -361,7 +361,7 @@ def compile_general_query(context: QueryContext) -> TriggeredQuery:
     """
     event, query = Var(), Var()
     goal = context.logic.compile_goal(
-        (_CALL, query), [event, query], [event], name=_REPORT_NAME, from_outside=True
+        (_CALL, query), [event, query], [event], name=_REPORT_NAME, is_from_client=True
     )
     compiled_query = TriggeredQuery(context, goal, (0, 1), lambda values: values[2], lambda values: values[0])
     compiled_query.terms = lambda values: (values[0], values[1])

@@ -109,7 +109,7 @@ class MemoryGaps:
                 else (int(later_record[2]) - int(earlier_record[2])) / SECOND
             )
 
-        logic.define_function("datime_interpolate", 4, interpolate).system = True
+        logic.define_function("datime_interpolate", 4, interpolate).is_protected = True
         logic.define_function("memory_gap", 3, gap)
 
     def _warn_of_gap(self, start: int, end: int) -> None:
@@ -165,8 +165,8 @@ class TransformChains:
         """Define ``pose_chain(Links, T, Pose)``, and register the fusion of look-ups with interpolation."""
         logic.define_function("pose_chain", 3, self.product)
         predicate = logic.database.predicate(_FUSED_GOALS[0])
-        if predicate.functional is not None:
-            predicate.functional = predicate.functional._replace(joins=self.joins)
+        if predicate.functional_modes is not None:
+            predicate.functional_modes = predicate.functional_modes._replace(joins=self.joins)
 
     def product(self, links: Term, time: Term) -> Optional[Term]:
         """Return the product of poses and memory ids; None if a memory has no pose.

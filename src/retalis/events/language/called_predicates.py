@@ -144,7 +144,7 @@ def undefined_call_warnings(
 
 def _is_defined(logic: PrologSystem, call: PredicateCall) -> bool:
     modules = logic.database.modules
-    module = None if call.module is None else modules.named(call.module)
+    module = None if call.module is None else modules.find_module(call.module)
     return logic.defines(call.key if module is None else modules.resolve(module, call.key))
 
 

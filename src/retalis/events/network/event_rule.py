@@ -137,7 +137,7 @@ class EventRule:
         self.network = network
         self.meter = network.logic.machine.budget.meter(self)
         self.definition = definition
-        self.from_outside = network.logic.from_outside
+        self.from_outside = network.logic.is_serving_client
         self.place = definition.place
         self.label = definition.label
         self.serial = serial

@@ -130,7 +130,7 @@ class RuleGoal:
         self.outputs = [var for var in mentioned if var not in position_of]
         self.result_vars = [*self.given_vars, *self.outputs]
         self._from_outside = (
-            rule.network.logic.from_outside
+            rule.network.logic.is_serving_client
         )  # read here, because the other forms of the goal are compiled later
         self._compiled: Dict[Tuple[object, ...], CompiledGoal] = {}
         self._inputs = inputs
@@ -151,11 +151,11 @@ class RuleGoal:
                 raise resource_error("conditions_that_make_events")
             inputs = tuple([values[position] for position in self.positions])
             if are_ground(inputs):
-                solution = self._ground_goal.test(inputs)
+                solution = self._ground_goal.first_solution(inputs)
                 if solution is None:
                     return None
                 return values + solution if solution else values
-            return self._open_goal().test(values)
+            return self._open_goal().first_solution(values)
         except PrologError as error:
             # An error may leave a nested dispatch unfinished; the event that was served before the condition is
             # current again.
@@ -376,7 +376,7 @@ class Evaluators:
                 logic = self._rule.network.logic
                 goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
             try:
-                solution = goal[0].test((term,))
+                solution = goal[0].first_solution((term,))
             except PrologError as error:
                 record_caught_error(error)
                 raise RuleError(f"{unsuitable_value(aggregate, term).message}: {error.message}") from error
@@ -392,7 +392,7 @@ class Evaluators:
 
         def is_satisfied(values: Values) -> bool:
             try:
-                return compiled.test(values) is not None
+                return compiled.first_solution(values) is not None
             except PrologError as error:
                 record_caught_error(error)
                 raise RuleError(f"{called}: {error.message}") from error
@@ -415,11 +415,11 @@ class Evaluators:
 
         def fold(values: Sequence[Term]) -> Optional[Term]:
             try:
-                current = begin.test(())
+                current = begin.first_solution(())
                 for element in values:
                     # A failing step makes the whole aggregate fail.
-                    current = None if current is None else step.test((element, current[0]))
-                result = None if current is None else show.test((current[0],))
+                    current = None if current is None else step.first_solution((element, current[0]))
+                result = None if current is None else show.first_solution((current[0],))
             except PrologError as error:
                 record_caught_error(error)
                 raise RuleError(f"aggregate fold: {error.message}") from error

@@ -548,7 +548,7 @@ def fact_error(
         is_guarded: returns whether facts must not replace a predicate of the system; by default all are guarded.
     """
     key = None if _has_body(term) else _key(term)
-    if key is None or key in defined or not (is_guarded or logic.is_of_system)(key):
+    if key is None or key in defined or not (is_guarded or logic.is_system_predicate)(key):
         return None
     if key in _REPLACEABLE_PREDICATES and not _REPLACEABLE_PREDICATES[key](term):
         return None

@@ -80,7 +80,7 @@ class LoadRollback:
         self._rules = rules
         self._active = set(rules.rules)
         predicates = list(rules.logic.database.predicates.values())
-        self._library = [predicate for predicate in predicates if predicate.library]
+        self._library = [predicate for predicate in predicates if predicate.is_library_predicate]
         self._clauses = {
             predicate: set(predicate.active_clauses()) for predicate in predicates if predicate.kind == "user"
         }
@@ -154,7 +154,7 @@ class EventFileLoader:
         self._deferred_calls: Optional[List[PredicateCall]] = None
         self._modules = rules.logic.database.modules
         self._modules.on_begin = self._files.note_module
-        self._files.on_same_module = self._modules.on_clash
+        self._files.on_same_module = self._modules.on_import_conflict
         rules.logic.files = self._files
 
     def note_calls(self, unknown: List[PredicateCall]) -> None:
@@ -341,7 +341,7 @@ class EventFileLoader:
                 steps.append(step)
         # A predicate that the program defines itself is not the one of `check`.
         for call in checker.interval_calls:
-            if call.key not in defined and logic.is_of_system(call.key):
+            if call.key not in defined and logic.is_system_predicate(call.key):
                 message = (
                     f"{call.key} is defined only in the goals of check: "
                     "write check instead of where, do or another operator"
@@ -442,7 +442,7 @@ class EventFileLoader:
             self._rules.on_warning(warning)
 
     def _process_in_module(self, checked: CheckedProgram) -> None:
-        with self._modules.of_file(not checked.rules):
+        with self._modules.loading_file(not checked.rules):
             self._process_entries(checked)
 
     def _process_entries(self, checked: CheckedProgram) -> None:
@@ -453,7 +453,7 @@ class EventFileLoader:
                 # A file that precedes this one may have loaded it meanwhile.
                 if not module:
                     self._activate(step)
-                    module = self._modules.last
+                    module = self._modules.last_loaded_name
                 self._modules.import_exports(module)
             elif isinstance(step, PrologFileText):
                 self._consult(step, checked)

@@ -12,7 +12,7 @@ from pathlib import Path, PurePath
 from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple, Union
 
 from ...foundation.errors import UsageError
-from ...prolog.database.module_system import GRAMMAR_NAME, indicated
+from ...prolog.database.module_system import GRAMMAR_NAME, functor_of_indicator
 from ...prolog.machine.errors import CONTEXT, PrologError, existence_error, instantiation_error, type_error
 from ...prolog.syntax.operators import Operators
 from ...prolog.terms.list_terms import list_items
@@ -93,7 +93,7 @@ def renaming(file: Term, imports: Term = NIL) -> List[Term]:
         if item.__class__ is tuple and item[0] is _AS:
             renamed_indicator, name = deref(item[1]), deref(item[2])
             key = (
-                indicated(renamed_indicator)
+                functor_of_indicator(renamed_indicator)
                 if renamed_indicator.__class__ is tuple and renamed_indicator[0] in (SLASH, GRAMMAR_NAME)
                 else None
             )

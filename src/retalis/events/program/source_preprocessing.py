@@ -161,7 +161,7 @@ class TermExpansion:
 
     def _is_defined(self, key: Functor) -> bool:
         predicate = self._logic.database.predicates.get(key)
-        return predicate is not None and not predicate.library and len(predicate) > 0
+        return predicate is not None and not predicate.is_library_predicate and len(predicate) > 0
 
     def _expand_goal(self, original: Term) -> Term:
         """Return a goal with all inner goals expanded, or the identical object if none was."""

@@ -225,9 +225,9 @@ class EventSelection(Predicate):
         self.dynamic = True
         self._log = store
 
-    def changed(self) -> None:
+    def record_change(self) -> None:
         """Start observation when a clause is added or removed."""
-        super().changed()
+        super().record_change()
         self._log.start_recording()
 
 

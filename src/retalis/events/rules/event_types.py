@@ -94,7 +94,9 @@ class EventTypes:
     def refusal(self, term: Term) -> str:
         """Return the reason why an event does not match its declaration, or "" if it matches."""
         predicate = self._logic.database.predicates.get(_DECLARED)
-        clauses, dead = (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.dead)
+        clauses, dead = (
+            (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.retracted_count)
+        )
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
         # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
         # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.

@@ -346,7 +346,7 @@ class RuleBase:
         bodies = [
             clause.body
             for predicate in predicates
-            if not predicate.library
+            if not predicate.is_library_predicate
             for clause in predicate.active_clauses()
         ]
         return [*(rule.definition.term for rule in self.rules), *bodies]

@@ -47,7 +47,7 @@ def _strip_quantifiers(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
             bound.append(goal[1])
             goal = deref(goal[2])
         else:
-            goal = deref(machine.logic.database.modules.quantified_goal(goal))
+            goal = deref(machine.logic.database.modules.resolve_quantified_goal(goal))
     return goal, bound
 
 
@@ -206,7 +206,7 @@ def _sum(values: List[Term]) -> Term:
     return total
 
 
-@control("aggregate_all/4", locked=False)
+@control("aggregate_all/4", is_locked=False)
 def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over the solutions with distinct pairs of discriminator and template."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
@@ -222,7 +222,7 @@ def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) 
     return machine.logic.control.collect(inner_goal, (MINUS, discriminator, template), done)
 
 
-@control("aggregate_all/3", locked=False)
+@control("aggregate_all/3", is_locked=False)
 def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over all solutions: count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T)."""
     spec, goal, result = deref(args[0]), args[1], args[2]

@@ -54,7 +54,7 @@ def _is_balance(term: Term) -> bool:
     return term is _EVEN or term is _LEFT or term is _RIGHT
 
 
-@deterministic("get_assoc/3", locked=False)
+@deterministic("get_assoc/3", is_locked=False)
 def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     """Look up a key."""
     key = deref(key)
@@ -80,7 +80,7 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
     return False
 
 
-@deterministic("put_assoc/4", locked=False)
+@deterministic("put_assoc/4", is_locked=False)
 def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Insert a key or replace its value."""
     key = deref(key)
@@ -188,7 +188,7 @@ def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> Compo
     return (_NODE, top_key, top_value, _EVEN, lower, upper)
 
 
-@deterministic("del_assoc/4", locked=False)
+@deterministic("del_assoc/4", is_locked=False)
 def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Remove a key."""
     key = deref(key)
@@ -311,9 +311,9 @@ def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bo
     return run
 
 
-deterministic("assoc_to_list/2", locked=False)(_tree_listing(None))
-deterministic("assoc_to_keys/2", locked=False)(_tree_listing(1))
-deterministic("assoc_to_values/2", locked=False)(_tree_listing(2))
+deterministic("assoc_to_list/2", is_locked=False)(_tree_listing(None))
+deterministic("assoc_to_keys/2", is_locked=False)(_tree_listing(1))
+deterministic("assoc_to_values/2", is_locked=False)(_tree_listing(2))
 
 
 @deterministic("$pairs_to_assoc/2")

@@ -44,18 +44,18 @@ class Entry(NamedTuple):
     Attributes:
         kind: "deterministic", "function", "nondeterministic" or "control".
         function: see `PredicateTable.define`, `define_function`, `define_nondeterministic` and `define_control`.
-        locked: whether goals that access its clauses or add some raise a permission error; see `Predicate.system`.
+        is_locked: whether access to its clauses raises a permission error; see `Predicate.is_protected`.
     """
 
     kind: str
     function: Callable[..., object]
-    locked: bool
+    is_locked: bool
 
 
 ENTRIES: Dict[Tuple[str, int], Entry] = {}
 
 
-def _register(determinism: str, names: Tuple[str, ...], locked: bool) -> Callable[[Function], Function]:
+def _register(determinism: str, names: Tuple[str, ...], is_locked: bool) -> Callable[[Function], Function]:
     """Return a decorator that adds a function to `ENTRIES` under each of some predicate indicators."""
     keys: List[Tuple[str, int]] = []
     for text in names:
@@ -65,27 +65,27 @@ def _register(determinism: str, names: Tuple[str, ...], locked: bool) -> Callabl
 
     def register(function: Function) -> Function:
         for key in keys:
-            ENTRIES[key] = Entry(determinism, function, locked)
+            ENTRIES[key] = Entry(determinism, function, is_locked)
         return function
 
     return register
 
 
-def deterministic(*names: str, locked: bool = True) -> Callable[[Test], Test]:
+def deterministic(*names: str, is_locked: bool = True) -> Callable[[Test], Test]:
     """Register ``function(machine, *args) -> bool`` under indicators such as ``"atom_length/2"``."""
-    return _register("deterministic", names, locked)
+    return _register("deterministic", names, is_locked)
 
 
-def function(*names: str, locked: bool = True) -> Callable[[Function], Function]:
+def function(*names: str, is_locked: bool = True) -> Callable[[Function], Function]:
     """Register ``function(*inputs)``, which returns the value of the last argument, or None for failure."""
-    return _register("function", names, locked)
+    return _register("function", names, is_locked)
 
 
-def nondeterministic(*names: str, locked: bool = True) -> Callable[[Search], Search]:
+def nondeterministic(*names: str, is_locked: bool = True) -> Callable[[Search], Search]:
     """Register a generator ``function(machine, *args)``; see `PredicateTable.define_nondeterministic`."""
-    return _register("nondeterministic", names, locked)
+    return _register("nondeterministic", names, is_locked)
 
 
-def control(*names: str, locked: bool = True) -> Callable[[Jump], Jump]:
+def control(*names: str, is_locked: bool = True) -> Callable[[Jump], Jump]:
     """Register ``function(machine, args, next) -> frame or None``, where None is failure."""
-    return _register("control", names, locked)
+    return _register("control", names, is_locked)

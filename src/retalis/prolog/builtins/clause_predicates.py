@@ -10,7 +10,7 @@ from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
 from ...foundation.cancellation import BULK, check_limits
 from ..compiler.clause_nodes import CONTROL
 from ..compiler.predicate_code import key_of
-from ..database.clause_index import NEVER, Clause, may_match
+from ..database.clause_index import NEVER_RETRACTED, Clause, may_match
 from ..database.control_constructs import functor_of
 from ..database.predicate import Predicate
 from ..machine.errors import domain_error, indicator, instantiation_error, permission_error, type_error
@@ -50,10 +50,12 @@ def _check_rights(machine: Machine, key: Functor, action: str, object_type: str)
     predicate: Predicate = machine.logic.database.predicate(key)
     # Predicates of libraries may be read but not modified, except for dynamic ones; built-ins neither.
     if key in CONTROL or (
-        predicate.library and (predicate.system or action == "modify") and not predicate.dynamic
+        predicate.is_library_predicate
+        and (predicate.is_protected or action == "modify")
+        and not predicate.dynamic
     ):
         raise permission_error(action, object_type, indicator(key))
-    return predicate if predicate.tabled is None else predicate.tabled
+    return predicate if predicate.hidden_predicate is None else predicate.hidden_predicate
 
 
 def _assert(first: bool) -> Callable[[Machine, Term], bool]:
@@ -62,7 +64,7 @@ def _assert(first: bool) -> Callable[[Machine, Term], bool]:
         clause = logic.add_clause(term, first=first, asserted=True)
         predicate = clause.predicate
         # A predicate that is created by an assertion is dynamic, one that was loaded from a file stays static.
-        if not predicate.compiled and len(predicate) == 1:
+        if not predicate.is_compiled and len(predicate) == 1:
             predicate.dynamic = True
         return True
 
@@ -83,9 +85,9 @@ deterministic("asserta/1")(_assert(True))
 
 def _split(machine: Machine, term: Term) -> Tuple[Term, Term]:
     modules = machine.logic.database.modules
-    term = modules.searched_clause(term)
+    term = modules.resolve_searched_clause(term)
     if term.__class__ is tuple and term[0] is _NECK:
-        return modules.searched_clause(term[1]), term[2]
+        return modules.resolve_searched_clause(term[1]), term[2]
     return term, atom("true")
 
 
@@ -103,8 +105,8 @@ def _key(head: Term) -> Functor:
 def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
     """Yield the current clauses whose heads may match."""
     # Tables that are being evaluated depend on these clauses.
-    if predicate.incremental:
-        predicate.note_read()
+    if predicate.is_incremental:
+        predicate.report_read()
     frame = (None, *head[1:], None) if head.__class__ is tuple else (None, None)
     # Clauses are filtered by the keys of all arguments, beyond the index that `select` uses, before they are copied.
     keys = [key_of(arg) for arg in frame[1:-1]]
@@ -113,7 +115,7 @@ def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
     # By position: the list grows if a clause is added meanwhile, and those beyond its present length are not visible.
     for index in range(len(clauses)):
         clause = clauses[index]
-        if clause.died > generation and may_match(keys, clause.keys):
+        if clause.retracted_at > generation and may_match(keys, clause.keys):
             yield clause
 
 
@@ -139,8 +141,8 @@ def _enumerate_clauses(
     """Enumerate the clauses that unify with a head and a body, and call ``action`` for each of them."""
     clauses = list(_candidates(predicate, head))
     trail, modules = machine.trail, machine.logic.database.modules
-    is_qualified = action is None and modules.plain_of(predicate.functor) is not None
-    conversion: BodyConversion = modules.plain if is_qualified else _unchanged
+    is_qualified = action is None and modules.plain_functor(predicate.functor) is not None
+    conversion: BodyConversion = modules.display_form if is_qualified else _unchanged
     if len(clauses) > 1:
         return _matching_clauses(trail, clauses, head, body, action, conversion)
     return bool(clauses) and _unify_clause(trail, clauses[0], head, body, action, conversion)
@@ -180,14 +182,14 @@ def _unify_clause(
     if not unify(own_head, head, trail) or not unify(conversion(own_body), body, trail):
         return False
     # A clause that another goal has removed meanwhile is a solution all the same, by the logical update view.
-    if action is not None and clause.died == NEVER:
+    if action is not None and clause.retracted_at == NEVER_RETRACTED:
         action(clause)
     return True
 
 
 def _renamed(clause: Clause) -> Tuple[Term, Term]:
     # A ground clause needs no copy.
-    if clause.ground:
+    if clause.is_ground_fact:
         return clause.head, clause.body
     fresh: Dict[Var, Term] = {}
     return copy(clause.head, fresh), copy(clause.body, fresh)
@@ -196,19 +198,19 @@ def _renamed(clause: Clause) -> Tuple[Term, Term]:
 @deterministic("retractall/1")
 def retractall(machine: Machine, head: Term) -> bool:
     """Remove all clauses whose heads unify; a predicate that is not defined becomes dynamic."""
-    head = machine.logic.database.modules.searched_clause(head)
+    head = machine.logic.database.modules.resolve_searched_clause(head)
     key = _key(head)
     predicate = _check_rights(machine, key, "modify", "static_procedure")
     # SWI-Prolog creates a dynamic predicate then, so that later calls fail instead of raising an error.
-    if not predicate.defined:
+    if not predicate.is_defined:
         predicate.dynamic = True
-        machine.logic.database.changes += 1
+        machine.logic.database.change_count += 1
         return True
     trail = machine.trail
     mark = len(trail)
     # The list is complete before the first removal (logical update view).
     for clause in list(_candidates(predicate, head)):
-        if unify(head, clause.head if clause.ground else copy(clause.head), trail):
+        if unify(head, clause.head if clause.is_ground_fact else copy(clause.head), trail):
             predicate.remove(clause)
         undo(trail, mark)
     return True
@@ -217,7 +219,7 @@ def retractall(machine: Machine, head: Term) -> bool:
 @nondeterministic("clause/2")
 def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
     """Enumerate the clauses of a predicate that unify with a head and a body."""
-    head = machine.logic.database.modules.searched_clause(head)
+    head = machine.logic.database.modules.resolve_searched_clause(head)
     key = _key(head)
     body = deref(body)
     if body.__class__ not in (Var, Atom, tuple):
@@ -229,9 +231,9 @@ def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
 @deterministic("abolish/1")
 def abolish(machine: Machine, term: Term) -> bool:
     """Remove all clauses and properties of a predicate."""
-    key = indicator_of(machine.logic.database.modules.names_of(term))
+    key = indicator_of(machine.logic.database.modules.resolve_declared_indicators(term))
     predicate = _check_rights(machine, key, "modify", "static_procedure")
-    if predicate.defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
+    if predicate.is_defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
         raise permission_error("modify", "static_procedure", indicator(key))
     predicate.abolish()
     return True
@@ -272,10 +274,10 @@ def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
 
 def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
     def run(machine: Machine, term: Term) -> bool:
-        for item in declared(machine.logic.database.modules.names_of(term)):
+        for item in declared(machine.logic.database.modules.resolve_declared_indicators(term)):
             predicate = machine.logic.database.writable(indicator_of(item), "modify")
             setattr(predicate, attribute, True)
-            machine.logic.database.changes += 1
+            machine.logic.database.change_count += 1
         return True
 
     return run
@@ -284,7 +286,9 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
 @deterministic("dynamic/1", "thread_local/1")
 def dynamic(machine: Machine, term: Term) -> bool:
     """Declare predicates dynamic; with ``as incremental``, incremental tables depend on their clauses."""
-    for item, options in declared_with_options(machine.logic.database.modules.names_of(term)):
+    for item, options in declared_with_options(
+        machine.logic.database.modules.resolve_declared_indicators(term)
+    ):
         declare_dynamic(machine, item, set(map(_dynamic_option, options)))
     return True
 
@@ -301,7 +305,7 @@ def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
             and is_true(option[1])
         ):
             chosen.add(option[0].name)
-    for item in items(machine.logic.database.modules.names_of(names)):
+    for item in items(machine.logic.database.modules.resolve_declared_indicators(names)):
         declare_dynamic(machine, item, chosen)
     return True
 
@@ -327,7 +331,7 @@ def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
     predicate.dynamic = True
     predicate.discontiguous |= "discontiguous" in options
     predicate.multifile |= "multifile" in options
-    database.changes += 1
+    database.change_count += 1
     if "incremental" in options:
         tables_of(machine).observe(predicate)
 
@@ -341,7 +345,7 @@ deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, 
 def current_predicate(machine: Machine, term: Term) -> Solutions:
     """Enumerate the program's predicates with clauses; a complete indicator may also denote a built-in predicate."""
     modules = machine.logic.database.modules
-    term = _strip(modules.names_of(term))
+    term = _strip(modules.resolve_declared_indicators(term))
     if term.__class__ is Var:
         term = (SLASH, Var(), Var())
     if term.__class__ is not tuple or term[0] is not SLASH:
@@ -358,10 +362,10 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
         return
     # The goal may define predicates between two solutions, so the table is copied.
     for key, predicate in list(database.predicates.items()):
-        has_clauses = predicate.kind == "user" and not predicate.library and len(predicate)
+        has_clauses = predicate.kind == "user" and not predicate.is_library_predicate and len(predicate)
         if (
             has_clauses
-            and modules.plain_of(key) is None
+            and modules.plain_functor(key) is None
             and machine.unify_all((name, atom(key.name)), (arity, key.arity))
         ):
             yield None
@@ -369,7 +373,7 @@ def current_predicate(machine: Machine, term: Term) -> Solutions:
 
 def _is_current(predicate: Predicate, iso: bool) -> bool:
     """Return whether a predicate has clauses, or is built in and the flag ``iso`` is not set."""
-    predicate.note_read()
+    predicate.report_read()
     if predicate.kind == "undefined":
         return False
     return bool(len(predicate)) or predicate.kind != "user" and not iso
@@ -398,7 +402,9 @@ _WITH_ARGUMENT = ("max_answers", "answer_abstract", "subgoal_abstract")
 @deterministic("table/1")
 def table_declaration(machine: Machine, which: Term) -> bool:
     """Declare predicates tabled; with ``as incremental``, their tables depend on the data that they read."""
-    for item, options in declared_with_options(machine.logic.database.modules.names_of(which)):
+    for item, options in declared_with_options(
+        machine.logic.database.modules.resolve_declared_indicators(which)
+    ):
         if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
             item = deref(item[2])
         declare_as(machine, item, options)
@@ -431,14 +437,14 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
     predicate = machine.logic.database.predicate(key)
     if "dynamic" in names:
         declare_dynamic(machine, indicator(key), set())
-    incremental = "incremental" in names or (predicate.incremental and "opaque" not in names)
-    if incremental != predicate.incremental:
-        predicate.incremental = incremental
-        machine.logic.database.changes += 1
+    incremental = "incremental" in names or (predicate.is_incremental and "opaque" not in names)
+    if incremental != predicate.is_incremental:
+        predicate.is_incremental = incremental
+        machine.logic.database.change_count += 1
         tables.clear()
     # The clauses of a tabled dynamic predicate may change too.
     if incremental:
-        tables.observe(predicate.with_clauses)
+        tables.observe(predicate.clause_owner)
 
 
 def _table_option(machine: Machine, key: Functor, option: Term) -> str:
@@ -462,7 +468,7 @@ _TABLE_OPTIONS = ("incremental", "opaque", "variant", "dynamic")
 def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     """Declare a predicate tabled, and move its clauses to a hidden predicate that the tables call."""
     database = machine.logic.database
-    if database.predicate(key).tabled is not None:
+    if database.predicate(key).hidden_predicate is not None:
         return
     predicate = database.writable(key, "modify")
     # The name contains a space, so that a program does not define the hidden predicate by accident.
@@ -476,11 +482,11 @@ def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     )
     tables = tables_of(machine)
     # Before, the flag was that of a dynamic predicate, so it applies to the clauses, which have moved.
-    if predicate.incremental:
-        predicate.incremental = False
+    if predicate.is_incremental:
+        predicate.is_incremental = False
         tables.observe(hidden)
-    predicate.table(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
-    database.forget()
+    predicate.set_tabled(hidden, tables.moded_caller(predicate, modes) if modes else tables.caller(predicate))
+    database.discard_compiled_code()
 
 
 @control("abolish_all_tables/0")

@@ -7,7 +7,7 @@ The module also defines directives of other Prolog systems that have no effect h
 from typing import Dict, List, Optional, Tuple
 
 from ...foundation.errors import UsageError
-from ..database.module_system import declared_kinds, indicated
+from ..database.module_system import functor_of_indicator, parse_meta_declaration
 from ..machine.errors import (
     domain_error,
     existence_error,
@@ -331,7 +331,7 @@ def getval(machine: Machine, name: Term, value: Term) -> bool:
 # Counters and flags of the original Retalis
 
 
-@deterministic("incCounter/1", locked=False)
+@deterministic("incCounter/1", is_locked=False)
 def inc_counter(machine: Machine, name: Term) -> bool:
     """Increment a counter."""
     counters = machine.logic.state.setdefault("counters", {})
@@ -340,27 +340,27 @@ def inc_counter(machine: Machine, name: Term) -> bool:
     return True
 
 
-@deterministic("resetCounter/1", locked=False)
+@deterministic("resetCounter/1", is_locked=False)
 def reset_counter(machine: Machine, name: Term) -> bool:
     """Set a counter to zero."""
     machine.logic.state.setdefault("counters", {})[_counter_key(name)] = 0
     return True
 
 
-@deterministic("counter/2", locked=False)
+@deterministic("counter/2", is_locked=False)
 def counter(machine: Machine, name: Term, value: Term) -> bool:
     """Unify with the value of a counter."""
     return unify(value, machine.logic.state.get("counters", {}).get(_counter_key(name), 0), machine.trail)
 
 
-@deterministic("set_flag/2", locked=False)
+@deterministic("set_flag/2", is_locked=False)
 def set_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Set a flag of the program."""
     machine.logic.state.setdefault("flags", {})[_counter_key(name)] = copy(value)
     return True
 
 
-@deterministic("get_flag/2", locked=False)
+@deterministic("get_flag/2", is_locked=False)
 def get_flag(machine: Machine, name: Term, value: Term) -> bool:
     """Unify with a flag of the program, or ``nil`` if it is not set."""
     return unify(
@@ -391,12 +391,16 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
         if isinstance(export, tuple) and export[0] is _OP:
             op(machine, export[1], export[2], export[3])
             continue
-        key = indicated(export) if isinstance(export, tuple) and export[0] in (SLASH, _GRAMMAR_NAME) else None
+        key = (
+            functor_of_indicator(export)
+            if isinstance(export, tuple) and export[0] in (SLASH, _GRAMMAR_NAME)
+            else None
+        )
         if key is None:
             invalid.append(export)
         else:
             keys.append(key)
-    if not machine.logic.database.modules.begin(atom_of(name).name, keys):
+    if not machine.logic.database.modules.begin_module(atom_of(name).name, keys):
         machine.logic.message(
             "warning",
             "Warning: module/2 has no effect in a file of event rules: its predicates keep their plain names\n",
@@ -421,11 +425,11 @@ def module_of_dialect(machine: Machine, name: Term, exports: Term, _: Term) -> b
 def meta_predicate(machine: Machine, heads: Term) -> bool:
     """Declare which arguments of predicates are goals: in a module they are called with its local names."""
     modules = machine.logic.database.modules
-    for item in declared(modules.names_of(heads)):
+    for item in declared(modules.resolve_declared_indicators(heads)):
         if item.__class__ is Var:
             raise instantiation_error()
         if item.__class__ is tuple:
-            modules.metas[item[0]] = declared_kinds(tuple(map(deref, item[1:])))
+            modules.declared_kinds_of[item[0]] = parse_meta_declaration(tuple(map(deref, item[1:])))
     return True
 
 
@@ -444,7 +448,7 @@ def strip_module(machine: Machine, term: Term, name: Term, plain: Term) -> bool:
 @nondeterministic("current_module/1")
 def current_module(machine: Machine, name: Term) -> Solutions:
     """Enumerate the modules of the program."""
-    for module_name in ["user", *machine.logic.database.modules.table]:
+    for module_name in ["user", *machine.logic.database.modules.modules]:
         if machine.unify(name, atom(module_name)):
             yield None
 
@@ -506,7 +510,12 @@ def expand_term(machine: Machine, term: Term, expanded: Term) -> bool:
     key = functor("term_expansion", 2)
     predicate = machine.logic.database.predicates.get(key)
     # An unbound term would unify with the first argument of every expansion rule.
-    if term.__class__ is not Var and predicate is not None and not predicate.library and len(predicate):
+    if (
+        term.__class__ is not Var
+        and predicate is not None
+        and not predicate.is_library_predicate
+        and len(predicate)
+    ):
         result = Var()
         if machine.logic.once((key, term, result)):
             term = deref(result)

@@ -209,7 +209,7 @@ class _BodyLayout:
 @deterministic("listing/1")
 def listing(machine: Machine, target: Term) -> bool:
     """Write the clauses of the predicates with a name or an indicator, or of a list of them."""
-    target = deref(machine.logic.database.modules.names_of(target))
+    target = deref(machine.logic.database.modules.resolve_declared_indicators(target))
     targets = list_items(target)
     for item in targets if targets is not None and target.__class__ is tuple else [target]:
         for predicate in _matching_predicates(machine, deref(item)):
@@ -223,7 +223,7 @@ def _matching_predicates(machine: Machine, target: Term) -> List[Predicate]:
         key = indicator_of(target)
         return [database.predicate(key)] if key in database.predicates else []
     name = atom_of(target[1] if target.__class__ is tuple and target[0] is SLASH else target).name
-    plain_of = database.modules.plain_of
+    plain_of = database.modules.plain_functor
     matches = [
         predicate
         for key, predicate in database.predicates.items()
@@ -237,27 +237,27 @@ def listing_all(machine: Machine) -> bool:
     """Write all clauses of the program, without those of libraries."""
     predicates = list(machine.logic.database.predicates.values())
     # The hidden predicates of tabled ones are listed under the names of these.
-    hidden = {predicate.tabled for predicate in predicates}
+    hidden = {predicate.hidden_predicate for predicate in predicates}
     for predicate in predicates:
-        if not predicate.library and predicate not in hidden:
+        if not predicate.is_library_predicate and predicate not in hidden:
             _list_predicate(machine, predicate)
     return True
 
 
 def _list_predicate(machine: Machine, predicate: Predicate) -> None:
-    displayed_predicate = predicate.with_clauses
+    displayed_predicate = predicate.clause_owner
     # Predicates that are written in Python have no clauses.
     if displayed_predicate.kind != "user" and not displayed_predicate.dynamic:
         return
     logic = machine.logic
     modules = logic.database.modules
-    key = modules.plain_of(predicate.functor) or predicate.functor
+    key = modules.plain_functor(predicate.functor) or predicate.functor
     for declaration, source in (("dynamic", displayed_predicate), ("table", predicate)):
         if displayed_predicate.dynamic if declaration == "dynamic" else displayed_predicate is not predicate:
-            incremental = " as incremental" if source.incremental else ""
+            incremental = " as incremental" if source.is_incremental else ""
             logic.write(f":- {declaration} {logic.show(indicator(key))}{incremental}.\n\n")
     for clause in displayed_predicate.active_clauses():
-        logic.write(clause_text(machine, modules.plain((_NECK, clause.head, clause.body))))
+        logic.write(clause_text(machine, modules.display_form((_NECK, clause.head, clause.body))))
     logic.write("\n")
 
 
@@ -269,11 +269,15 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
     """Enumerate the properties of a predicate."""
     logic = machine.logic
     modules = logic.database.modules
-    head = modules.searched_clause(head)
+    head = modules.resolve_searched_clause(head)
     if head.__class__ is Var:
         # The goal may define predicates between two solutions, so the table is copied.
         for key, predicate in list(logic.database.predicates.items()):
-            if not predicate.defined or predicate.library or modules.plain_of(key) is not None:
+            if (
+                not predicate.is_defined
+                or predicate.is_library_predicate
+                or modules.plain_functor(key) is not None
+            ):
                 continue
             general = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
             for value in _properties(predicate):
@@ -282,7 +286,7 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
         return
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     definition = logic.lookup(key)
-    plain = modules.plain_of(key)
+    plain = modules.plain_functor(key)
     if definition is None and plain is not None:
         definition = logic.lookup(plain)
     for value in [] if definition is None else _properties(definition):
@@ -293,26 +297,26 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
 def _properties(predicate: Predicate) -> Iterator[Term]:
     yield atom("defined")
     yield atom("visible")
-    stored_predicate = predicate.with_clauses
+    stored_predicate = predicate.clause_owner
     yield atom("dynamic" if stored_predicate.dynamic else "static")
-    if predicate.library:
-        yield atom("system" if predicate.system else "library")
-        if predicate.system:
+    if predicate.is_library_predicate:
+        yield atom("system" if predicate.is_protected else "library")
+        if predicate.is_protected:
             yield atom("built_in")
     if stored_predicate.kind != "user" and not stored_predicate.dynamic:
         yield atom("foreign")
     else:
-        stored_predicate.note_read()
+        stored_predicate.report_read()
         yield (functor("number_of_clauses", 1), len(stored_predicate))
     if stored_predicate.discontiguous:
         yield atom("discontiguous")
     if stored_predicate.multifile:
         yield atom("multifile")
-    if predicate.incremental:
+    if predicate.is_incremental:
         yield atom("incremental")
-    if predicate.tabled is not None:
+    if predicate.hidden_predicate is not None:
         yield atom("tabled")
-        for option in ("variant", "incremental") if predicate.incremental else ("variant",):
+        for option in ("variant", "incremental") if predicate.is_incremental else ("variant",):
             yield (functor("tabled", 1), atom(option))
 
 
@@ -325,8 +329,8 @@ def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> S
     clause_number = deref(number)
     clauses: Iterable[Clause] = ()
     if predicate is not None:
-        predicate.with_clauses.note_read()
-        clauses = predicate.with_clauses.active_clauses()
+        predicate.clause_owner.report_read()
+        clauses = predicate.clause_owner.active_clauses()
     for position, clause in enumerate(clauses, 1):
         # A known number selects a single clause, and leaves no choice point.
         if clause_number.__class__ is int and position != clause_number:

@@ -91,12 +91,12 @@ def phrase(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
     body, module = deref(args[0]), None
     # The innermost module qualification determines the names of the body.
     while body.__class__ is tuple and body[0] is COLON:
-        module, body = machine.logic.database.modules.named(body[1]), deref(body[2])
+        module, body = machine.logic.database.modules.find_module(body[1]), deref(body[2])
     if body.__class__ is not String:
         callable_of(body)
     goal = translate_body(body, args[1], remainder)
     if module is not None:
-        goal = machine.logic.database.modules.body(module, goal)
+        goal = machine.logic.database.modules.resolve_body(module, goal)
     # Reports a non-callable part of the body now, not when the goal reaches it.
     check_body(goal)
     return machine.logic.control.call(goal, continuation)
@@ -300,7 +300,7 @@ def _number_solution(frame: Frame) -> Optional[Frame]:
 _NUMBER_SOLUTION = Code("call_nth", _number_solution)
 
 
-@control(*[f">>/{arity}" for arity in range(2, 10)], locked=False)
+@control(*[f">>/{arity}" for arity in range(2, 10)], is_locked=False)
 def call_lambda(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a lambda expression ``Free/[X1, ...]>>Body`` with arguments.
 

@@ -292,7 +292,7 @@ class Tables:
 
     def observe(self, predicate: Predicate) -> None:
         """Record reads of a predicate's clauses in incremental tables from now on."""
-        if not predicate.incremental:
+        if not predicate.is_incremental:
             predicate.observe(self.note_predicate)
             # Existing tables have read the predicate without recording it.
             self.clear()
@@ -306,7 +306,7 @@ class Tables:
         """Return the declarations of all tabled predicates, as terms."""
         predicate = self.machine.logic.database.predicate
         return [
-            (AS, item, INCREMENTAL) if predicate(key).incremental else item
+            (AS, item, INCREMENTAL) if predicate(key).is_incremental else item
             for key, item in self.declared.items()
         ]
 
@@ -387,7 +387,7 @@ class Tables:
             continuation: Frame = frame[-1]
             table = find(key)
             if table is None:
-                table = self.by_call[key] = Table(predicate.incremental)
+                table = self.by_call[key] = Table(predicate.is_incremental)
             elif table.state == "complete":
                 # A single ground answer, the most common case, is bound without a further call.
                 if len(table.answers) != 1 or not table.ground:
@@ -406,7 +406,7 @@ class Tables:
                 collect = self._collector(table, free, moded, modes)
                 own = collect[2]
                 args = copy(goal, dict(zip(free, own)))[1:] if walked else _renamed(key, own)
-                return self._evaluate((predicate.tabled, *args, collect), table, free, continuation)
+                return self._evaluate((predicate.hidden_predicate, *args, collect), table, free, continuation)
             return self._consult(table, free, continuation)
 
         return call

@@ -121,8 +121,8 @@ def _select_timestamp(earlier: bool) -> Callable[[Machine, Term, Term, Term], bo
     return run
 
 
-deterministic("min/3", locked=False)(_select_timestamp(True))
-deterministic("max/3", locked=False)(_select_timestamp(False))
+deterministic("min/3", is_locked=False)(_select_timestamp(True))
+deterministic("max/3", is_locked=False)(_select_timestamp(False))
 
 
 @deterministic("is_datime/1")

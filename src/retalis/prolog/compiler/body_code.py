@@ -115,7 +115,7 @@ class BodyGenerator:
         database = self.unit.database
         if not isinstance(node, CallNode) or node.key is not ARG or database.is_library:
             return False
-        if not database.predicate(ARG).library:
+        if not database.predicate(ARG).is_library_predicate:
             return False  # redefined by the program
         number = deref(node.args[0])
         is_bound = number.__class__ is Var and number in scope.names and number not in scope.fresh

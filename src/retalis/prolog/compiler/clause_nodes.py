@@ -88,7 +88,7 @@ class PredicateResolver(Protocol):
         """True if names are resolved as the library's clauses do."""
 
     @property
-    def interprets(self) -> bool:
+    def is_interpreter_only(self) -> bool:
         """True if nothing of the program is compiled."""
 
     @property
@@ -101,7 +101,7 @@ class PredicateResolver(Protocol):
     def is_inline(self, key: Functor, /) -> bool:
         """Return whether a predicate is a deterministic built-in."""
 
-    def direct(self, key: Functor, /) -> "FunctionCode":
+    def function_code(self, key: Functor, /) -> "FunctionCode":
         """Return the functions of a predicate."""
 
 
@@ -341,12 +341,14 @@ class BodyParser:
         if key is COLON:
             if deref(goal[1]).__class__ is Var or deref(goal[2]).__class__ is Var:
                 return CallNode("call", CALL, (goal,), False)
-            module_goal = self._database.modules.goal(goal)
+            module_goal = self._database.modules.resolve_qualified_goal(goal)
             # A node stands for one goal, so a module call that expands to a conjunction is interpreted.
             is_conjunction = module_goal.__class__ is tuple and module_goal[0] is COMMA
             return Interpret(module_goal, cut) if is_conjunction else self._goal_node(module_goal, cut, depth)
         # ignore/1 is the only one of these that a program may redefine.
-        if key in _STRUCTURES and (key is not IGNORE or self._database.predicate(IGNORE).library):
+        if key in _STRUCTURES and (
+            key is not IGNORE or self._database.predicate(IGNORE).is_library_predicate
+        ):
             # The compiler is recursive and Python limits the nesting of blocks.
             if depth > _MAX_CONTROL_DEPTH:
                 return Interpret(goal, cut)
@@ -368,12 +370,16 @@ class BodyParser:
         form = _FORMS.get(key)
         if form is not None:
             return CallNode(form, key, args, True)
-        if key is ARG and deref(args[0]).__class__ is int and self._database.predicate(ARG).library:
+        if (
+            key is ARG
+            and deref(args[0]).__class__ is int
+            and self._database.predicate(ARG).is_library_predicate
+        ):
             key = KNOWN_ARG
         inline = self._database.is_inline(key)
         # A nondeterministic built-in may be a function if its first argument is bound at compile time.
         if not inline and args and deref(args[0]).__class__ is not Var:
-            bound_form = self._database.predicate(key).bound_form
+            bound_form = self._database.predicate(key).bound_argument_builtin
             if bound_form is not None:
                 key, inline = bound_form, True
         if not inline and self._direct is not None and self._direct(key):

@@ -129,7 +129,7 @@ class Unit:
             argument: functor of the call's first argument.
             positions: positions in that argument whose values the filter compares.
         """
-        make_filter = self.database.predicate(key).make_filter
+        make_filter = self.database.predicate(key).make_pushdown_filter
         return None if make_filter is None else f"{self.constant(make_filter(argument, positions))}.passes"
 
     def builtin(self, key: Functor) -> str:

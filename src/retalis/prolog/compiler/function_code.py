@@ -52,7 +52,7 @@ class FunctionCode:
         only: returns whether there is exactly one solution, and keeps its bindings; None if it cannot decide.
     """
 
-    __slots__ = ("first", "only", "_database", "_key", "_finds_facts", "_missing")
+    __slots__ = ("first", "only", "_database", "_key", "_finds_facts", "_not_generated")
 
     first: Finder
     only: Finder
@@ -71,22 +71,22 @@ class FunctionCode:
         Args:
             predicate: the changed predicate; None to discard the functions in any case.
         """
-        if not self._finds_facts or predicate is None or not predicate.ground:
+        if not self._finds_facts or predicate is None or not predicate.has_only_ground_facts:
             self._finds_facts = False
-            self._missing = {True, False}
+            self._not_generated = {True, False}
             # Generation is deferred to the first call: a predicate may change many times without being called.
             self.first = lambda *args: self._generate(True)(*args)
             self.only = lambda *args: self._generate(False)(*args)
 
-    def prepare(self, once: bool) -> None:
+    def precompile(self, once: bool) -> None:
         """Generate `first` (if ``once``) or `only` before it is called."""
-        if once in self._missing:
+        if once in self._not_generated:
             self._generate(once)
 
     def _generate(self, once: bool) -> Finder:
         database, key = self._database, self._key
         # Marked as generated first: a caller that is compiled meanwhile must not generate it again.
-        self._missing.discard(once)
+        self._not_generated.discard(once)
         predicate = database.predicate(key)
         function: Finder
         if call_cost(database, key) is None:
@@ -94,7 +94,7 @@ class FunctionCode:
         elif is_facts(predicate):
             self._finds_facts = True
             self.first, self.only = predicate.fact_finder(True), predicate.fact_finder(False)
-            self._missing.clear()
+            self._not_generated.clear()
             return self.first if once else self.only
         else:
             function = Functions(database, key, clause_parts(predicate), predicate).function(once)
@@ -111,7 +111,7 @@ def _cannot_decide(*args: Term) -> None:
 
 def is_facts(predicate: "Predicate") -> bool:
     """Return whether a predicate is a table of ground facts, which is searched through its indexes."""
-    return predicate.ground and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
+    return predicate.has_only_ground_facts and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
 
 
 def clause_parts(predicate: "Predicate") -> List[ClauseParts]:
@@ -131,7 +131,12 @@ def call_cost(database: PredicateResolver, key: Functor, path: Tuple[Functor, ..
         path: predicates whose calls lead to this one.
     """
     predicate = database.predicate(key)
-    if database.interprets or predicate.kind != "user" or predicate.tabled is not None or predicate.library:
+    if (
+        database.is_interpreter_only
+        or predicate.kind != "user"
+        or predicate.hidden_predicate is not None
+        or predicate.is_library_predicate
+    ):
         return None
     # A recursive function would recurse in Python, whose stack is limited, while frames are not.
     if key in path or len(path) >= _MAX_NESTED_CALLS:
@@ -171,7 +176,7 @@ def body_cost(
 
 def is_pure(database: PredicateResolver, key: Functor) -> bool:
     """Return whether a deterministic built-in has no effect."""
-    return key in _PURE or database.predicate(key).functional is not None
+    return key in _PURE or database.predicate(key).functional_modes is not None
 
 
 def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:

@@ -1,16 +1,16 @@
 """Compilation of goals that Python calls, with inputs and outputs by position.
 
 A goal is compiled in up to two forms. If it consists of inline goals and of predicates that can be functions, it
-becomes one Python function from inputs to outputs (`GoalGenerator.straight`). Otherwise, or if the function gives up
-at run time, it becomes code for a frame of the machine, whose last goal ``outputs`` passes the outputs to a
-continuation.
+becomes one Python function from inputs to outputs (`GoalGenerator.generate_function`). Otherwise, or if the function
+gives up at run time, it becomes code for a frame of the machine, whose last goal ``outputs`` passes the outputs to an
+`OutputCollector`.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
-from ..machine.machine import Code, Takes
+from ..machine.machine import Code, OutputCollector
 from ..machine.resource_limits import LimitError
 from ..terms.term_traversal import copy, is_larger, resolve, variables
 from ..terms.types import Frame, Step, Term, Var, deref, functor
@@ -35,8 +35,8 @@ class OutputsNode(CallNode):
 
 def _deliver_outputs(frame: Frame) -> Optional[Frame]:
     # Outputs are resolved: the bindings are undone before Python reads them.
-    collector: Tuple[Takes, ...] = frame[-1]
-    return collector[0].take(collector, tuple([resolve(value) for value in frame[1:-1]]))
+    collector: Tuple[OutputCollector, ...] = frame[-1]
+    return collector[0].collect(collector, tuple([resolve(value) for value in frame[1:-1]]))
 
 
 OUTPUTS_CODE = Code("outputs", _deliver_outputs)
@@ -65,7 +65,7 @@ class GoalGenerator:
     ):
         self._database = database
         self._term = resolve(term)
-        self._interprets = database.interprets or is_larger(self._term, MAX_TERM_ARGUMENTS)
+        self._interprets = database.is_interpreter_only or is_larger(self._term, MAX_TERM_ARGUMENTS)
         self._inputs = inputs
         self._outputs = outputs
         self._place = place
@@ -82,7 +82,7 @@ class GoalGenerator:
         self._entry = Height("height")
         self._nodes = BodyParser(self._database, self._entry).parse(self._term)
 
-    def call(self) -> "Optional[Predicate]":
+    def called_predicate(self) -> "Optional[Predicate]":
         """Return the predicate if the goal is a single call of it with the inputs as arguments, else None.
 
         A predicate of the system is excluded, because the program may replace it later.
@@ -93,7 +93,7 @@ class GoalGenerator:
         if not isinstance(node, CallNode) or node.inline or tuple(map(deref, node.args)) != self._inputs:
             return None
         predicate = self._database.predicate(node.key)
-        return None if predicate.library and predicate.system else predicate
+        return None if predicate.is_library_predicate and predicate.is_protected else predicate
 
     def _scope(self, unit: Unit) -> Scope:
         # Inputs are counted twice: a variable that occurs once is void, and its value would be dropped.
@@ -102,12 +102,12 @@ class GoalGenerator:
             scope.names[var] = f"a{position}"
         return scope
 
-    def _finish(self, unit: Unit) -> Callable[..., Any]:
+    def _compile(self, unit: Unit) -> Callable[..., Any]:
         source = unit.source()
         function: Callable[..., Any] = unit.finish(source, title_of(self._place, self._name))["main"]
         return function
 
-    def straight(self) -> Optional[Callable[..., Any]]:
+    def generate_function(self) -> Optional[Callable[..., Any]]:
         """Return the goal as a function of its inputs, or None if that is impossible.
 
         The function undoes its bindings, whether it succeeds or not. It returns `BAIL` if the goal has to run on the
@@ -153,9 +153,9 @@ class GoalGenerator:
             lines = [line.replace(_UNDO_AND_FAIL, "return None") for line in lines]
         parameters = ", ".join(f"a{position}" for position in range(len(self._inputs)))
         unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
-        return self._finish(unit)
+        return self._compile(unit)
 
-    def enter(self, delivers_outputs: bool) -> Tuple[Step, bool]:
+    def generate_frame_code(self, delivers_outputs: bool) -> Tuple[Step, bool]:
         """Return the function of the goal's frame, and whether it keeps the choice points (see
         `Code.keeps_choice_points`).
 
@@ -163,7 +163,7 @@ class GoalGenerator:
             delivers_outputs: whether the frame passes its outputs to a collector instead of returning to a frame.
         """
         if self._interprets:
-            return self._interpreted(delivers_outputs), False
+            return self._make_interpreter(delivers_outputs), False
         unit = Unit(self._database.machine, self._database)
         scope = self._scope(unit)
         input_names = [scope.names[var] for var in self._inputs]
@@ -178,9 +178,9 @@ class GoalGenerator:
         )
         bodies.write(scope, nodes)
         unit.add(["def main(frame):", f"    {', '.join(['_', *input_names, 'after'])} = frame", *scope.lines])
-        return self._finish(unit), not scope.pushes
+        return self._compile(unit), not scope.pushes
 
-    def _interpreted(self, delivers_outputs: bool) -> Step:
+    def _make_interpreter(self, delivers_outputs: bool) -> Step:
         """Return a function of the frame that interprets the goal."""
         call: Callable[[Term, Frame], Optional[Frame]] = self._database.machine.logic.control.call
         inputs, goal, outputs = self._inputs, self._term, self._outputs

@@ -69,7 +69,7 @@ def join(
     remaining = list(nodes)
     while remaining:
         goals = _leading_functions(database, remaining)
-        functional = database.predicate(goals[0].key).functional if goals else None
+        functional = database.predicate(goals[0].key).functional_modes if goals else None
         joins = None if functional is None else functional.joins
         joined = None if joins is None else joins([(goal.key, *goal.args) for goal in goals], counts)
         if joined is None:
@@ -86,7 +86,7 @@ def _leading_functions(database: PredicateResolver, nodes: Sequence[GoalNode]) -
     for node in nodes[:_MAX_JOINED_GOALS]:
         if not isinstance(node, CallNode) or node.form != "builtin":
             break
-        if database.predicate(node.key).functional is None:
+        if database.predicate(node.key).functional_modes is None:
             break
         functions.append(node)
     return functions
@@ -175,7 +175,7 @@ def _write_is(scope: Scope, node: CallNode) -> None:
 
 
 def _write_builtin(scope: Scope, node: CallNode) -> None:
-    functional = scope.unit.database.predicate(node.key).functional
+    functional = scope.unit.database.predicate(node.key).functional_modes
     if functional is not None:
         _write_function(scope, node, functional)
         return
@@ -223,11 +223,11 @@ def _write_function(scope: Scope, node: CallNode, functional: "FunctionalModes")
         scope.line(f"    {scope.fail}")
     for arg in inputs:
         forget_fresh(scope, arg)
-    for index, (position, show) in enumerate(zip(functional.outputs, functional.shows)):
+    for index, (position, show) in enumerate(zip(functional.outputs, functional.to_term_functions)):
         arg = deref(node.args[position])
         if arg.__class__ is Var and scope.clause.is_void(arg):
             continue
-        value = result if functional.single else f"{result}[{index}]"
+        value = result if functional.has_single_output else f"{result}[{index}]"
         name = scope.temp("p")
         scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
         # arg/3 most often fills variables of a term that was just created, so the unbound case comes first.
@@ -257,9 +257,9 @@ def _write_function_call(scope: Scope, node: CallNode) -> None:
     args = ", ".join([scope.build(arg) for arg in node.args])
     for arg in node.args:
         forget_fresh(scope, arg)
-    functions = scope.unit.database.direct(node.key)
+    functions = scope.unit.database.function_code(node.key)
     # The attribute is read at each call, because a change of the predicate replaces its functions.
-    functions.prepare(node.once)
+    functions.precompile(node.once)
     function = scope.unit.constant(functions)
     scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
     scope.line(f"if not {result}:")

@@ -87,7 +87,7 @@ def _skip_lines(indent: str) -> List[str]:
     lines = [
         "while at < end:",
         "    other = clauses[at]",
-        "    if other.died > generation and (keys is None or may_match(keys, other.keys)):",
+        "    if other.retracted_at > generation and (keys is None or may_match(keys, other.keys)):",
         "        break",
         "    at += 1",
     ]

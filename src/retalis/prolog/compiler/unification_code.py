@@ -296,7 +296,7 @@ def write_argument(scope: Scope, result: str, otherwise: str, number: Term, comp
 def write_functor(scope: Scope, node: CallNode) -> None:
     """Write ``functor/3``: construction for a variable without a value, otherwise both modes."""
     compound, name, arity = (deref(arg) for arg in node.args)
-    functional = scope.unit.database.predicate(_NEW_TERM).functional
+    functional = scope.unit.database.predicate(_NEW_TERM).functional_modes
     assert functional is not None
     blank = scope.unit.constant(functional.function)
     if (

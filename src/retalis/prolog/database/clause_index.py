@@ -27,7 +27,7 @@ from ..terms.unification import unify
 if TYPE_CHECKING:
     from .predicate import Predicate
 
-NEVER = 1 << 62
+NEVER_RETRACTED = 1 << 62
 """Generation of clauses that have not been retracted."""
 
 
@@ -36,29 +36,40 @@ class Clause:
 
     Attributes:
         predicate: the predicate that it belongs to.
-        head, body: its terms; their variables are its own and never bound.
-        died: the generation that retracted it; `NEVER` if it has not been retracted.
+        head, body: the terms; their variables belong to the clause alone and are never bound.
+        retracted_at: the generation that retracted it; `NEVER_RETRACTED` if it has not been retracted.
         keys: first-level key of each argument, None for variables.
-        ground: whether it is a fact without variables.
-        fact: whether its body is ``true``.
+        is_ground_fact: whether it is a fact without variables.
+        is_fact: whether its body is ``true``.
         code: its compiled code, or None.
-        uses: number of interpreted calls, which decides when it is compiled.
+        call_count: number of interpreted calls, which decides when it is compiled.
         place: source position, or None.
     """
 
-    __slots__ = ("head", "body", "died", "keys", "ground", "fact", "code", "uses", "place", "predicate")
+    __slots__ = (
+        "head",
+        "body",
+        "retracted_at",
+        "keys",
+        "is_ground_fact",
+        "is_fact",
+        "code",
+        "call_count",
+        "place",
+        "predicate",
+    )
 
     def __init__(self, predicate: "Predicate", head: Term, body: Term, place: Optional[Place]):
         self.predicate = predicate
         self.head = head
         self.body = body
-        self.died = NEVER
+        self.retracted_at = NEVER_RETRACTED
         self.place = place
         self.keys = tuple([key_of(arg) for arg in head[1:]]) if head.__class__ is tuple else ()
-        self.fact = body is TRUE
-        self.ground = self.fact and is_ground(head)
+        self.is_fact = body is TRUE
+        self.is_ground_fact = self.is_fact and is_ground(head)
         self.code: Optional[Step] = None
-        self.uses = 0
+        self.call_count = 0
 
     @property
     def is_large(self) -> bool:
@@ -108,7 +119,7 @@ def match_head(frame: Frame, clause: Clause, fresh: Dict[Var, Term], trail: Trai
                 fresh[pattern] = frame[index]
                 continue
             pattern = value
-        elif pattern.__class__ is tuple and not clause.ground:
+        elif pattern.__class__ is tuple and not clause.is_ground_fact:
             pattern = copy(pattern, fresh)
         if not unify(pattern, frame[index], trail):
             return False
@@ -132,48 +143,48 @@ class Index:
     a key when that key is looked up, so the cost follows the look-ups and not the number of keys.
 
     Attributes:
-        own: for each key, the clauses with that key.
-        others: the clauses with a variable.
+        clauses_by_key: the clauses with a constant or compound in the argument, by its key.
+        unkeyed_clauses: the clauses with a variable in the argument.
     """
 
-    __slots__ = ("own", "others", "_before", "_merged", "_copies")
+    __slots__ = ("clauses_by_key", "unkeyed_clauses", "_unkeyed_before", "_merged", "_copied_count")
 
     def __init__(self) -> None:
-        self.own: Dict[object, List[Clause]] = {}
-        self.others: List[Clause] = []
-        self._before: Dict[object, List[int]] = {}
+        self.clauses_by_key: Dict[object, List[Clause]] = {}
+        self.unkeyed_clauses: List[Clause] = []
+        self._unkeyed_before: Dict[object, List[int]] = {}
         self._merged: Dict[object, Tuple[List[Clause], int, int]] = {}
-        self._copies = 0
+        self._copied_count = 0
 
     def add(self, key: object, clause: Clause) -> None:
         """Append a clause; the key is None if the argument is a variable."""
         if key is None:
-            self.others.append(clause)
+            self.unkeyed_clauses.append(clause)
             return
-        key_clauses = self.own.setdefault(key, [])
-        # For each clause with a key, the number of clauses with a variable before it: enough to merge both lists in
-        # the order of the program, and nothing is stored as long as there are no variables.
-        if self.others:
-            counts_before = self._before.get(key)
+        key_clauses = self.clauses_by_key.setdefault(key, [])
+        # For each clause with a key, the number of preceding clauses with a variable is stored, which suffices to
+        # merge both lists in the order of the program. Nothing is stored as long as there are no such clauses.
+        if self.unkeyed_clauses:
+            counts_before = self._unkeyed_before.get(key)
             if counts_before is None:
-                counts_before = self._before[key] = [0] * len(key_clauses)
-            counts_before.append(len(self.others))
+                counts_before = self._unkeyed_before[key] = [0] * len(key_clauses)
+            counts_before.append(len(self.unkeyed_clauses))
         key_clauses.append(clause)
 
-    def merged(self, key: object) -> List[Clause]:
-        """Return all clauses that may match a key, in order. Call it only if there are `others`.
+    def merged_clauses(self, key: object) -> List[Clause]:
+        """Return all clauses that may match a key, in order. Call it only if there are `unkeyed_clauses`.
 
-        The list is never shortened, so a choice point may keep a position in it.
+        The list is never shortened, so a choice point may refer to a position in it.
         """
-        key_clauses, others = self.own.get(key), self.others
+        key_clauses, others = self.clauses_by_key.get(key), self.unkeyed_clauses
         if key_clauses is None:
             return others
         clauses, own_count, others_count = self._merged.get(key) or ([], 0, 0)
         if own_count == len(key_clauses) and others_count == len(others):
             return clauses
         # The merged list is extended by the clauses that were added since the last look-up.
-        counts_before = self._before.get(key, ())
-        self._copies += len(others) - others_count
+        counts_before = self._unkeyed_before.get(key, ())
+        self._copied_count += len(others) - others_count
         for position in range(own_count, len(key_clauses)):
             others_before = counts_before[position] if position < len(counts_before) else 0
             if others_before > others_count:
@@ -182,23 +193,23 @@ class Index:
             clauses.append(key_clauses[position])
         clauses += others[others_count:]
         # The lists are dropped and not shortened, because running calls hold them.
-        if self._copies > _MAX_MERGED_COPIES:
+        if self._copied_count > _MAX_MERGED_COPIES:
             self._merged.clear()
-            self._copies = len(others)
+            self._copied_count = len(others)
         self._merged[key] = clauses, len(key_clauses), len(others)
         return clauses
 
     def __len__(self) -> int:
         """Return the number of stored references to clauses, including those of merged lists."""
         copies = sum(len(clauses) for clauses, _, _ in self._merged.values())
-        return sum(map(len, self.own.values())) + len(self.others) + copies
+        return sum(map(len, self.clauses_by_key.values())) + len(self.unkeyed_clauses) + copies
 
 
 class Indexes:
-    """Indexes of a predicate, built when calls arrive with arguments that distinguish its clauses.
+    """Indexes of a predicate, built when a call has a bound argument that distinguishes its clauses.
 
-    For an argument that does not distinguish them, the number of clauses at that time is recorded. It is tried again
-    only after the predicate has doubled.
+    If an argument does not distinguish them, the number of clauses is recorded, and building the index is tried again
+    only when that number has doubled.
     """
 
     __slots__ = ("_positions", "_by_position", "_unselective")
@@ -209,7 +220,7 @@ class Indexes:
         self._unselective: Dict[int, int] = {}
 
     def select(self, clauses: List[Clause], frame: Frame) -> Tuple[List[Clause], Optional[int]]:
-        """Return a list of clauses that contains all that a call may match, and the position of the index used.
+        """Return a list with all clauses that a call may match, and the position of the index used (None for none).
 
         Args:
             clauses: all clauses of the predicate, including retracted ones.
@@ -231,8 +242,8 @@ class Indexes:
                 index = self._build(position, clauses)
                 if index is None:
                     continue
-            others = index.others
-            candidates = index.merged(key) if others else index.own.get(key, others)
+            others = index.unkeyed_clauses
+            candidates = index.merged_clauses(key) if others else index.clauses_by_key.get(key, others)
             if len(candidates) < len(best):
                 best, best_position = candidates, position
                 # A better index would not save more than the search for it costs.
@@ -241,15 +252,15 @@ class Indexes:
         return best, best_position
 
     def _build(self, position: int, clauses: Iterable[Clause]) -> Optional[Index]:
-        # An index is useless if most clauses match any key, or if there is one key only.
+        # An index is not selective if most clauses match any key, or if there is only one key.
         index = Index()
-        clauses = [clause for clause in clauses if clause.died == NEVER]
+        clauses = [clause for clause in clauses if clause.retracted_at == NEVER_RETRACTED]
         keys = [clause.keys[position] for clause in clauses]
         variable_count = keys.count(None)
         if variable_count * 2 <= len(clauses):
             for clause in clauses:
                 index.add(clause.keys[position], clause)
-        if len(index.own) < 2:
+        if len(index.clauses_by_key) < 2:
             self._unselective[position] = len(clauses)
             return None
         self._by_position[position] = index
@@ -274,7 +285,9 @@ class Indexes:
     def without_variables(self) -> List[Tuple[int, Index]]:
         """Return the positions and indexes of arguments in which no clause has a variable, in order."""
         return [
-            (position, index) for position, index in sorted(self._by_position.items()) if not index.others
+            (position, index)
+            for position, index in sorted(self._by_position.items())
+            if not index.unkeyed_clauses
         ]
 
     def __len__(self) -> int:
@@ -291,8 +304,8 @@ def indexed_step(
 ) -> Step:
     """Return a step that runs a call through an index, valid as long as the predicate does not change.
 
-    In most tables of facts or rules one argument is bound in most calls and selects a single clause. The step goes to
-    that clause without selecting candidates and without a choice point.
+    In most tables of facts or rules, one argument is bound in most calls and selects a single clause. The step
+    executes that clause without selecting candidates and without a choice point.
 
     Args:
         position: position of the indexed argument, from 0; no clause has a variable there.
@@ -320,7 +333,7 @@ def indexed_step(
             return None
         if len(candidates) == 1:
             clause = candidates[0]
-            if clause.ground:
+            if clause.is_ground_fact:
                 return search(frame, candidates, 0, 1, 0, None)
             if clause.code is not None:
                 return clause.code((*frame, len(choices)))
@@ -330,38 +343,39 @@ def indexed_step(
 
 
 class FunctionalModes(NamedTuple):
-    """Deterministic predicate that is given by a function from input arguments to output arguments.
+    """Modes of a deterministic predicate that is implemented by a function from input to output arguments.
 
-    Compiled clauses unify the outputs inline: an output that no goal uses is never converted, and a new variable
-    becomes a name for the value, without a binding.
+    Compiled clauses unify the outputs inline: an output that no goal uses is never converted, and the first
+    occurrence of a variable becomes a local name for the value, without a binding.
 
     Attributes:
         function: takes the inputs; returns the output, or a tuple of several, or None if the predicate fails.
         inputs: positions of the inputs among the arguments.
         outputs: positions of the outputs.
-        shows: for each output, the conversion of the returned value to a term; None if it is a term.
-        single: whether there is one output, which is returned without a tuple.
+        to_term_functions: for each output, the function that converts the returned value to a term; None if the value
+            is a term.
+        has_single_output: whether there is one output, which is returned without a tuple.
         joins: joins consecutive goals that begin with this predicate to one function, or None; see `inline_goals`.
     """
 
     function: Callable[..., Any]
     inputs: Tuple[int, ...]
     outputs: Tuple[int, ...]
-    shows: Tuple[Optional[Callable[..., Term]], ...]
-    single: bool
+    to_term_functions: Tuple[Optional[Callable[..., Term]], ...]
+    has_single_output: bool
     joins: Optional[Joins] = None
 
     def predicate(self) -> Callable[..., bool]:
         """Return the predicate as a function for `PredicateTable.define`."""
-        function, inputs, single = self.function, self.inputs, self.single
-        outputs = tuple(zip(self.outputs, self.shows))
+        function, inputs, has_single_output = self.function, self.inputs, self.has_single_output
+        outputs = tuple(zip(self.outputs, self.to_term_functions))
 
         def call(machine: Machine, *args: Term) -> bool:
             result = function(*[args[position] for position in inputs])
             if result is None:
                 return False
-            for value, (position, show) in zip((result,) if single else result, outputs):
-                if not unify(args[position], value if show is None else show(value), machine.trail):
+            for value, (position, to_term) in zip((result,) if has_single_output else result, outputs):
+                if not unify(args[position], value if to_term is None else to_term(value), machine.trail):
                     return False
             return True
 
@@ -372,10 +386,12 @@ def functional(
     function: Callable[..., Any],
     arity: int,
     outputs: Tuple[int, ...] = (),
-    shows: Tuple[Optional[Callable[..., Term]], ...] = (),
+    to_term_functions: Tuple[Optional[Callable[..., Term]], ...] = (),
 ) -> FunctionalModes:
     """Return the modes of a function; without ``outputs`` the last argument is the only output."""
-    single = not outputs
+    has_single_output = not outputs
     outputs = outputs or (arity - 1,)
     inputs = tuple(position for position in range(arity) if position not in outputs)
-    return FunctionalModes(function, inputs, outputs, shows or (None,) * len(outputs), single)
+    return FunctionalModes(
+        function, inputs, outputs, to_term_functions or (None,) * len(outputs), has_single_output
+    )

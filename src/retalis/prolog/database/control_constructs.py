@@ -75,7 +75,7 @@ class JustInTimeBodies:
 
     def note_interpreted(self, body: Term) -> None:
         """Record that a body is about to be interpreted, and compile it if that was recorded before."""
-        if body.__class__ is not tuple or self._database.interprets:
+        if body.__class__ is not tuple or self._database.is_interpreter_only:
             return
         if body[0] not in STRUCTURES and not self._database.is_inline(body[0]):
             return
@@ -203,7 +203,7 @@ class Control:
         self.bodies = JustInTimeBodies(database)
         self._compiled = self.bodies.compiled
         database.machine.note_interpreted = self.bodies.note_interpreted
-        database.machine.budget.on_new = database.on_forget = self.bodies.clear
+        database.machine.budget.on_new = database.on_code_discarded = self.bodies.clear
         database.interpret = self.code
         database.solve = self.solve
 
@@ -233,7 +233,7 @@ class Control:
                 if construct is not None:
                     return construct(goal, height, continuation)
                 if key is _COLON:
-                    goal = self._database.modules.goal(goal)
+                    goal = self._database.modules.resolve_qualified_goal(goal)
                     continue
                 return (self._database.predicate(key), *goal[1:], continuation)
             if goal_class is Atom:
@@ -325,7 +325,7 @@ class Control:
 
     def _solve_ignore(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
         predicate = self._database.predicate(IGNORE)
-        if not predicate.library:
+        if not predicate.is_library_predicate:
             return (predicate, goal[1], continuation)
         base = len(self._choices)
         self._choices.append((RESUME, continuation, len(self._trail)))
@@ -444,7 +444,9 @@ def add_arguments(goal: Term, extra: Values, modules: Optional[Modules] = None) 
     if closure_class is tuple:
         if closure[0] is _COLON:
             plain_closure = (
-                deref(closure[2]) if modules is None else modules.qualified_closure(closure, len(extra))
+                deref(closure[2])
+                if modules is None
+                else modules.resolve_qualified_closure(closure, len(extra))
             )
             return add_arguments(plain_closure, extra, modules)
         return (functor(closure[0].name, len(closure) - 1 + len(extra)), *closure[1:], *extra)

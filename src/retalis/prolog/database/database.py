@@ -1,12 +1,13 @@
 """Predicate database: the predicates of a program and of the system, by functor.
 
-Several versions of a predicate may exist under one name. A program that defines a predicate of the library gets its
-own; the clauses of the library keep calling theirs, which `Library` resolves. Predicates of ISO Prolog (`STANDARD`)
-may be redefined in files but not by asserting a clause, which is most likely an accident.
+Two versions of a predicate may exist under one name. If a program defines a predicate of the library, a new predicate
+is created for the program; `LibraryView` resolves names for the clauses of the library, which still call the version
+of the library. Predicates of ISO Prolog (`ISO_PREDICATES`) may be redefined in files but not by asserting a clause,
+which is most likely an accident.
 
 A call of an unknown functor creates an undefined predicate. Programs that construct functors could create them
-without limit, so undefined predicates are moved to a weak dictionary from time to time (`move_undefined`) and live
-only as long as a frame or a clause refers to them.
+without limit, so undefined predicates are moved to a weak dictionary from time to time (`demote_undefined`), which
+drops them when no frame or clause refers to them any more.
 """
 
 from typing import Any, Callable, Dict, Iterable, Optional, Set
@@ -17,9 +18,8 @@ from ..compiler.function_code import FunctionCode
 from ..machine.errors import indicator, permission_error
 from ..machine.machine import Code, Machine
 from ..terms.types import Frame, Functor, Step, Term, deref, functor
-from .clause_index import NEVER
 from .module_system import Modules
-from .predicate import COMPILE_AFTER, Predicate
+from .predicate import COMPILE_AFTER, NEVER_COMPILE, Predicate
 
 
 def _functor_of(text: str) -> Functor:
@@ -27,7 +27,7 @@ def _functor_of(text: str) -> Functor:
     return functor(name, int(arity))
 
 
-_NAMES = (
+_ISO_INDICATORS = (
     "abolish/1 acyclic_term/1 arg/3 asserta/1 assertz/1 at_end_of_stream/0 at_end_of_stream/1 "
     "atom_chars/2 atom_codes/2 atom_concat/3 atom_length/2 bagof/3 char_code/2 char_conversion/2 "
     "clause/2 close/1 close/2 compare/3 copy_term/2 current_char_conversion/2 current_input/1 "
@@ -42,12 +42,13 @@ _NAMES = (
     "write_term/3 writeq/1 writeq/2 =../2 "
 )
 
-STANDARD = frozenset(map(_functor_of, _NAMES.split()))
+ISO_PREDICATES = frozenset(map(_functor_of, _ISO_INDICATORS.split()))
 """Predicates of ISO Prolog that a program may redefine in a file but not by asserting a clause."""
 
 
-_MAX_SPARE_PREDICATES = 1000
-"""Predicates beyond twice those in use after which undefined ones are moved to the weak dictionary."""
+_UNDEFINED_ALLOWANCE = 1000
+"""Allowance of undefined predicates: they are moved to the weak dictionary when the table has more than twice the
+predicates that remained after the last move, plus this number."""
 
 
 class Database:
@@ -58,17 +59,23 @@ class Database:
         compile_after: calls of an unchanged predicate after which it is compiled.
 
     Attributes:
-        generation: number of retracted clauses, which the logical update view compares.
-        changes: number of changes of clauses.
-        is_library: False; `Library` shows the same predicates to the clauses of the library.
-        interprets: whether ``compile_after`` is `NEVER`: nothing of the program is compiled, and goals are
+        machine: runs the predicates.
+        generation: number of clauses that have been retracted. `Clause.retracted_at` is compared with the generation
+            at the beginning of a call (logical update view).
+        change_count: number of changes of clauses.
+        compile_after: calls of an unchanged predicate after which it is compiled.
+        is_library: False. `LibraryView`, which resolves names for library clauses, has True.
+        is_interpreter_only: whether ``compile_after`` is `NEVER_COMPILE`, so that all goals of the program are
             interpreted.
+        predicates: the predicates by functor.
         modules: the modules of the program.
-        library: the predicates as the library resolves them.
+        library: the predicates as the clauses of the library resolve them.
+        compiled_goals: the compiled goals that Python code holds. Their code is discarded together with that of the
+            predicates.
         interpret: code of frames that run a goal from its term.
         solve: returns the frame that runs a goal from its term, a cut height, and the next frame.
-        on_forget: called when compiled code is dropped.
-        undefined: returns the frame for a call of an undefined predicate, or raises.
+        on_code_discarded: called when compiled code is discarded.
+        call_undefined: returns the frame for a call of an undefined predicate, or raises an error.
     """
 
     is_library = False
@@ -76,52 +83,53 @@ class Database:
     def __init__(self, machine: Machine, compile_after: int = COMPILE_AFTER):
         self.machine = machine
         self.generation = 0
-        self.changes = 0
+        self.change_count = 0
         self.compile_after = compile_after
-        self.interprets = compile_after >= NEVER
+        self.is_interpreter_only = compile_after >= NEVER_COMPILE
         self.predicates: Dict[Functor, Predicate] = {}
-        self._unused: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
-        """Undefined predicates that live only as long as something refers to them."""
-        self._undefined_limit = _MAX_SPARE_PREDICATES
+        self._weak_undefined: WeakValueDictionary[Functor, Predicate] = WeakValueDictionary()
+        self._undefined_limit = _UNDEFINED_ALLOWANCE
         self.modules = Modules()
-        self.modules.is_defined = self._exists
-        self.modules.on_change = self.forget
-        self.library = Library(self)
-        self.goals: WeakSet[Any] = WeakSet()
-        """Goals that have been compiled for Python code."""
+        self.modules.is_defined = self._is_defined
+        self.modules.on_change = self.discard_compiled_code
+        self.library = LibraryView(self)
+        self.compiled_goals: WeakSet[Any] = WeakSet()
         self.interpret: Optional[Code] = None
         self.solve: Callable[[Term, int, Frame], Optional[Frame]] = lambda goal, height, continuation: None
-        self.on_forget: Callable[[], None] = lambda: None
-        self.undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
+        self.on_code_discarded: Callable[[], None] = lambda: None
+        self.call_undefined: Callable[[Predicate, Frame], Optional[Frame]] = lambda predicate, frame: None
 
     def predicate(self, key: Functor) -> Predicate:
         """Return the predicate of a functor, creating an undefined one if there is none."""
         predicate = self.predicates.get(key)
         if predicate is None:
             if len(self.predicates) >= self._undefined_limit:
-                self.move_undefined()
-            # A frame may still refer to the predicate that was put aside; a second one of the name would split its
-            # calls.
-            # Compared with None: a predicate without clauses has the length 0.
-            spare = self._unused.get(key)
-            predicate = self.predicates[key] = Predicate(self, key) if spare is None else spare
+                self.demote_undefined()
+            # A frame or compiled clause may still refer to the predicate in the weak dictionary. Clauses that are
+            # added to a second predicate with the same functor would be invisible to it. Compared with None, because
+            # a predicate without clauses has the length 0 and is false.
+            undefined_predicate = self._weak_undefined.get(key)
+            predicate = self.predicates[key] = (
+                Predicate(self, key) if undefined_predicate is None else undefined_predicate
+            )
         return predicate
 
-    def _exists(self, key: Functor) -> bool:
+    def _is_defined(self, key: Functor) -> bool:
         predicate = self.predicates.get(key)
-        return predicate is not None and not predicate.is_blank
+        return predicate is not None and not predicate.is_undeclared
 
-    def move_undefined(self) -> None:
+    def demote_undefined(self) -> None:
         """Move undefined predicates to the weak dictionary."""
         for key, predicate in list(self.predicates.items()):
-            if predicate.is_blank:
-                self._unused[key] = self.predicates.pop(key)
-        self._undefined_limit = 2 * len(self.predicates) + _MAX_SPARE_PREDICATES
+            if predicate.is_undeclared:
+                self._weak_undefined[key] = self.predicates.pop(key)
+        self._undefined_limit = 2 * len(self.predicates) + _UNDEFINED_ALLOWANCE
 
-    def compile_named(self, terms: Iterable[Term]) -> None:
-        """Compile the program's predicates that occur in terms, and those that their clauses refer to.
+    def compile_reachable(self, terms: Iterable[Term]) -> None:
+        """Compile the program's predicates that occur in terms, and those that their clauses call.
 
-        They would be compiled after enough calls; predicates that events lead to are ready for the first event.
+        Predicates are normally compiled after ``compile_after`` calls. Those that event rules call are compiled when
+        the program is loaded, so that the first event is not slow.
         """
         visited: Set[Functor] = set()
         stack = list(terms)
@@ -131,17 +139,17 @@ class Database:
                 continue
             stack += term[1:]
             predicate = self.predicates.get(term[0])
-            if predicate is not None and predicate.is_fixed and term[0] not in visited:
+            if predicate is not None and predicate.is_static_user_predicate and term[0] not in visited:
                 visited.add(term[0])
-                predicate.prepare()
+                predicate.precompile()
                 stack += [clause.body for clause in predicate.active_clauses()]
 
-    def direct(self, key: Functor) -> FunctionCode:
-        """Return the functions of a predicate, creating them if there are none."""
+    def function_code(self, key: Functor) -> FunctionCode:
+        """Return the function form of a predicate, creating it if there is none."""
         predicate = self.predicate(key)
-        if predicate.direct is None:
-            predicate.direct = FunctionCode(self, key)
-        return predicate.direct
+        if predicate.function_code is None:
+            predicate.function_code = FunctionCode(self, key)
+        return predicate.function_code
 
     def is_inline(self, key: Functor) -> bool:
         """Return whether a predicate is a deterministic built-in, which compiled clauses call inline."""
@@ -160,27 +168,27 @@ class Database:
             predicate_kind: "builtin" (deterministic) or "control".
         """
         predicate = self.predicate(key)
-        # Compiled clauses contain inline calls of the former definition.
+        # Compiled clauses may contain inline calls of the previous definition.
         if predicate.kind != "undefined":
-            self.forget()
+            self.discard_compiled_code()
         predicate.kind = predicate_kind
         predicate.function = function
-        predicate.functional = None
-        predicate.bound_form = None
-        predicate.make_filter = None
+        predicate.functional_modes = None
+        predicate.bound_argument_builtin = None
+        predicate.make_pushdown_filter = None
         predicate.run = run
         predicate.keeps_choice_points = False
-        predicate.library = True
+        predicate.is_library_predicate = True
         predicate.clauses = []
         return predicate
 
-    def forget(self) -> None:
-        """Drop all compiled code, which may refer to a predicate that is being redefined."""
+    def discard_compiled_code(self) -> None:
+        """Discard all compiled code, because it may refer to a predicate that is being redefined."""
         for predicate in self.predicates.values():
-            predicate.forget()
-        for goal in list(self.goals):
-            goal.forget()
-        self.on_forget()
+            predicate.discard_compiled_code()
+        for goal in list(self.compiled_goals):
+            goal.invalidate()
+        self.on_code_discarded()
 
     def require_writable(self, key: Functor, action: str, asserted: bool = False) -> None:
         """Require that the program may change the clauses of a predicate.
@@ -188,58 +196,63 @@ class Database:
         Args:
             key: functor of the predicate.
             action: the action named in the error, such as "modify".
-            asserted: whether a goal changes them, and not a file or a declaration.
+            asserted: whether the change is made by a goal and not by a file or a declaration.
 
         Raises:
             PrologError: a permission error for predicates of the system.
         """
         predicate = self.predicate(key)
-        locked = predicate.library and (predicate.locked or (asserted and key in STANDARD))
+        locked = predicate.is_library_predicate and (
+            predicate.is_locked or (asserted and key in ISO_PREDICATES)
+        )
         if locked or key in FIXED:
             raise permission_error(action, "static_procedure", indicator(key))
 
     def restore_library(self, predicate: Predicate) -> None:
-        """Replace the program's own version of a predicate by the library's."""
+        """Replace the program's version of a predicate by the library's."""
         key = predicate.functor
+        # If the program has not redefined the predicate, the table contains the library's version already.
         if self.predicates.get(key) is not predicate:
             self.predicates[key] = predicate
-            self.library.kept.pop(key, None)
-            self.forget()
+            self.library.shadowed_predicates.pop(key, None)
+            self.discard_compiled_code()
 
     def restore_program(self, program_predicate: Predicate) -> None:
-        """Undo `restore_library`: replace the library's version of a predicate by the program's own."""
+        """Undo `restore_library`: replace the library's version of a predicate by the program's."""
         key = program_predicate.functor
         current = self.predicates.get(key)
-        if current is not None and current.library:
-            self.library.kept[key] = current
+        if current is not None and current.is_library_predicate:
+            self.library.shadowed_predicates[key] = current
             self.predicates[key] = program_predicate
-            self.forget()
+            self.discard_compiled_code()
 
     def writable(self, key: Functor, action: str, asserted: bool = False) -> Predicate:
         """Return a predicate whose clauses the program may change.
 
-        For a predicate of the library a new one is created, which the program uses from then on; the library keeps
-        its own. Arguments and errors are those of `require_writable`.
+        For a predicate of the library, a new predicate is created, which shadows it for the program. Arguments and
+        errors are those of `require_writable`.
         """
         self.require_writable(key, action, asserted)
         predicate = self.predicate(key)
-        if not predicate.library:
-            return predicate if predicate.tabled is None else predicate.tabled
-        # Code compiled so far calls the library's version, hence the `forget` afterwards.
-        self.library.kept[key] = predicate
+        if not predicate.is_library_predicate:
+            return predicate if predicate.hidden_predicate is None else predicate.hidden_predicate
+        # Code that has been compiled so far calls the library's version.
+        self.library.shadowed_predicates[key] = predicate
         program_predicate = self.predicates[key] = Predicate(self, key)
-        self.forget()
+        self.discard_compiled_code()
         return program_predicate
 
 
-class Library:
-    """Predicates as the clauses of the library resolve them, without redefinitions by the program.
+class LibraryView:
+    """View of the predicates for the clauses of the library, without redefinitions by the program.
 
     Args:
         database: the predicates.
 
     Attributes:
-        kept: the library's versions of predicates that the program has redefined.
+        is_library: True.
+        machine: runs the predicates.
+        shadowed_predicates: the library's versions of predicates that the program has redefined.
     """
 
     is_library = True
@@ -247,7 +260,7 @@ class Library:
     def __init__(self, database: Database):
         self._database = database
         self.machine = database.machine
-        self.kept: Dict[Functor, Predicate] = {}
+        self.shadowed_predicates: Dict[Functor, Predicate] = {}
 
     @property
     def modules(self) -> Modules:
@@ -260,18 +273,18 @@ class Library:
         return self._database.interpret
 
     @property
-    def interprets(self) -> bool:
+    def is_interpreter_only(self) -> bool:
         """True if nothing of the program is compiled."""
-        return self._database.interprets
+        return self._database.is_interpreter_only
 
-    def direct(self, key: Functor) -> FunctionCode:
-        """Return the functions of a predicate."""
-        return self._database.direct(key)
+    def function_code(self, key: Functor) -> FunctionCode:
+        """Return the function form of a predicate."""
+        return self._database.function_code(key)
 
     def predicate(self, key: Functor) -> Predicate:
-        """Return the library's version of a predicate, else the program's."""
+        """Return the library's version of a predicate, or the program's if the library has none."""
         # Compared with None: a predicate without clauses, such as one in Python, has length 0 and is false.
-        library_predicate = self.kept.get(key)
+        library_predicate = self.shadowed_predicates.get(key)
         return self._database.predicate(key) if library_predicate is None else library_predicate
 
     def is_inline(self, key: Functor) -> bool:

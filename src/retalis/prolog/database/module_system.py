@@ -1,13 +1,14 @@
 """Modules, implemented by renaming predicates when clauses are loaded.
 
-There is one predicate table. Exported predicates of a module have their plain names in it. Every other predicate that
-the module's file defines has a qualified name: ``p/1`` of module ``m`` is stored as ``m:p/1``. If a qualified name is
-called and not defined, the plain one is called instead (`ModuleNames.plain_of`).
+There is one predicate table for all modules. Exported predicates of a module have their plain names in it. Every
+other predicate that the module's file defines has a qualified name: ``p/1`` of module ``m`` is stored as ``m:p/1``.
+If a qualified name is called and not defined, the plain one is called instead (`ModuleNames.plain_functor`).
 
-`Modules` rewrites clauses and goals of a module's file when they are added, so running them costs nothing. It has to
-know which arguments of a predicate are goals, closures, clauses, or predicate indicators: `METAS` declares that for
-the system's predicates, ``meta_predicate/1`` for the program's. An argument that becomes a goal only at run time,
-such as a variable in ``call/1``, is wrapped as ``Module:Goal`` and rewritten when it is called.
+`Modules` rewrites the clauses and goals of a module's file when they are added, so modules have no cost at run time.
+It has to know which arguments of a predicate are goals, closures, clauses, or predicate indicators:
+`SYSTEM_ARGUMENT_KINDS` declares that for the system's predicates, ``meta_predicate/1`` for the program's. An argument
+that becomes a goal only at run time, such as a variable in ``call/1``, is wrapped as ``Module:Goal`` and rewritten
+when it is called.
 """
 
 from contextlib import contextmanager
@@ -35,9 +36,9 @@ ArgumentKind = Union[int, str]
 """Kind of an argument of a predicate.
 
 A number is a closure to which that many arguments are added before it is called; 0 is a goal. ``^`` is a goal that
-``Variable^`` may precede, ``:`` any term that belongs to a module, ``clause`` a clause to be added, ``match`` a
-clause to be found, ``head`` a clause head, ``names`` indicators of predicates that are declared, ``named`` indicators
-of existing predicates. Any other kind is a plain term.
+``Variable^`` may precede, ``:`` any term that belongs to a module, ``clause`` a clause to be added, ``search`` a
+clause to be found, ``head`` a clause head, ``declared`` indicators of predicates that are declared, ``existing``
+indicators of existing predicates. Any other kind is a plain term.
 """
 
 ArgumentKinds = Tuple[ArgumentKind, ...]
@@ -54,7 +55,7 @@ def _parse_kinds(text: str) -> Dict[Functor, ArgumentKinds]:
     return kinds_of
 
 
-METAS: Dict[Functor, ArgumentKinds] = _parse_kinds(
+SYSTEM_ARGUMENT_KINDS: Dict[Functor, ArgumentKinds] = _parse_kinds(
     """
     ,(0|0) ;(0|0) |(0|0) ->(0|0) *->(0|0) \\+(0) not(0) once(0) ignore(0) forall(0|0) catch(0|?|0)
     call(0) call(1|?) call(2|?|?) call(3|?|?|?) call(4|?|?|?|?) call(5|?|?|?|?|?) call(6|?|?|?|?|?|?)
@@ -69,17 +70,17 @@ METAS: Dict[Functor, ArgumentKinds] = _parse_kinds(
     min_member(2|?|?) map_assoc(1|?) map_assoc(2|?|?) convlist(2|?|?)
     aggregate(?|?|^|?) foreach(0|0) group_by(?|?|0|?) scanl(3|?|?|?) order_by(?|0)
     phrase(:|?) phrase(:|?|?) phrase_from_file(:|?) phrase_from_file(:|?|?) phrase_from_stream(:|?)
-    assert(clause) asserta(clause) assertz(clause) retract(match) retractall(head)
-    clause(head|?) abolish(named) dynamic(names) discontiguous(names) multifile(names) table(names)
-    public(names) volatile(names) module_transparent(names) current_predicate(named) predicate_property(head|?)
-    meta_predicate(names) nth_clause(head|?|?) strip_module(:|?|?) listing(named)
+    assert(clause) asserta(clause) assertz(clause) retract(search) retractall(head)
+    clause(head|?) abolish(existing) dynamic(declared) discontiguous(declared) multifile(declared) table(declared)
+    public(declared) volatile(declared) module_transparent(declared) current_predicate(existing)
+    predicate_property(head|?) meta_predicate(declared) nth_clause(head|?|?) strip_module(:|?|?) listing(existing)
     """
 )
 """Argument kinds of the system's predicates."""
 
 
-def declared_kinds(args: Tuple[object, ...]) -> ArgumentKinds:
-    """Return the argument kinds that the arguments of a ``meta_predicate/1`` declaration stand for."""
+def parse_meta_declaration(args: Tuple[object, ...]) -> ArgumentKinds:
+    """Return the argument kinds that a ``meta_predicate/1`` declaration specifies by its arguments."""
     kinds: List[ArgumentKind] = []
     for arg in args:
         if isinstance(arg, int):
@@ -96,13 +97,13 @@ _GLOBAL_PREDICATES = FIXED | {
     *(functor(name, 2) for name in ("term_expansion", "goal_expansion")),
     *(functor("portray", 1), functor("message_hook", 3)),
 }
-"""Predicates that belong to no module: fixed ones, and hooks that the system calls."""
+"""Predicates that belong to no module: control constructs and other fixed ones, and hooks that the system calls."""
 
-ModuleData = Tuple[List[Functor], List[Functor], List[str], List[str]]
-"""Module as plain data: exports, imports, names of its own predicates, names of the imported predicates."""
+ModuleSnapshot = Tuple[List[Functor], List[Functor], List[str], List[str]]
+"""Module as plain data: exports, imports, names of its own predicates, names under which the imports are stored."""
 
 
-def indicated(term: CompoundTerm) -> Optional[Functor]:
+def functor_of_indicator(term: CompoundTerm) -> Optional[Functor]:
     """Return the functor that ``Name/Arity`` or ``Name//Arity`` names; None if it is not a valid indicator."""
     name, arity = deref(term[1]), deref(term[2])
     if not isinstance(name, Atom) or not isinstance(arity, int):
@@ -114,76 +115,80 @@ class Module:
     """Module of a program.
 
     Attributes:
-        name: its name.
-        mark: its name as an atom, which qualifies goals.
+        name: the name.
+        name_atom: the name as an atom, which qualifies goals.
         exports: predicates that other modules call by their plain names.
-        hidden: exported predicates whose plain names another module exports already.
-        imports: imported predicates, and the functors under which they are stored.
+        shadowed_exports: exported predicates whose plain names another module exports already.
+        imports: functors of imported predicates, mapped to the functors under which they are stored.
     """
 
     def __init__(self, name: str):
         self.name = name
-        self.mark = atom(name)
+        self.name_atom = atom(name)
         self.exports: Set[Functor] = set()
-        self.hidden: Set[Functor] = set()
+        self.shadowed_exports: Set[Functor] = set()
         self.imports: Dict[Functor, Functor] = {}
 
 
-NO_MODULE = Module("user")
-"""Context of terms outside of any module."""
+USER_MODULE = Module("user")
+"""Context of terms that do not belong to a module."""
 
 
 class ModuleNames:
     """Modules of a program, and resolution of names in them.
 
     Attributes:
-        table: modules by name.
-        metas: argument kinds of the program's own predicates.
-        loading: module whose file is being loaded, or None.
-        last: name of the module whose file was loaded last; "" if that file was no module.
+        modules: modules by name.
+        declared_kinds_of: argument kinds of the program's own predicates.
+        loading_module: module whose file is being loaded, or None.
+        last_loaded_name: name of the module whose file was loaded last; "" if that file was no module.
         is_defined: returns whether the program has a predicate with a functor.
-        is_of_system: returns whether the system has one.
-        on_begin: called with the name of each module whose file begins.
+        is_system_predicate: returns whether a functor is that of a predicate of the system.
+        on_begin: called with the name of each module that a file declares.
         on_change: called after a module was added.
-        on_clash: called with a warning about a name that cannot be imported.
+        on_import_conflict: called with a warning about a name that cannot be imported.
     """
 
     def __init__(self) -> None:
-        self.table: Dict[str, Module] = {}
-        self.metas: Dict[Functor, ArgumentKinds] = {}
-        self.loading: Optional[Module] = None
-        self.last = ""
+        self.modules: Dict[str, Module] = {}
+        self.declared_kinds_of: Dict[Functor, ArgumentKinds] = {}
+        self.loading_module: Optional[Module] = None
+        self.last_loaded_name = ""
         self.is_defined: Callable[[Functor], bool] = lambda key: False
-        self.is_of_system: Callable[[Functor], bool] = lambda key: False
+        self.is_system_predicate: Callable[[Functor], bool] = lambda key: False
         self.on_begin: Callable[[str], None] = lambda name: None
         self.on_change: Callable[[], None] = lambda: None
-        self.on_clash: Callable[[str], None] = lambda text: None
+        self.on_import_conflict: Callable[[str], None] = lambda text: None
         self._files: List[bool] = []
-        self._plain: Dict[str, str] = {}
+        self._plain_names: Dict[str, str] = {}
 
     @contextmanager
-    def of_file(self, may_be_module: bool = True) -> Iterator[None]:
-        """Return a context in which a file is loaded; a module that the file declares ends with it.
+    def loading_file(self, may_be_module: bool = True) -> Iterator[None]:
+        """Return a context in which a file is loaded. A module that the file declares is active until it ends.
 
         Args:
-            may_be_module: whether the file may declare a module, and belongs to the module of the file that loads it
-                otherwise. False for files of event rules, whose goals belong to no module.
+            may_be_module: whether the file may declare a module. A file without a declaration belongs to the module
+                of the file that loads it. False for files of event rules, whose goals belong to no module.
         """
-        outer_module = self.loading
+        outer_module = self.loading_module
         if not may_be_module:
-            self.loading = None
+            self.loading_module = None
         self._files.append(may_be_module)
         depth = len(self._files)
         try:
             yield
-            self.last = "" if self.loading is None or self.loading is outer_module else self.loading.name
+            self.last_loaded_name = (
+                ""
+                if self.loading_module is None or self.loading_module is outer_module
+                else self.loading_module.name
+            )
         finally:
-            self.loading = outer_module
+            self.loading_module = outer_module
             # An exception may have left entries of files that this one was loading.
             del self._files[depth - 1 :]
 
-    def begin(self, name: str, exports: Iterable[Functor]) -> bool:
-        """Let the rest of the file belong to a module.
+    def begin_module(self, name: str, exports: Iterable[Functor]) -> bool:
+        """Assign the following terms of the file to a module.
 
         Returns:
             Whether the file may declare a module.
@@ -195,91 +200,97 @@ class ModuleNames:
             raise permission_error("load", "module", atom(name), "module/2 is a directive of a file")
         if not self._files[-1]:
             return False
-        is_new = name not in self.table
-        module = self.table.setdefault(name, Module(name))
+        is_new = name not in self.modules
+        module = self.modules.setdefault(name, Module(name))
         module.exports = set(exports)
         # The first module keeps the plain name. A silent replacement would change the meaning of files loaded before.
-        module.hidden = module.exports & self._exported_elsewhere(module)
-        for key in sorted(module.hidden, key=str):
-            self._warn_of_clash(module, key, "user", key)
-        self.loading = module
+        module.shadowed_exports = module.exports & self._exported_elsewhere(module)
+        for key in sorted(module.shadowed_exports, key=str):
+            self._warn_of_import_conflict(module, key, "user", key)
+        self.loading_module = module
         self.on_begin(name)
         if is_new:
-            # Code compiled so far calls the plain names.
+            # Code that has been compiled so far calls the plain names.
             self.on_change()
         return True
 
     def import_exports(self, name: str) -> None:
         """Import the exports of a module into the module of the file that is being loaded."""
-        module = self.table.get(name)
-        if module is not None and self.loading is not None and module is not self.loading:
+        module = self.modules.get(name)
+        if module is not None and self.loading_module is not None and module is not self.loading_module:
             for key in sorted(module.exports, key=str):
-                target = self.own(module, key)
-                if self.loading.imports.setdefault(key, target) is not target:
-                    self._warn_of_clash(module, key, self.loading.name, self.loading.imports[key])
+                target = self.stored_functor(module, key)
+                if self.loading_module.imports.setdefault(key, target) is not target:
+                    self._warn_of_import_conflict(
+                        module, key, self.loading_module.name, self.loading_module.imports[key]
+                    )
 
     def _exported_elsewhere(self, module: Module) -> Set[Functor]:
         """Return the plain names that other modules export."""
-        other_modules = (other_module for other_module in self.table.values() if other_module is not module)
-        return {key for other_module in other_modules for key in other_module.exports - other_module.hidden}
+        other_modules = (other_module for other_module in self.modules.values() if other_module is not module)
+        return {
+            key
+            for other_module in other_modules
+            for key in other_module.exports - other_module.shadowed_exports
+        }
 
-    def _warn_of_clash(self, module: Module, key: Functor, importer: str, current: Functor) -> None:
+    def _warn_of_import_conflict(self, module: Module, key: Functor, importer: str, current: Functor) -> None:
         exporter = next(
             (
                 other_module.name
-                for other_module in self.table.values()
+                for other_module in self.modules.values()
                 if other_module is not module
                 and key in other_module.exports
-                and self.own(other_module, key) is current
+                and self.stored_functor(other_module, key) is current
             ),
             "user",
         )
         qualified = f"{module.name}:{key}"
-        self.on_clash(
+        self.on_import_conflict(
             f"Warning: no permission to import {qualified} into {importer}: already imported from {exporter}; "
             f"{module.name}:{key.name}(...) calls it\n"
         )
 
-    def repair(self) -> None:
-        """Reset the state of loading, after an interrupt."""
-        self.loading = None
+    def reset_loading(self) -> None:
+        """Reset the loading state after an interrupted load."""
+        self.loading_module = None
         self._files.clear()
 
-    def named(self, term: Term) -> Optional[Module]:
-        """Return the module that a term names; None if there is none of that name."""
+    def find_module(self, term: Term) -> Optional[Module]:
+        """Return the module whose name a term is; None if there is no such module."""
         term = deref(term)
-        return self.table.get(term.name) if isinstance(term, Atom) else None
+        return self.modules.get(term.name) if isinstance(term, Atom) else None
 
     # Names
 
-    def plain_of(self, key: Functor) -> Optional[Functor]:
+    def plain_functor(self, key: Functor) -> Optional[Functor]:
         """Return the plain functor of a qualified predicate; None for other predicates."""
-        name = self._plain.get(key.name)
+        name = self._plain_names.get(key.name)
         return None if name is None else functor(name, key.arity)
 
     def module_indicator(self, key: Functor) -> Optional[Term]:
         """Return the indicator of a qualified predicate, such as ``m:(p/1)``; None for other predicates."""
-        name = self._plain.get(key.name)
+        name = self._plain_names.get(key.name)
         if name is None:
             return None
         return (COLON, atom(key.name[: -len(name) - 1]), (SLASH, atom(name), key.arity))
 
     def _has_plain_name(self, module: Module, key: Functor) -> bool:
-        if key in module.exports and key not in module.hidden:
+        if key in module.exports and key not in module.shadowed_exports:
             return True
-        return key in _GLOBAL_PREDICATES or key.name in self._plain
+        return key in _GLOBAL_PREDICATES or key.name in self._plain_names
 
-    def own(self, module: Module, key: Functor) -> Functor:
-        """Return the functor under which a predicate that a module defines is stored."""
+    def stored_functor(self, module: Module, key: Functor) -> Functor:
+        """Return the functor under which a module's own predicate is stored in the predicate table."""
         if self._has_plain_name(module, key):
             return key
         name = f"{module.name}:{key.name}"
-        self._plain[name] = key.name
+        self._plain_names[name] = key.name
         return functor(name, key.arity)
 
     def assertion_target(self, module: Module, key: Functor) -> Functor:
         """Return the functor of the predicate to which a module asserts clauses: its own, or an imported one."""
-        own_functor = self.own(module, key)
+        own_functor = self.stored_functor(module, key)
         return (
             module.imports[key] if key in module.imports and not self.is_defined(own_functor) else own_functor
         )
@@ -289,24 +300,24 @@ class ModuleNames:
         if self._has_plain_name(module, key):
             return key
         # Own definitions take precedence over imported and system predicates, as in SWI-Prolog.
-        if (key in module.imports or self.is_of_system(key)) and not self.is_defined(
+        if (key in module.imports or self.is_system_predicate(key)) and not self.is_defined(
             functor(f"{module.name}:{key.name}", key.arity)
         ):
             return module.imports.get(key, key)
-        return self.own(module, key)
+        return self.stored_functor(module, key)
 
-    def restore(self, table: Dict[str, ModuleData]) -> None:
-        """Add the modules that `to_data` returned."""
-        # Older states lack the names of imported predicates, which were the plain ones then.
-        for name, (exports, imports, own_names, *import_names) in table.items():
-            module = self.table.setdefault(name, Module(name))
+    def restore(self, modules: Dict[str, ModuleSnapshot]) -> None:
+        """Add the modules that `snapshot` returned."""
+        # Older states have no names of imported predicates: those were stored under their plain names.
+        for name, (exports, imports, own_names, *import_names) in modules.items():
+            module = self.modules.setdefault(name, Module(name))
             module.exports.update(exports)
-            module.hidden = module.exports & self._exported_elsewhere(module)
+            module.shadowed_exports = module.exports & self._exported_elsewhere(module)
             names = import_names[0] if import_names else [key.name for key in imports]
             module.imports.update({key: functor(plain, key.arity) for key, plain in zip(imports, names)})
-            self._plain.update({f"{name}:{plain}": plain for plain in own_names})
+            self._plain_names.update({f"{name}:{plain}": plain for plain in own_names})
 
-    def to_data(self) -> Dict[str, ModuleData]:
+    def snapshot(self) -> Dict[str, ModuleSnapshot]:
         """Return all modules as plain data, for `restore`."""
         return {
             name: (
@@ -314,23 +325,23 @@ class ModuleNames:
                 sorted(module.imports, key=str),
                 sorted(
                     plain
-                    for qualified_name, plain in self._plain.items()
+                    for qualified_name, plain in self._plain_names.items()
                     if qualified_name == f"{name}:{plain}"
                 ),
                 [module.imports[key].name for key in sorted(module.imports, key=str)],
             )
-            for name, module in self.table.items()
+            for name, module in self.modules.items()
         }
 
-    def kinds(self, key: Functor) -> Optional[ArgumentKinds]:
+    def argument_kinds(self, key: Functor) -> Optional[ArgumentKinds]:
         """Return the argument kinds of a predicate; None if all arguments are plain."""
-        argument_kinds = self.metas.get(key)
+        argument_kinds = self.declared_kinds_of.get(key)
         if argument_kinds is None:
-            # A qualified predicate without a definition stands for the plain one.
-            plain = self.plain_of(key)
+            # If a qualified predicate is not defined, the plain one is called instead.
+            plain = self.plain_functor(key)
             if plain is not None and not self.is_defined(key):
                 key = plain
-            argument_kinds = self.metas.get(key) or METAS.get(key)
+            argument_kinds = self.declared_kinds_of.get(key) or SYSTEM_ARGUMENT_KINDS.get(key)
         return argument_kinds
 
 
@@ -345,13 +356,14 @@ _NO_VARIABLES: FrozenSet[Var] = frozenset()
 class Modules(ModuleNames):
     """Modules of a program, and rewriting of the clauses and goals in their files."""
 
-    def goal(self, goal: CompoundTerm) -> Term:
-        """Return the goal that ``Module:Goal`` calls; for an unknown module the goal without it.
+    def resolve_qualified_goal(self, goal: CompoundTerm) -> Term:
+        """Return the goal that ``Module:Goal`` calls. If the module is unknown, return the goal without the
+        qualifier.
 
         Raises:
             PrologError: an instantiation or type error if it is not a goal.
         """
-        module = self.named(goal[1])
+        module = self.find_module(goal[1])
         if module is None:
             if deref(goal[1]).__class__ is Var:
                 raise instantiation_error()
@@ -361,128 +373,138 @@ class Modules(ModuleNames):
             raise instantiation_error()
         if plain_goal.__class__ is not tuple and plain_goal.__class__ is not Atom:
             raise type_error("callable", plain_goal)
-        return self.body(module, plain_goal)
+        return self.resolve_body(module, plain_goal)
 
-    def quantified_goal(self, goal: CompoundTerm) -> Term:
+    def resolve_quantified_goal(self, goal: CompoundTerm) -> Term:
         """Return the goal that ``Module:Goal`` calls if ``Variable^`` may precede the goal."""
-        module, plain_goal = self.named(goal[1]), deref(goal[2])
+        module, plain_goal = self.find_module(goal[1]), deref(goal[2])
         return (
             plain_goal
             if module is None or plain_goal.__class__ is Var
-            else self._resolved_argument(module, "^", plain_goal, _NO_VARIABLES)
+            else self._resolve_argument(module, "^", plain_goal, _NO_VARIABLES)
         )
 
-    def qualified_closure(self, goal: CompoundTerm, extra_count: int) -> Term:
+    def resolve_qualified_closure(self, goal: CompoundTerm, extra_count: int) -> Term:
         """Return the closure that ``Module:Closure`` refers to if ``extra_count`` arguments are added to it."""
-        module = self.named(goal[1])
+        module = self.find_module(goal[1])
         plain_closure = deref(goal[2])
         return (
             plain_closure
             if module is None or plain_closure.__class__ is Var
-            else self.closure(module, plain_closure, extra_count)
+            else self.resolve_closure(module, plain_closure, extra_count)
         )
 
-    def body(self, module: Module, goal: Term, module_variables: FrozenSet[Var] = _NO_VARIABLES) -> Term:
+    def resolve_body(
+        self, module: Module, goal: Term, module_variables: FrozenSet[Var] = _NO_VARIABLES
+    ) -> Term:
         """Return a goal of a module with all names resolved, so that it has the same meaning anywhere.
 
         Args:
             module: module in which the goal was written.
             goal: the goal.
-            module_variables: variables whose values carry their modules already.
+            module_variables: variables that are bound to module-qualified goals at run time.
         """
         # Iterates along conjunctions, which may be longer than the recursion limit allows.
         chain: List[Tuple[Functor, Term]] = []
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] in _CHAINS:
-            chain.append((goal[0], self.body(module, goal[1], module_variables)))
+            chain.append((goal[0], self.resolve_body(module, goal[1], module_variables)))
             goal = deref(goal[2])
-        resolved = self._resolved_goal(module, goal, module_variables)
+        resolved = self._resolve_goal(module, goal, module_variables)
         for key, conjunct in reversed(chain):
             resolved = (key, conjunct, resolved)
         return resolved
 
-    def _resolved_goal(self, module: Module, goal: Term, module_variables: FrozenSet[Var]) -> Term:
-        # The goal is known only at run time, so the module travels with it.
+    def _resolve_goal(self, module: Module, goal: Term, module_variables: FrozenSet[Var]) -> Term:
         if goal.__class__ is Var:
-            return goal if goal in module_variables else (COLON, module.mark, goal)
+            # The goal is known only at run time, so it is qualified with the module.
+            return goal if goal in module_variables else (COLON, module.name_atom, goal)
         if goal.__class__ is Atom:
             key = self.resolve(module, goal.functor)
             return goal if key is goal.functor else atom(key.name)
         if goal.__class__ is not tuple:
             return goal
         if goal[0] is COLON:
-            named_module = self.named(goal[1])
-            return goal if named_module is None else self.body(named_module, goal[2], module_variables)
+            named_module = self.find_module(goal[1])
+            return (
+                goal if named_module is None else self.resolve_body(named_module, goal[2], module_variables)
+            )
         key = self.resolve(module, goal[0])
-        return (key, *self._resolved_arguments(module, key, goal[1:], module_variables))
+        return (key, *self._resolve_arguments(module, key, goal[1:], module_variables))
 
-    def _resolved_arguments(
+    def _resolve_arguments(
         self, module: Module, key: Functor, args: Tuple[Term, ...], module_variables: FrozenSet[Var]
     ) -> Sequence[Term]:
-        kinds = self.kinds(key)
+        kinds = self.argument_kinds(key)
         if kinds is None:
             return args
         return [
-            self._resolved_argument(module, argument_kind, arg, module_variables)
+            self._resolve_argument(module, argument_kind, arg, module_variables)
             for argument_kind, arg in zip(kinds, args)
         ]
 
-    def _resolved_argument(
+    def _resolve_argument(
         self, module: Module, argument_kind: ArgumentKind, arg: Term, module_variables: FrozenSet[Var]
     ) -> Term:
         if argument_kind is PLAIN or argument_kind == PLAIN:
             return arg
         if isinstance(argument_kind, int):
             return (
-                self.closure(module, arg, argument_kind, module_variables)
+                self.resolve_closure(module, arg, argument_kind, module_variables)
                 if argument_kind
-                else self.body(module, arg, module_variables)
+                else self.resolve_body(module, arg, module_variables)
             )
         arg = deref(arg)
-        if argument_kind == "names" or argument_kind == "named":
-            return self.indicators(module, arg, self.own if argument_kind == "names" else self.resolve)
+        if argument_kind == "declared" or argument_kind == "existing":
+            return self.resolve_indicators(
+                module, arg, self.stored_functor if argument_kind == "declared" else self.resolve
+            )
         if arg.__class__ is Var:
-            return arg if arg in module_variables else (COLON, module.mark, arg)
+            return arg if arg in module_variables else (COLON, module.name_atom, arg)
         if argument_kind == "^":
             if arg.__class__ is tuple and arg[0] is _HAT:
                 return (
                     _HAT,
                     arg[1],
-                    self._resolved_argument(module, argument_kind, arg[2], module_variables),
+                    self._resolve_argument(module, argument_kind, arg[2], module_variables),
                 )
-            return self.body(module, arg, module_variables)
+            return self.resolve_body(module, arg, module_variables)
         if argument_kind == "clause":
-            return self.clause(module, arg, module_variables, self.assertion_target)
-        if argument_kind == "match":
-            return self._searched_clause(module, arg)
+            return self.resolve_clause(module, arg, module_variables, self.assertion_target)
+        if argument_kind == "search":
+            return self._resolve_clause_to_find(module, arg)
         if argument_kind == "head":
-            return self._resolved_head(module, arg, self.resolve)
-        return arg if arg.__class__ is tuple and arg[0] is COLON else (COLON, module.mark, arg)
+            return self._resolve_head(module, arg, self.resolve)
+        return arg if arg.__class__ is tuple and arg[0] is COLON else (COLON, module.name_atom, arg)
 
-    def closure(
+    def resolve_closure(
         self, module: Module, goal: Term, extra_count: int, module_variables: FrozenSet[Var] = _NO_VARIABLES
     ) -> Term:
-        """Return a closure, to which ``extra_count`` arguments are added, with all names resolved; see `body`."""
+        """Return a closure to which ``extra_count`` arguments are added, with names resolved; see `resolve_body`."""
         goal = deref(goal)
         if goal.__class__ is Var:
-            return goal if goal in module_variables else (COLON, module.mark, goal)
+            return goal if goal in module_variables else (COLON, module.name_atom, goal)
         if goal.__class__ is Atom:
             key = self.resolve(module, functor(goal.name, extra_count))
             return goal if key.name == goal.name else atom(key.name)
         if goal.__class__ is not tuple:
             return goal
         if goal[0] is COLON:
-            named_module = self.named(goal[1])
+            named_module = self.find_module(goal[1])
             return (
                 goal
                 if named_module is None
-                else self.closure(named_module, goal[2], extra_count, module_variables)
+                else self.resolve_closure(named_module, goal[2], extra_count, module_variables)
             )
         if goal[0] is _LAMBDA:
-            return self._resolved_lambda(module, goal, extra_count, module_variables)
+            return self._resolve_lambda(module, goal, extra_count, module_variables)
         plain_closure: Term = deref(goal[-1])
         if goal[0] is SLASH and plain_closure.__class__ is tuple and plain_closure[0] is _LAMBDA:
-            return (SLASH, goal[1], self.closure(module, plain_closure, extra_count, module_variables))
+            return (
+                SLASH,
+                goal[1],
+                self.resolve_closure(module, plain_closure, extra_count, module_variables),
+            )
         # The name is resolved with the arity of the call, and the closure keeps its own arity.
         resolved_functor = self.resolve(module, functor(goal[0].name, len(goal) - 1 + extra_count))
         key = (
@@ -490,9 +512,9 @@ class Modules(ModuleNames):
             if resolved_functor.name == goal[0].name
             else functor(resolved_functor.name, len(goal) - 1)
         )
-        return (key, *self._resolved_arguments(module, resolved_functor, goal[1:], module_variables))
+        return (key, *self._resolve_arguments(module, resolved_functor, goal[1:], module_variables))
 
-    def _resolved_lambda(
+    def _resolve_lambda(
         self, module: Module, goal: CompoundTerm, extra_count: int, module_variables: FrozenSet[Var]
     ) -> Term:
         parameters = deref(goal[1])
@@ -500,146 +522,156 @@ class Modules(ModuleNames):
             parameters = deref(parameters[2])
         missing = extra_count - len(list_items(parameters) or ())
         body = (
-            self.closure(module, goal[2], missing, module_variables)
+            self.resolve_closure(module, goal[2], missing, module_variables)
             if missing > 0
-            else self.body(module, goal[2], module_variables)
+            else self.resolve_body(module, goal[2], module_variables)
         )
         return (_LAMBDA, goal[1], body)
 
     # Clauses
 
-    def clause(
+    def resolve_clause(
         self,
         module: Module,
         term: Term,
         module_variables: FrozenSet[Var] = _NO_VARIABLES,
-        name: Optional[Callable[[Module, Functor], Functor]] = None,
+        resolve_name: Optional[Callable[[Module, Functor], Functor]] = None,
     ) -> Term:
         """Return a clause of a module with all names resolved.
 
         Args:
             module: module in which the clause was written.
             term: the clause.
-            module_variables: variables whose values carry their modules already; see `body`.
-            name: returns the functor of the clause's predicate; by default that of the module's own one (`own`).
+            module_variables: variables that are bound to module-qualified goals at run time; see `resolve_body`.
+            resolve_name: returns the functor of the clause's predicate; by default `stored_functor`.
         """
-        name = name or self.own
+        resolve_name = resolve_name or self.stored_functor
         term = deref(term)
         if term.__class__ is not tuple or term[0] not in (_NECK, _SINGLE_SIDED, _GRAMMAR, COLON):
-            return self._resolved_head(module, term, name)
-        # A grammar rule is rewritten after its translation, which adds the arguments that its names are resolved
-        # with.
+            return self._resolve_head(module, term, resolve_name)
+        # A grammar rule is resolved after translation to a clause, because names are resolved by arity and the
+        # translation adds two arguments.
         if term[0] is _GRAMMAR:
-            return (COLON, module.mark, term)
+            return (COLON, module.name_atom, term)
         if term[0] is COLON:
-            plain_clause, named_module = deref(term[2]), self.named(term[1])
+            plain_clause, named_module = deref(term[2]), self.find_module(term[1])
             if named_module is not None and plain_clause.__class__ is not Var:
-                return self.clause(named_module, plain_clause, module_variables, name)
+                return self.resolve_clause(named_module, plain_clause, module_variables, resolve_name)
             return term
         head_term = deref(term[1])
         guard: Optional[Term] = None
         if term[0] is _SINGLE_SIDED and isinstance(head_term, tuple) and head_term[0] is COMMA:
             guard, head_term = head_term[2], deref(head_term[1])
-        head = self._resolved_head(module, head_term, name)
+        head = self._resolve_head(module, head_term, resolve_name)
         module_variables = module_variables | self._goal_variables(head)
         if guard is not None:
-            head = (COMMA, head, self.body(module, guard, module_variables))
-        return (term[0], head, self.body(module, term[2], module_variables))
+            head = (COMMA, head, self.resolve_body(module, guard, module_variables))
+        return (term[0], head, self.resolve_body(module, term[2], module_variables))
 
     def _goal_variables(self, head: Term) -> FrozenSet[Var]:
-        """Return the variables of a head in arguments that are goals: callers pass these with their modules."""
+        """Return the variables of a head in arguments that are goals; callers pass qualified goals for them."""
         if head.__class__ is not tuple:
             return _NO_VARIABLES
-        kinds = self.metas.get(head[0])
+        kinds = self.declared_kinds_of.get(head[0])
         goals = [deref(arg) for kind, arg in zip(kinds or (), head[1:]) if kind != PLAIN]
         return frozenset(arg for arg in goals if isinstance(arg, Var))
 
-    def _resolved_head(self, module: Module, head: Term, name: Callable[[Module, Functor], Functor]) -> Term:
+    def _resolve_head(
+        self, module: Module, head: Term, resolve_name: Callable[[Module, Functor], Functor]
+    ) -> Term:
         if head.__class__ is Atom:
-            key = name(module, head.functor)
+            key = resolve_name(module, head.functor)
             return head if key is head.functor else atom(key.name)
         if head.__class__ is not tuple:
             return head
         if head[0] is not COLON:
-            return (name(module, head[0]), *head[1:])
-        named_module = self.named(head[1])
+            return (resolve_name(module, head[0]), *head[1:])
+        named_module = self.find_module(head[1])
         plain_head = deref(head[2])
         if named_module is None or plain_head.__class__ is Var:
             return head if plain_head.__class__ is Var else plain_head
-        return self._resolved_head(named_module, plain_head, name)
+        return self._resolve_head(named_module, plain_head, resolve_name)
 
-    def with_head_resolved(self, term: CompoundTerm) -> Term:
-        """Return a clause outside of modules with a module in its head resolved."""
+    def resolve_head_module(self, term: CompoundTerm) -> Term:
+        """Return a clause that belongs to no module, with the module qualifier of its head resolved."""
         head = deref(term[1])
         if head.__class__ is tuple and head[0] is COLON:
-            return (term[0], self._resolved_head(NO_MODULE, head, self.own), term[2])
+            return (term[0], self._resolve_head(USER_MODULE, head, self.stored_functor), term[2])
         return term
 
-    def searched_clause(self, term: Term) -> Term:
-        """Return a clause or head that a goal searches, with a module before it resolved."""
+    def resolve_searched_clause(self, term: Term) -> Term:
+        """Return a clause or head that a goal searches, with its module qualifier resolved."""
         term = deref(term)
         while term.__class__ is tuple and term[0] is COLON:
-            module, plain_clause = self.named(term[1]), deref(term[2])
+            module, plain_clause = self.find_module(term[1]), deref(term[2])
             if module is not None and (plain_clause.__class__ is tuple or plain_clause.__class__ is Atom):
-                plain_clause = self._searched_clause(module, plain_clause)
+                plain_clause = self._resolve_clause_to_find(module, plain_clause)
             term = plain_clause
         return term
 
-    def names_of(self, term: Term) -> Term:
-        """Return predicate indicators with modules before them resolved."""
-        if not self.table:
+    def resolve_declared_indicators(self, term: Term) -> Term:
+        """Return predicate indicators that belong to no module, with their module qualifiers resolved."""
+        if not self.modules:
             return term
-        return self.indicators(
-            NO_MODULE, term, lambda module, key: key if module is NO_MODULE else self.own(module, key)
+        return self.resolve_indicators(
+            USER_MODULE,
+            term,
+            lambda module, key: key if module is USER_MODULE else self.stored_functor(module, key),
         )
 
-    def _searched_clause(self, module: Module, term: Term) -> Term:
+    def _resolve_clause_to_find(self, module: Module, term: Term) -> Term:
         if term.__class__ is not tuple or term[0] is not _NECK:
-            return self._resolved_head(module, term, self.resolve)
+            return self._resolve_head(module, term, self.resolve)
         head, body = deref(term[1]), deref(term[2])
         if head.__class__ is Var:
-            head = (COLON, module.mark, head)
+            head = (COLON, module.name_atom, head)
         else:
-            head = self._resolved_head(module, head, self.resolve)
-        return (_NECK, head, body if body.__class__ is Var else self.body(module, body))
+            head = self._resolve_head(module, head, self.resolve)
+        return (_NECK, head, body if body.__class__ is Var else self.resolve_body(module, body))
 
-    def indicators(self, module: Module, term: Term, name: Callable[[Module, Functor], Functor]) -> Term:
+    def resolve_indicators(
+        self, module: Module, term: Term, resolve_name: Callable[[Module, Functor], Functor]
+    ) -> Term:
         """Return indicators of a module's predicates (or heads with modes, or lists) with names resolved."""
         term = deref(term)
         if term.__class__ is not tuple:
             return term
         if term[0] in (COMMA, CONS):
-            left = self.indicators(module, term[1], name)
-            return (term[0], left, self.indicators(module, term[2], name))
+            left = self.resolve_indicators(module, term[1], resolve_name)
+            return (term[0], left, self.resolve_indicators(module, term[2], resolve_name))
         if term[0] is COLON:
-            named_module = self.named(term[1])
-            return deref(term[2]) if named_module is None else self.indicators(named_module, term[2], name)
+            named_module = self.find_module(term[1])
+            return (
+                deref(term[2])
+                if named_module is None
+                else self.resolve_indicators(named_module, term[2], resolve_name)
+            )
         if term[0] is _AS:
-            return (_AS, self.indicators(module, term[1], name), term[2])
+            return (_AS, self.resolve_indicators(module, term[1], resolve_name), term[2])
         if term[0] is SLASH or term[0] is GRAMMAR_NAME:
-            key = indicated(term)
-            return term if key is None else indicator(name(module, key))
-        return (name(module, term[0]), *term[1:])
+            key = functor_of_indicator(term)
+            return term if key is None else indicator(resolve_name(module, key))
+        return (resolve_name(module, term[0]), *term[1:])
 
     # Display
 
-    def plain(self, term: Term) -> Term:
-        """Return a term for display: with plain names of predicates, and without the modules that `body` adds."""
-        if not self._plain:
+    def display_form(self, term: Term) -> Term:
+        """Return a term for display, with plain names, and without the qualifiers that `resolve_body` adds."""
+        if not self._plain_names:
             return term
         try:
-            return self._display_form(term)
+            return self._to_display_form(term)
         except RecursionError:
             # For display only: a term that is nested too deeply is shown with its qualified names.
             return term
 
-    def _display_form(self, term: Term) -> Term:
+    def _to_display_form(self, term: Term) -> Term:
         term = deref(term)
         if isinstance(term, Atom):
-            name = self._plain.get(term.name)
+            name = self._plain_names.get(term.name)
             return term if name is None else atom(name)
         if term.__class__ is not tuple:
             return term
-        if term[0] is COLON and deref(term[2]).__class__ is Var and self.named(term[1]) is not None:
+        if term[0] is COLON and deref(term[2]).__class__ is Var and self.find_module(term[1]) is not None:
             return deref(term[2])
-        return (self.plain_of(term[0]) or term[0], *[self._display_form(arg) for arg in term[1:]])
+        return (self.plain_functor(term[0]) or term[0], *[self._to_display_form(arg) for arg in term[1:]])

@@ -7,7 +7,7 @@ compiled one by one. A change returns it to interpretation and doubles the numbe
 a predicate that alternates between calls and changes is not compiled over and over.
 
 Changes follow the logical update view: a call sees the clauses that existed when it began. Retracted clauses are
-marked with the generation of their removal and dropped later; lists that running calls may hold are only appended to.
+marked with the generation of their removal and dropped later. Lists that running calls may hold are never shortened.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List, Optional, Tuple
@@ -22,7 +22,7 @@ from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
 from .clause_index import (
-    NEVER,
+    NEVER_RETRACTED,
     Clause,
     FunctionalModes,
     Indexes,
@@ -35,17 +35,22 @@ from .clause_index import (
 if TYPE_CHECKING:
     from .database import Database
 
+NEVER_COMPILE = 1 << 62
+"""Number of calls that no predicate reaches: a predicate with this limit is only interpreted."""
+
 COMPILE_AFTER = 12
 """Calls without a change of the predicate after which it is compiled."""
 
 _MAX_COMPILED_CLAUSES = 24
-"""Clauses of a predicate that is compiled as a whole; larger ones keep their indexes and compile single clauses."""
+"""Maximum number of clauses of a predicate that is compiled as a whole.
+
+Larger predicates are called through their indexes, and their clauses are compiled one by one."""
 
 _MAX_COMPILED_FACTS = 8
-"""The same limit for predicates that consist of facts."""
+"""Maximum number of clauses of a predicate that consists of facts and is compiled as a whole."""
 
 _SLOW_SEARCH_CLAUSES = 1000
-"""Clauses from which on a search may take as long as many inferences and checks for cancellation."""
+"""Number of candidates above which the search checks the limits, because it takes as long as many inferences."""
 
 
 class Predicate:
@@ -59,23 +64,26 @@ class Predicate:
             `Code.keeps_choice_points`.
         kind: "user", "builtin" (deterministic Python), "control" (other Python), or "undefined".
         function: Python function that compiled clauses call inline, for a built-in.
-        direct: its functions, if it is called as a function.
-        make_filter: returns the pushdown filter of calls; see `PredicateTable.define_control`.
-        functional: its modes, if it is a function of some of its arguments.
-        bound_form: functor of the deterministic built-in for calls with a bound first argument, or None.
+        function_code: function form of the predicate, if it is called as a function.
+        make_pushdown_filter: returns the pushdown filter of calls; see `PredicateTable.define_control`.
+        functional_modes: inputs and outputs, if it is a function of some of its arguments.
+        bound_argument_builtin: functor of the deterministic built-in for calls with a bound first argument, or None.
         dynamic: whether the program may assert and retract clauses.
-        library: whether it belongs to the system; programs may redefine it unless it is ``locked``.
+        discontiguous: whether its clauses may be separated by those of other predicates.
+        multifile: whether its clauses may be in several files.
+        is_locked: whether programs may not redefine it, if it is a library predicate.
+        is_library_predicate: whether it belongs to the system.
+        is_protected: whether goals may not read its clauses or add some, if it is a library predicate.
         warned_undefined: whether a warning about calls of the undefined predicate has been issued.
-        compiled: whether `run` is compiled code.
-        tabled: the hidden predicate that owns the clauses, if calls are answered by tables.
-        incremental: whether tables that depend on it are reevaluated after a change: of its clauses (see `observe`),
-            or of its answers if it is tabled itself.
-        system: whether access to its clauses and changes of single clauses are errors.
-        ground: whether all clauses are ground facts.
+        is_compiled: whether `run` is compiled code.
+        hidden_predicate: predicate that owns the clauses, if calls are answered by tables.
+        is_incremental: whether tables that depend on it are reevaluated after a change of its clauses (see `observe`)
+            or, if it is tabled itself, of its answers.
+        has_only_ground_facts: whether all clauses are ground facts.
         clauses: clauses in order, including retracted ones.
-        dead: number of retracted clauses in `clauses`.
-        calls: calls since the last change.
-        compile_after: calls after which compilation is tried.
+        retracted_count: number of retracted clauses in `clauses`.
+        call_count: calls since the last change.
+        compile_after: number of calls after which compilation is tried.
         indexes: indexes of the clauses.
     """
 
@@ -84,27 +92,27 @@ class Predicate:
         self.functor = functor
         self.kind = "undefined"
         self.function: Optional[Callable[..., Any]] = None
-        self.make_filter: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None
-        self.functional: Optional[FunctionalModes] = None
-        self.bound_form: Optional[Functor] = None
+        self.make_pushdown_filter: Optional[Callable[[Functor, Tuple[int, ...]], object]] = None
+        self.functional_modes: Optional[FunctionalModes] = None
+        self.bound_argument_builtin: Optional[Functor] = None
         self.dynamic = False
         self.discontiguous = False
         self.multifile = False
-        self.locked = False
-        self.system = False
-        self.library = False
+        self.is_locked = False
+        self.is_protected = False
+        self.is_library_predicate = False
         self.warned_undefined = False
-        self.compiled = False
-        self.tabled: Optional[Predicate] = None
-        self.incremental = False
+        self.is_compiled = False
+        self.hidden_predicate: Optional[Predicate] = None
+        self.is_incremental = False
         self._on_read: Optional[Callable[[Predicate], None]] = None
         self._revision = 0
-        self.direct: Optional[FunctionCode] = None
-        self.ground = False
-        self._searches: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
+        self.function_code: Optional[FunctionCode] = None
+        self.has_only_ground_facts = False
+        self._search_by_position: Dict[Optional[int], Callable[..., Optional[Frame]]] = {}
         self.clauses: List[Clause] = []
-        self.dead = 0
-        self.calls = 0
+        self.retracted_count = 0
+        self.call_count = 0
         self.compile_after = database.compile_after
         self.indexes = Indexes(functor.arity)
         self.run: Step = self._run_interpreted
@@ -116,43 +124,56 @@ class Predicate:
         return f"<{self.functor}>"
 
     @property
-    def defined(self) -> bool:
+    def is_defined(self) -> bool:
         """True if a call raises no existence error."""
         return self.kind != "undefined" or self.dynamic
 
     @property
-    def is_blank(self) -> bool:
+    def is_undeclared(self) -> bool:
         """True if it has neither a definition nor a declaration."""
-        return not (self.defined or self.clauses or self.discontiguous or self.multifile or self.library)
+        return not (
+            self.is_defined
+            or self.clauses
+            or self.discontiguous
+            or self.multifile
+            or self.is_library_predicate
+        )
 
     @property
-    def is_fixed(self) -> bool:
+    def is_static_user_predicate(self) -> bool:
         """True if it consists of clauses of the program that goals may not change."""
-        return self.kind == "user" and not self.dynamic and not self.library
+        return self.kind == "user" and not self.dynamic and not self.is_library_predicate
 
     @property
-    def with_clauses(self) -> "Predicate":
-        """The predicate that owns the clauses: for a tabled predicate the hidden one that evaluates its tables."""
-        return self if self.tabled is None else self.tabled
+    def clause_owner(self) -> "Predicate":
+        """The predicate that owns the clauses; for a tabled predicate, the hidden one that computes the answers."""
+        return self if self.hidden_predicate is None else self.hidden_predicate
 
     def active_clauses(self) -> Iterator[Clause]:
         """Yield the clauses that have not been retracted, in order."""
-        return (clause for clause in list(self.clauses) if clause.died == NEVER)
+        return (clause for clause in list(self.clauses) if clause.retracted_at == NEVER_RETRACTED)
 
     def __len__(self) -> int:
-        return len(self.clauses) - self.dead
+        return len(self.clauses) - self.retracted_count
 
     # Changes
 
     def add(self, clause: Clause, first: bool = False) -> None:
         """Add a clause as the last or, if ``first``, as the first one."""
-        self.ground = clause.ground and self.functor.arity > 0 and (self.ground or not self.clauses)
-        self.changed()
-        # Running calls hold positions in the list, so a clause in front makes a new list.
+        self.has_only_ground_facts = (
+            clause.is_ground_fact
+            and self.functor.arity > 0
+            and (self.has_only_ground_facts or not self.clauses)
+        )
+        self.record_change()
+        # Running calls hold positions in the list, so the list is replaced if a clause is added in front.
         if first:
-            self.clauses = [clause, *[existing for existing in self.clauses if existing.died == NEVER]]
+            self.clauses = [
+                clause,
+                *[existing for existing in self.clauses if existing.retracted_at == NEVER_RETRACTED],
+            ]
             self.kind = "user"
-            self.dead = 0
+            self.retracted_count = 0
             self.indexes.clear()
             return
         self.clauses.append(clause)
@@ -165,14 +186,16 @@ class Predicate:
         Returns:
             Whether it had not been retracted before.
         """
-        if clause.died != NEVER:
+        if clause.retracted_at != NEVER_RETRACTED:
             return False
-        self.changed()
+        self.record_change()
         self.database.generation += 1
-        clause.died = self.database.generation
-        self.dead += 1
-        # Sweeping when half of the clauses are dead keeps the cost per retraction constant on average.
-        if self.dead == len(self.clauses) or (self.dead > 16 and self.dead * 2 > len(self.clauses)):
+        clause.retracted_at = self.database.generation
+        self.retracted_count += 1
+        # Sweeping when half of the clauses are retracted keeps the cost per retraction constant on average.
+        if self.retracted_count == len(self.clauses) or (
+            self.retracted_count > 16 and self.retracted_count * 2 > len(self.clauses)
+        ):
             self._sweep()
             self.indexes.clear()
         return True
@@ -180,7 +203,7 @@ class Predicate:
     def _sweep(self) -> None:
         """Drop retracted clauses from the list; indexes keep them."""
         self.clauses = list(self.active_clauses())
-        self.dead = 0
+        self.retracted_count = 0
 
     def clear(self) -> None:
         """Retract all clauses."""
@@ -190,52 +213,54 @@ class Predicate:
     def abolish(self) -> None:
         """Remove all clauses and declarations, so that a call is an existence error."""
         self.clear()
-        # Also without clauses: compiled code that fails must become code that raises the error.
-        self.changed()
+        # Also if there were no clauses: compiled code fails, and has to be replaced by code that raises the error.
+        self.record_change()
         self.dynamic = self.discontiguous = self.multifile = False
         if self.kind == "user":
             self.kind = "undefined"
 
-    def changed(self) -> None:
+    def record_change(self) -> None:
         """Record a change of the clauses and return to interpretation."""
-        self.database.changes += 1
+        self.database.change_count += 1
         self._revision += 1
-        if self.compiled:
-            self.compiled = self.keeps_choice_points = False
-            self._set_step(self._run_interpreted)
+        if self.is_compiled:
+            self.is_compiled = self.keeps_choice_points = False
+            self._set_run(self._run_interpreted)
             # A predicate that alternates between calls and changes is compiled ever more rarely.
             self.compile_after *= 2
-        self.calls = 0
-        if self.direct is not None:
-            self.direct.reset(self)
+        self.call_count = 0
+        if self.function_code is not None:
+            self.function_code.reset(self)
 
     def repair(self) -> None:
         """Rebuild the state derived from the clauses, which an interrupt may have left inconsistent."""
-        if self.library or not (self.kind == "user" or self.clauses):
+        if self.is_library_predicate or not (self.kind == "user" or self.clauses):
             return
         self.kind = "user"
         self._sweep()
-        self.ground = self.functor.arity > 0 and all(clause.ground for clause in self.clauses)
+        self.has_only_ground_facts = self.functor.arity > 0 and all(
+            clause.is_ground_fact for clause in self.clauses
+        )
         self.indexes.clear()
-        self.forget()
+        self.discard_compiled_code()
 
-    def table(self, hidden: "Predicate", run: Step) -> None:
-        """Let a step answer calls from tables; clauses belong to the ``hidden`` predicate from then on."""
-        self.tabled = hidden
+    def set_tabled(self, hidden: "Predicate", run: Step) -> None:
+        """Make the predicate tabled: a step answers calls from tables, and the hidden predicate owns the clauses."""
+        self.hidden_predicate = hidden
         self.kind = "control"
         self.clauses = []
         self.indexes.clear()
         self.run = run
         self.keeps_choice_points = False
 
-    def forget(self) -> None:
-        """Drop compiled code, whose references to other predicates are out of date."""
-        if self.direct is not None:
-            self.direct.reset(None)
+    def discard_compiled_code(self) -> None:
+        """Discard compiled code, because a predicate that it refers to has been redefined."""
+        if self.function_code is not None:
+            self.function_code.reset(None)
         if self.kind == "user":
-            self.compiled = self.keeps_choice_points = False
-            self._set_step(self._run_interpreted)
-            self.calls = 0
+            self.is_compiled = self.keeps_choice_points = False
+            self._set_run(self._run_interpreted)
+            self.call_count = 0
             for clause in self.clauses:
                 clause.code = None
 
@@ -248,12 +273,12 @@ class Predicate:
         """
         if self._on_read is not None:
             return
-        self.incremental = True
+        self.is_incremental = True
         self._on_read = on_read
-        self.database.changes += 1
-        self._set_step(self.run)
+        self.database.change_count += 1
+        self._set_run(self.run)
 
-    def note_read(self) -> None:
+    def report_read(self) -> None:
         """Report an access to the clauses to the observer."""
         if self._on_read is not None:
             self._on_read(self)
@@ -262,7 +287,7 @@ class Predicate:
         """Return a number that differs after each change of the clauses."""
         return self._revision
 
-    def _set_step(self, step: Step) -> None:
+    def _set_run(self, step: Step) -> None:
         """Set the step that runs calls, preceded by the report of a read if the predicate is observed."""
         on_read = self._on_read
         if on_read is None:
@@ -279,18 +304,23 @@ class Predicate:
 
     def _run_interpreted(self, frame: Frame) -> Optional[Frame]:
         if self.kind == "undefined":
-            return self.database.undefined(self, frame)
-        self.calls += 1
-        if (self.calls > self.compile_after or self.library) and not self.compiled and self._compile():
+            return self.database.call_undefined(self, frame)
+        self.call_count += 1
+        if (
+            (self.call_count > self.compile_after or self.is_library_predicate)
+            and not self.is_compiled
+            and self._compile()
+        ):
             return self.run(frame)
         clauses, position = self.indexes.select(self.clauses, frame)
         if len(clauses) > _SLOW_SEARCH_CLAUSES:
             check_limits(0)  # the search may take long, so check for cancellation first
         generation = self.database.generation
-        if self.ground:
-            # Keys serve to find out whether another fact may match; for a single candidate they are not needed.
+        if self.has_only_ground_facts:
+            # Keys are compared to find out whether another fact may match; for a single candidate they are not
+            # needed.
             keys = keys_of(frame, position) if len(clauses) > 1 else None
-            search = self._searches.get(position) or self._search(position)
+            search = self._search_by_position.get(position) or self._make_search(position)
             return search(frame, clauses, 0, len(clauses), generation, keys)
         keys = keys_of(frame, position)
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
@@ -299,17 +329,17 @@ class Predicate:
         """Return a function of the arguments that looks up a ground fact (see `FunctionCode`).
 
         Args:
-            once: whether the first matching fact is enough; otherwise the function returns None if there are several.
+            once: whether the first matching fact is enough. If not, the function returns None if there are several.
         """
         choices = self.database.machine.choices
 
         def find(*args: Term) -> Optional[bool]:
-            if not self.ground:
+            if not self.has_only_ground_facts:
                 return None
-            # The next frame is never run: any value but None shows that a fact was found.
+            # The next frame is never run; any value except None indicates that a fact was found.
             frame = (self, *args, True)
             clauses, position = self.indexes.select(self.clauses, frame)
-            search = self._searches.get(position) or self._search(position)
+            search = self._search_by_position.get(position) or self._make_search(position)
             height = len(choices)
             keys = keys_of(frame, position)
             if search(frame, clauses, 0, len(clauses), self.database.generation, keys) is None:
@@ -322,9 +352,9 @@ class Predicate:
 
         return find
 
-    def _search(self, position: Optional[int]) -> Callable[..., Optional[Frame]]:
+    def _make_search(self, position: Optional[int]) -> Callable[..., Optional[Frame]]:
         names = fact_names(self.database.machine)
-        search = self._searches[position] = fact_search(self.functor.arity, position, names)
+        search = self._search_by_position[position] = fact_search(self.functor.arity, position, names)
         return search
 
     def select(self, frame: Frame) -> Tuple[List[Clause], Optional[int]]:
@@ -358,20 +388,22 @@ class Predicate:
         while position < end:
             clause = clauses[position]
             position += 1
-            if clause.died <= generation or keys is not None and not may_match(keys, clause.keys):
+            if clause.retracted_at <= generation or keys is not None and not may_match(keys, clause.keys):
                 continue
             # The next candidate is searched first: without one no choice point is pushed, and the call is
             # deterministic.
             while position < end:
                 next_clause = clauses[position]
-                if next_clause.died > generation and (keys is None or may_match(keys, next_clause.keys)):
+                if next_clause.retracted_at > generation and (
+                    keys is None or may_match(keys, next_clause.keys)
+                ):
                     break
                 position += 1
             height = len(machine.choices)
             mark = len(trail)
             # Facts need neither a frame for the body nor compilation. A static non-ground fact that is the last
             # candidate is treated as a rule instead, so that it gets compiled.
-            if clause.fact and (position < end or clause.ground or self.dynamic):
+            if clause.is_fact and (position < end or clause.is_ground_fact or self.dynamic):
                 if match_head(frame, clause, {}, trail):
                     if position < end:
                         machine.choices.append(
@@ -384,8 +416,8 @@ class Predicate:
                 machine.choices.append((self._retry, frame, clauses, position, end, generation, keys, mark))
             code = clause.code
             if code is None:
-                clause.uses += 1
-                if clause.uses <= self.database.compile_after and not self.library:
+                clause.call_count += 1
+                if clause.call_count <= self.database.compile_after and not self.is_library_predicate:
                     return self._interpret(frame, clause, height, trail)
                 code = self._compile_clause(clause)
                 if code is None:
@@ -401,63 +433,67 @@ class Predicate:
 
     # Compilation
 
-    def prepare(self) -> None:
+    def precompile(self) -> None:
         """Compile the predicate before it is called, unless a compiled version has been invalidated by a change."""
-        if self.compiled or self.compile_after != self.database.compile_after or self.database.interprets:
+        if (
+            self.is_compiled
+            or self.compile_after != self.database.compile_after
+            or self.database.is_interpreter_only
+        ):
             return
         try:
             self._compile()
         except (PrologError, RecursionError):
             # The first call raises the error, with its caller as context.
-            self.compiled = False
+            self.is_compiled = False
 
     def _compile(self) -> bool:
         """Compile the predicate as a whole, or let calls go through its indexes; return whether either was done."""
-        self.calls = 0
+        self.call_count = 0
         clauses = list(self.active_clauses())
         count = len(clauses)
-        is_facts = all(clause.fact for clause in clauses)
-        too_many = count > (_MAX_COMPILED_FACTS if is_facts else _MAX_COMPILED_CLAUSES)
+        is_facts = all(clause.is_fact for clause in clauses)
+        is_too_large = count > (_MAX_COMPILED_FACTS if is_facts else _MAX_COMPILED_CLAUSES)
         if not count or any(clause.is_large for clause in clauses):
-            self.compile_after = NEVER
+            self.compile_after = NEVER_COMPILE
             return False
-        if too_many:
+        if is_too_large:
             return self._call_through_indexes()
         parts = [ClauseParts(_arguments_of(clause.head), clause.body, clause.place) for clause in clauses]
         generator = PredicateGenerator(self._resolver(), self.functor, parts, self)
-        self._set_step(generator.main())
+        self._set_run(generator.main())
         self.keeps_choice_points = generator.keeps_choice_points
-        self.compiled = True
+        self.is_compiled = True
         return True
 
     def _call_through_indexes(self) -> bool:
         """Let calls go through the existing indexes that have no variables; return whether there are any."""
-        if self.dead:
+        if self.retracted_count:
             self._sweep()
             self.indexes.rebuild(self.clauses)
         choices = self.database.machine.choices
-        # Indexes are tried in order of their arguments; each step falls back to the next, the last one to
-        # interpretation.
+        # Indexes are tried in order of their arguments. If a step cannot select a single clause, it calls the step of
+        # the next index, and the last one calls the interpreter.
         run: Step = self._run_interpreted
         for position, index in reversed(self.indexes.without_variables()):
-            run = indexed_step(position, index.own, choices, self._search(position), run)
+            run = indexed_step(position, index.clauses_by_key, choices, self._make_search(position), run)
         if run == self._run_interpreted:
             self.compile_after *= 2
             return False
-        self._set_step(run)
-        self.compiled = True
+        self._set_run(run)
+        self.is_compiled = True
         return True
 
     def _compile_clause(self, clause: Clause) -> Optional[Step]:
         if clause.is_large:
-            clause.uses = -NEVER
+            clause.call_count = -NEVER_COMPILE
             return None
         parts = ClauseParts(_arguments_of(clause.head), clause.body, clause.place)
         clause.code = PredicateGenerator(self._resolver(), self.functor, [parts], self).single(0)
         return clause.code
 
     def _resolver(self) -> PredicateResolver:
-        return self.database.library if self.library else self.database
+        return self.database.library if self.is_library_predicate else self.database
 
 
 def fact_names(machine: Machine) -> Dict[str, object]:

@@ -35,28 +35,28 @@ if TYPE_CHECKING:
     from ..system.prolog_system import PrologSystem
 
 
-class Takes(Protocol):
-    """A continuation that receives the outputs of a goal."""
+class OutputCollector(Protocol):
+    """Code of a continuation that receives the outputs of a goal."""
 
-    def take(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
-        """Receive the outputs of a solution; return the next frame, or None to ask for the next solution."""
+    def collect(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
+        """Receive the outputs of a solution; return the next frame, or None to request the next solution."""
 
 
 class RunnableGoal(Protocol):
     """The part of a `CompiledGoal` that the machine uses."""
 
     @property
-    def straight(self) -> Optional[Callable[..., Any]]:
+    def function(self) -> Optional[Callable[..., Any]]:
         """The goal as a Python function, or None if there is none.
 
         The function returns the outputs, None for failure, or `BAIL`.
         """
 
-    def bail(self) -> None:
-        """Record that the function returned `BAIL`."""
+    def count_bail(self) -> None:
+        """Count a call of the function that returned `BAIL`."""
 
-    def enter(self, values: Values, collector: Frame, /) -> Frame:
-        """Return the frame that runs the goal and passes its outputs to a `Takes`."""
+    def make_frame(self, values: Values, collector: Frame, /) -> Frame:
+        """Return the frame that runs the goal and passes its outputs to an `OutputCollector`."""
 
 
 BAIL = object()
@@ -162,8 +162,8 @@ _FINISHED: Frame = (STOP, 1 << 62)
 """Choice point that `Machine.done` pushes before it fails. Leaving the loop in this way costs the other steps no
 test."""
 
-_GO_ON = Code("go on", lambda frame: frame[1](frame[2]))
-"""Code of a frame that calls a function to get the next frame."""
+_CALL_WITH_OUTPUTS = Code("go on", lambda frame: frame[1](frame[2]))
+"""Code of a frame that calls a function with the outputs of a goal to get the next frame."""
 
 
 class Machine:
@@ -514,11 +514,11 @@ class Machine:
             otherwise: the next frame without a solution.
             on_error: called with an error of the goal.
         """
-        straight = goal.straight
-        if straight is not None and not self.budget.needs_check:
+        function = goal.function
+        if function is not None and not self.budget.needs_check:
             mark = len(self.trail)
             try:
-                outputs = straight(*values)
+                outputs = function(*values)
             except Exception as exc:
                 undo(self.trail, mark)
                 error = from_python(exc)
@@ -528,8 +528,8 @@ class Machine:
                 return otherwise
             if outputs is not BAIL:
                 # `then` is called by the loop, not here: it may make another attempt, which would recurse.
-                return otherwise if outputs is None else (_GO_ON, then, outputs)
-            goal.bail()
+                return otherwise if outputs is None else (_CALL_WITH_OUTPUTS, then, outputs)
+            goal.count_bail()
         # The choice point is pushed by a frame, as the run that it belongs to may not have started yet.
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
@@ -543,7 +543,7 @@ class Machine:
         if budget.needs_check:
             budget.check_entry()
         budget.goal = goal
-        return goal.enter(values, (self._exit_code, height, then))
+        return goal.make_frame(values, (self._exit_code, height, then))
 
     def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
         self.budget.goal = entry[1]
@@ -558,7 +558,7 @@ class _AttemptExit:
     def __init__(self, machine: Machine):
         self._machine = machine
 
-    def take(self, frame: Frame, outputs: Values) -> Optional[Frame]:
+    def collect(self, frame: Frame, outputs: Values) -> Optional[Frame]:
         machine = self._machine
         height = frame[1]
         entry = machine.choices[height]

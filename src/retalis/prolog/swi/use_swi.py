@@ -80,8 +80,8 @@ def define_use_swi(
         use_swi(logic, SwiFile(name, source, copy(imports)), warn)
         return True
 
-    logic.define("use_swi", 1, use_all).locked = True
-    logic.define("use_swi", 2, use).locked = True
+    logic.define("use_swi", 1, use_all).is_locked = True
+    logic.define("use_swi", 2, use).is_locked = True
 
 
 def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) -> None:
@@ -191,7 +191,7 @@ def _check_import(
 ) -> None:
     """Raise an error for a predicate that does not exist in SWI-Prolog or has the name of a built-in predicate."""
     existing_predicate = logic.database.predicates.get(predicate.key)
-    if existing_predicate is not None and existing_predicate.locked:
+    if existing_predicate is not None and existing_predicate.is_locked:
         raise permission_error("modify", "static_procedure", indicator(predicate.key))
     if not program.ask("defined", atom(module), atom(predicate.name), predicate.arity):
         raise existence_error("procedure", (SLASH, atom(predicate.name), predicate.arity))

@@ -183,7 +183,9 @@ def _define(
 ) -> Functor:
     key = functor(spec.name, spec.arity)
     existing = logic.database.predicates.get(key)
-    if existing is not None and (existing.locked or existing.library and existing.system):
+    if existing is not None and (
+        existing.is_locked or existing.is_library_predicate and existing.is_protected
+    ):
         raise permission_error("modify", "static_procedure", _indicator(key))
     if spec.many:
         logic.define_nondeterministic(
@@ -301,7 +303,7 @@ def define_use_foreign(
         logic.foreign_modules[str(path) if files.is_file(path) else name] = None
         return True
 
-    logic.define("use_foreign", 1, use_foreign).locked = True
+    logic.define("use_foreign", 1, use_foreign).is_locked = True
 
 
 def load_module(name: str, files: "SourceFiles") -> ModuleType:

@@ -86,7 +86,7 @@ def snapshot_program(logic: PrologSystem) -> ProgramSnapshot:
         logic.operators.changes(),
         tables.declarations(),
         [_snapshot_predicate(predicate) for predicate in predicates],
-        [predicate.functor for predicate in predicates if predicate.incremental],
+        [predicate.functor for predicate in predicates if predicate.is_incremental],
     )
 
 
@@ -94,8 +94,8 @@ def snapshot_values(logic: PrologSystem) -> ValuesSnapshot:
     """Return the values that goals have stored. No goal may be running."""
     modules = logic.database.modules
     builtin_state = {name: dict(logic.state[name]) for name in _SAVED_STATE_KEYS if name in logic.state}
-    if modules.table or modules.metas:
-        builtin_state.update({_MODULES: modules.to_data(), _META_ARGUMENTS: dict(modules.metas)})
+    if modules.modules or modules.declared_kinds_of:
+        builtin_state.update({_MODULES: modules.snapshot(), _META_ARGUMENTS: dict(modules.declared_kinds_of)})
     return ValuesSnapshot(
         dict(logic.flags),
         dict(logic.globals),
@@ -111,7 +111,7 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
     return [
         predicate
         for predicate in predicates
-        if not predicate.library and predicate.tabled is None and not predicate.is_blank
+        if not predicate.is_library_predicate and predicate.hidden_predicate is None and not predicate.is_undeclared
     ]
 
 
@@ -158,5 +158,5 @@ def restore_values(logic: PrologSystem, snapshot: ValuesSnapshot) -> None:
             logic.state.setdefault(name, {}).update(snapshot.builtin_state[name])
     modules = logic.database.modules
     modules.restore(snapshot.builtin_state.get(_MODULES, {}))
-    modules.metas.update(snapshot.builtin_state.get(_META_ARGUMENTS, {}))
+    modules.declared_kinds_of.update(snapshot.builtin_state.get(_META_ARGUMENTS, {}))
     tables_of(logic.machine).restore(snapshot.table_answers)

@@ -21,7 +21,7 @@ from ..builtins.global_state import default_flags
 from ..compiler.clause_nodes import FIXED
 from ..database.clause_index import Clause, functional
 from ..database.control_constructs import Control, control_predicates, functor_of, split_clause
-from ..database.database import STANDARD, Database
+from ..database.database import ISO_PREDICATES, Database
 from ..database.predicate import COMPILE_AFTER, Predicate
 from ..machine.machine import LAST, Code, Machine
 from ..syntax.operators import Operators
@@ -65,12 +65,12 @@ def _load(database: Database, part: str) -> None:
         head, body = split_clause(term)
         key = functor_of(head)
         predicate = database.library.predicate(key)
-        if not predicate.library:
+        if not predicate.is_library_predicate:
             # If the program has defined a predicate of this name before the library was loaded, the library gets its
             # own.
             if predicate.kind == "user" or predicate.dynamic:
-                predicate = database.library.kept[key] = Predicate(database, key)
-            predicate.library = True
+                predicate = database.library.shadowed_predicates[key] = Predicate(database, key)
+            predicate.is_library_predicate = True
         predicate.add(Clause(predicate, head, body, clause_read.place))
 
 
@@ -79,7 +79,7 @@ _NO_SOLUTION = object()
 
 def is_replaceable(key: Functor) -> bool:
     """Return whether a predicate is a built-in outside of ISO Prolog, which facts of a program replace."""
-    return (key.name, key.arity) in ENTRIES and key not in STANDARD and key not in FIXED
+    return (key.name, key.arity) in ENTRIES and key not in ISO_PREDICATES and key not in FIXED
 
 
 def _close_generator(entry: Frame) -> None:
@@ -124,15 +124,15 @@ class PredicateTable:
         }
         for (name, arity), entry in ENTRIES.items():
             predicate = definers[entry.kind](name, arity, entry.function)
-            if entry.locked:
+            if entry.is_locked:
                 self._mark_as_system(predicate)
         self._library = library_index()
-        self.database.modules.is_of_system = self.is_of_system
+        self.database.modules.is_system_predicate = self.is_system_predicate
 
     @staticmethod
     def _mark_as_system(predicate: Predicate) -> None:
-        predicate.system = True
-        predicate.locked = predicate.functor in FIXED
+        predicate.is_protected = True
+        predicate.is_locked = predicate.functor in FIXED
 
     def define(self, name: str, arity: int, function: Callable[..., bool]) -> Predicate:
         """Define a deterministic predicate by ``function(machine, *args)``, which returns whether it succeeds.
@@ -168,7 +168,7 @@ class PredicateTable:
         """
         modes = functional(function, arity, outputs, shows)
         predicate = self.define(name, arity, modes.predicate())
-        predicate.functional = modes
+        predicate.functional_modes = modes
         return predicate
 
     def define_nondeterministic(
@@ -233,7 +233,7 @@ class PredicateTable:
             )
 
         predicate = self.database.define(key, None, run_known, "control")
-        predicate.bound_form = bound_form.functor
+        predicate.bound_argument_builtin = bound_form.functor
         return predicate
 
     def define_control(
@@ -263,7 +263,7 @@ class PredicateTable:
             return function(machine, frame[1:-1], frame[-1])
 
         predicate = self.database.define(functor(name, arity), function if at_once else None, run, "control")
-        predicate.make_filter = gate
+        predicate.make_pushdown_filter = gate
         return predicate
 
     def lookup(self, key: Functor) -> Optional[Predicate]:
@@ -272,31 +272,33 @@ class PredicateTable:
         if (predicate is None or predicate.kind == "undefined") and (key.name, key.arity) in self._library:
             self._load_library(self._library[key.name, key.arity])
             predicate = self.database.predicates.get(key)
-        return predicate if predicate is not None and predicate.defined else None
+        return predicate if predicate is not None and predicate.is_defined else None
 
     def defines(self, key: Functor) -> bool:
         """Return whether a predicate is defined."""
         predicate = self.database.predicates.get(key)
-        return (predicate is not None and predicate.defined) or (key.name, key.arity) in self._library
+        return (predicate is not None and predicate.is_defined) or (key.name, key.arity) in self._library
 
-    def is_of_system(self, key: Functor) -> bool:
+    def is_system_predicate(self, key: Functor) -> bool:
         """Return whether a predicate belongs to the system and the program has not redefined it."""
         predicate = self.database.predicates.get(key)
-        if predicate is not None and predicate.defined:
-            return bool(predicate.library)
+        if predicate is not None and predicate.is_defined:
+            return bool(predicate.is_library_predicate)
         return (key.name, key.arity) in self._library
 
     def is_added(self, key: Functor) -> bool:
         """Return whether a predicate belongs to the system but not to Prolog, such as those of the event language."""
         name_and_arity = (key.name, key.arity)
         return (
-            self.is_of_system(key) and name_and_arity not in ENTRIES and name_and_arity not in self._library
+            self.is_system_predicate(key)
+            and name_and_arity not in ENTRIES
+            and name_and_arity not in self._library
         )
 
     def names(self) -> Iterator[Functor]:
         """Yield the functors of all defined predicates."""
         for key, predicate in list(self.database.predicates.items()):
-            if predicate.defined:
+            if predicate.is_defined:
                 yield key
         for name, arity in self._library:
             yield functor(name, arity)

@@ -141,7 +141,7 @@ class Tracer:
             continuation = (self._control.code, goal[2], height, continuation)
             goal = deref(goal[1])
         if goal.__class__ is tuple and goal[0] is COLON:
-            return self.solve(self._logic.database.modules.goal(goal), height, continuation)
+            return self.solve(self._logic.database.modules.resolve_qualified_goal(goal), height, continuation)
         key = _functor_of(goal)
         if key is None or key in _SILENT or key in _CONTROL:
             return self._untraced_solve(goal, height, continuation)
@@ -157,7 +157,7 @@ class Tracer:
         self._choices.append((self._guard, call, len(self._trail)))
         exit_frame = (self._exit, call, base, continuation)
         predicate = self._logic.lookup(key) or self._logic.database.predicate(key)
-        if predicate.kind == "user" and not predicate.library:
+        if predicate.kind == "user" and not predicate.is_library_predicate:
             arguments = goal[1:] if goal.__class__ is tuple else ()
             clauses = list(predicate.active_clauses())
             return self._next_clause((self._next, arguments, clauses, 0, exit_frame, call, None))
@@ -283,7 +283,7 @@ def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Opti
     callers = _possible_callers(logic, predicate, frame)
     if callers:
         notes.append(f"called from {', '.join(callers)}")
-    suggestions = similar(logic, logic.database.modules.plain_of(key) or key)
+    suggestions = similar(logic, logic.database.modules.plain_functor(key) or key)
     if suggestions:
         notes.append(f"did you mean {' or '.join(suggestions)}?")
     shown_indicator = logic.database.modules.module_indicator(key) or indicator(key)
@@ -304,9 +304,9 @@ def _possible_callers(logic: PredicateTable, predicate: Predicate, frame: Frame)
     clauses = [
         clause
         for candidate in list(logic.database.predicates.values())
-        if not candidate.library
+        if not candidate.is_library_predicate
         for clause in candidate.active_clauses()
-        if not clause.fact
+        if not clause.is_fact
     ]
     matching = [clause for clause in clauses if _may_call(clause, call, len(call))]
     # A closure, to which maplist/3 and others add arguments, has fewer of them in the clause.
@@ -400,7 +400,7 @@ def repair(logic: Any) -> None:
     """Restore the invariants of data that outlives a goal after an interrupt; no goal may be running."""
     end_captures(logic)
     logic.new_goals = None
-    logic.database.modules.repair()
+    logic.database.modules.reset_loading()
     # An interrupted trace leaves its method on the instance; see `Tracer.start`.
     vars(logic.control).pop("solve", None)
     logic.database.solve = logic.control.solve
@@ -464,27 +464,27 @@ class PrologSystem(PredicateTable):
         files: opens files for goals; None if goals may open none.
         ask: returns the next line that the user types, None at the end of input; None if there is no user.
         environment: environment variables of the process; None if the program may not read them.
-        from_outside: whether the current work is done for a client and not for the program; see `for_others`.
+        is_serving_client: whether the current work is done for a client and not for the program; see `for_others`.
         allow_flags: whether goals of clients, including those that they add to the program, may change flags.
         new_goals: goals compiled since `preparing` began; None outside of it.
     """
 
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
         super().__init__(operators, compile_after)
-        self.database.undefined = self._undefined
+        self.database.call_undefined = self._undefined
         self.globals: Dict[str, Term] = {}
         self.column = 0
         self.output: Callable[[str], None]
         self.error_output: Callable[[str], None]
         self.print_to(_write_stdout, _write_stderr)
         self.message = self._to_error_output
-        self.database.modules.on_clash = lambda text: self.message("warning", text)
+        self.database.modules.on_import_conflict = lambda text: self.message("warning", text)
         self.files: Optional[SourceFiles] = None
         self.ask: Optional[Callable[[], Optional[str]]] = None
         self.state: Dict[str, Any] = {}
         self.now: Callable[[], int] = time_ns
         self.new_goals: Optional[List[CompiledGoal]] = None
-        self.from_outside = False
+        self.is_serving_client = False
         self.allow_flags = False
         self.foreign_modules: Dict[str, None] = {}
         self.environment: Optional[Mapping[str, str]] = None
@@ -506,11 +506,11 @@ class PrologSystem(PredicateTable):
     @contextmanager
     def for_others(self) -> Iterator[None]:
         """Return a context in which work is done for clients: services and the dashboard."""
-        was_from_outside, self.from_outside = self.from_outside, True
+        was_from_outside, self.is_serving_client = self.is_serving_client, True
         try:
             yield
         finally:
-            self.from_outside = was_from_outside
+            self.is_serving_client = was_from_outside
 
     def require_flags(self, flag: Term) -> None:
         """Require that the running goal may change a flag.
@@ -522,7 +522,7 @@ class PrologSystem(PredicateTable):
             return
         # A compiled goal records its origin: a client may have added it to the program, which runs it later.
         goal = self.machine.budget.goal
-        if goal.from_outside if isinstance(goal, CompiledGoal) else self.from_outside:
+        if goal.is_from_client if isinstance(goal, CompiledGoal) else self.is_serving_client:
             raise permission_error("modify", "flag", flag, _FLAGS_LOCKED)
 
     # Clauses
@@ -575,22 +575,24 @@ class PrologSystem(PredicateTable):
     def _resolve_in_module(self, term: Term, asserted: bool) -> Term:
         """Return a clause with names resolved in the module that it names, or in the one that is being loaded."""
         modules = self.database.modules
-        module = None if asserted else modules.loading
+        module = None if asserted else modules.loading_module
         while term.__class__ is tuple and term[0] is COLON:
-            named_module = modules.named(term[1])
+            named_module = modules.find_module(term[1])
             module, term = (module if named_module is None else named_module), deref(term[2])
         if term.__class__ is tuple and term[0] is _ARROW:
             term = translate_rule(term)
         if module is not None and term.__class__ is not Var:
-            return modules.clause(module, term, name=modules.assertion_target if asserted else None)
-        if modules.table and term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":-":
-            return modules.with_head_resolved(term)
+            return modules.resolve_clause(
+                module, term, resolve_name=modules.assertion_target if asserted else None
+            )
+        if modules.modules and term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":-":
+            return modules.resolve_head_module(term)
         return term
 
     def of_file(self, goal: Term) -> Term:
-        """Return a goal of the file that is being loaded with names resolved in its module; see `Modules.body`."""
+        """Return a goal of the file that is being loaded, with names resolved in its module."""
         modules = self.database.modules
-        return goal if modules.loading is None else modules.body(modules.loading, goal)
+        return goal if modules.loading_module is None else modules.resolve_body(modules.loading_module, goal)
 
     def load(
         self, terms: Sequence[Tuple[Term, Optional[Place]]], problem: Callable[[str, Optional[Place]], None]
@@ -644,7 +646,7 @@ class PrologSystem(PredicateTable):
         outputs: Sequence[Term] = (),
         place: Optional[Place] = None,
         name: str = "goal",
-        from_outside: Optional[bool] = None,
+        is_from_client: Optional[bool] = None,
     ) -> CompiledGoal:
         """Compile a goal for Python code.
 
@@ -654,7 +656,7 @@ class PrologSystem(PredicateTable):
             outputs: variables (or terms) whose values are returned, by position.
             place: source position, for tracebacks.
             name: name of the caller, for tracebacks.
-            from_outside: whether the goal comes from a client; by default that of the system (`from_outside`).
+            is_from_client: whether the goal comes from a client; by default that of the system (`is_serving_client`).
 
         Raises:
             PrologError: if the term is not a goal.
@@ -662,9 +664,9 @@ class PrologSystem(PredicateTable):
         goal = deref(goal)
         if goal.__class__ is not Var:
             goal = check_body(goal)
-        if from_outside is None:
-            from_outside = self.from_outside
-        compiled = CompiledGoal(self.database, goal, inputs, outputs, place, name, from_outside)
+        if is_from_client is None:
+            is_from_client = self.is_serving_client
+        compiled = CompiledGoal(self.database, goal, inputs, outputs, place, name, is_from_client)
         if self.new_goals is not None:
             self.new_goals.append(compiled)
         return compiled
@@ -682,9 +684,9 @@ class PrologSystem(PredicateTable):
             yield
         finally:
             self.new_goals = outer_goals
-        self.database.compile_named(terms())
+        self.database.compile_reachable(terms())
         for goal in goals:
-            goal.prepare()
+            goal.precompile()
 
     def once(self, goal: Term, reported_goal: Optional[Term] = None) -> bool:
         """Run a goal for its first solution, whose bindings remain.
@@ -769,7 +771,7 @@ class PrologSystem(PredicateTable):
         key = predicate.functor
         if predicate.dynamic:
             return None
-        plain = self.database.modules.plain_of(key)
+        plain = self.database.modules.plain_functor(key)
         plain_predicate = None if plain is None else self.lookup(plain)
         if plain_predicate is not None:
             return plain_predicate.run((plain_predicate, *frame[1:]))
