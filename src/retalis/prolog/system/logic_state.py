@@ -111,7 +111,9 @@ def program_predicates(logic: PrologSystem) -> List[Predicate]:
     return [
         predicate
         for predicate in predicates
-        if not predicate.is_library_predicate and predicate.hidden_predicate is None and not predicate.is_undeclared
+        if not predicate.is_library_predicate
+        and predicate.hidden_predicate is None
+        and not predicate.is_undeclared
     ]
 
 
