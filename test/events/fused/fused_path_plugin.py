@@ -36,7 +36,7 @@ PATHS = {
         "goal_action",
         lambda goal, inputs, rule, failed, plain, completion: plain_action(plain),
     ),
-    "questions": (pending_queries, "question_action", lambda *arguments: None),
+    "questions": (pending_queries, "query_action", lambda *arguments: None),
     "sides": (join_node, "fused_side", lambda side, pair, choice, rule, plain, emit: plain_action(plain)),
     "absences": (join_node, "fused_absence", lambda absence, rule, whole, plain: plain_action(plain)),
     "windows": (stream_node, "fused_window", lambda window, limit, node, plain, *rest: plain_action(plain)),

@@ -201,7 +201,7 @@ def _goal_source(inputs: int) -> str:
     return source_of([Block("def generated(term, values, start, end, frame):", body)])
 
 
-def question_action(
+def query_action(
     dispatcher: Dispatcher,
     key: Functor,
     ground_count: int,

@@ -17,7 +17,7 @@ from ..language.stream_parser import subscription_event
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of
 from .memory_registry import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
-from .pending_queries import GIVEN_UP, MissingMemories, PendingQueries
+from .pending_queries import TIMEOUT_EVENT, MissingSources, PendingQueries
 from .record_index import define_matching
 from .record_interpolation import MemoryGaps, TransformChains
 from .subscriptions import Deliver, Subscriptions
@@ -36,7 +36,7 @@ DELETE_MEMORY = functor("delete_memory", 1)
 MEMORY_EVENTS = frozenset((CREATED, UPDATED, DELETED))
 """Events about memories."""
 
-OWN_EVENTS = MEMORY_EVENTS | {GIVEN_UP}
+OWN_EVENTS = MEMORY_EVENTS | {TIMEOUT_EVENT}
 """All events that the package makes by itself, without a rule, goal or topic."""
 
 
@@ -114,7 +114,7 @@ class KnowledgeBase:
         self.subscriptions.repair()
         self.states.repair()
 
-    def find_missing_memories(self, names: Sequence[Term], instant: int) -> MissingMemories:
+    def find_missing_memories(self, names: Sequence[Term], instant: int) -> MissingSources:
         """Return the memories that have received no event that ends at an instant or later.
 
         A name ``tf(Target, Source)`` stands for a transform.

@@ -47,7 +47,7 @@ from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, V
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..fused.fused_single_event import question_action
+from ..fused.fused_single_event import query_action
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
@@ -57,34 +57,38 @@ from .transforms import AwaitedTransform, ReachedTransforms, Transforms
 AwaitedSource = Union[MemoryInstance, AwaitedTransform]
 """A memory or transform that queries wait for."""
 
-MissingMemories = List[Tuple[AwaitedSource, int]]
-"""Memories and transforms whose watermark is behind, with the instants that they have to reach."""
+MissingSources = List[Tuple[AwaitedSource, int]]
+"""Memories and transforms whose watermark is behind, each with the instant that it has to reach."""
 
 
-def missing_memories(
+def find_missing_sources(
     logic: PrologSystem, memories: MemoryInstances, transforms: Transforms, conditions: Term
-) -> MissingMemories:
+) -> MissingSources:
     """Return the memories and transforms that a query must wait for, given its conditions as a term.
 
     Raises:
         UsageError: if there is no such memory, or a condition is not ``[Id, Time]``.
     """
-    awaited: Dict[AwaitedSource, int] = {}
+    required_instants: Dict[AwaitedSource, int] = {}
     # Conditions usually share one time, so it is converted once.
     time, instant = None, 0
-    for name, condition_time in _condition_pairs(logic, conditions):
-        instance: Optional[AwaitedSource] = memories.find(name)
-        if instance is None:
-            instance = transforms.awaited_transform(name)
-            if instance is None:
-                raise UsageError(f"there is no memory {logic.brief(name)}")
+    for source_id, condition_time in _condition_pairs(logic, conditions):
+        source: Optional[AwaitedSource] = memories.find(source_id)
+        if source is None:
+            source = transforms.awaited_transform(source_id)
+            if source is None:
+                raise UsageError(f"there is no memory {logic.brief(source_id)}")
             instant_of_transform = transform_instant(condition_time)
-            awaited[instance] = max(instant_of_transform, awaited.get(instance, instant_of_transform))
+            required_instants[source] = max(
+                instant_of_transform, required_instants.get(source, instant_of_transform)
+            )
             continue
         if condition_time is not time:
             time, instant = condition_time, required_instant(condition_time)
-        awaited[instance] = max(instant, awaited.get(instance, instant))
-    return [(instance, instant) for instance, instant in awaited.items() if not instance.has_reached(instant)]
+        required_instants[source] = max(instant, required_instants.get(source, instant))
+    return [
+        (source, instant) for source, instant in required_instants.items() if not source.has_reached(instant)
+    ]
 
 
 def compile_conditions(
@@ -92,11 +96,12 @@ def compile_conditions(
     memories: MemoryInstances,
     transforms: Transforms,
     conditions: Term,
-    names: Sequence[Var],
-) -> Optional[Callable[[Values], MissingMemories]]:
-    """Return a function of the values of ``names`` that returns what a query must wait for.
+    rule_variables: Sequence[Var],
+) -> Optional[Callable[[Values], MissingSources]]:
+    """Return a function from the values of ``rule_variables`` to the memories and transforms that are behind.
 
-    The function raises a `UsageError` as `missing_memories` does. Return None if the memories depend on the values.
+    The function raises a `UsageError` as `find_missing_sources` does. Return None instead of a function if the ids
+    of the memories depend on the values.
     """
     try:
         pairs = _condition_pairs(logic, conditions)
@@ -104,15 +109,15 @@ def compile_conditions(
         awaited = [transforms.awaited_transform(name) for name, _ in pairs]
     except (UsageError, PrologError):
         return None
-    if not set(variables(conditions)) <= set(names):
+    if not set(variables(conditions)) <= set(rule_variables):
         return None
     namespace: Dict[str, Any] = {
         "get": memories.instances.get,
-        "reach": required_instant,
+        "required_instant": required_instant,
         "first_reaching": timestamps.first_reaching,
         "no_memory": lambda name: UsageError(f"there is no memory {logic.brief(name)}"),
     }
-    positions_of_names = positions(names)
+    variable_positions = positions(rule_variables)
     lines = ["    missing = []"]
     previous = None
     for index, (key, (name, time)) in enumerate(zip(keys, pairs)):
@@ -123,7 +128,7 @@ def compile_conditions(
             lines += [
                 f"    awaited = get(key{index}, transform{index})",
                 *_instant_source(
-                    time, names, positions_of_names, index, namespace, "transform_instant(time)"
+                    time, rule_variables, variable_positions, index, namespace, "transform_instant(time)"
                 ),
                 "    if not awaited.has_reached(instant):",
                 "        missing.append((awaited, instant))",
@@ -137,7 +142,7 @@ def compile_conditions(
         ]
         # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
-            lines += _instant_source(time, names, positions_of_names, index, namespace)
+            lines += _instant_source(time, rule_variables, variable_positions, index, namespace)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
@@ -145,7 +150,7 @@ def compile_conditions(
             "        missing.append((memory, instant))",
         ]
     source = "\n".join(["def generated(values):", *lines, "    return missing", ""])
-    function: Callable[[Values], MissingMemories] = shared_function(
+    function: Callable[[Values], MissingSources] = shared_function(
         source, namespace, "conditions of a synchronized query"
     )
     return function
@@ -153,23 +158,23 @@ def compile_conditions(
 
 def _instant_source(
     time: Term,
-    names: Sequence[Var],
-    positions_of_names: Dict[Var, int],
+    rule_variables: Sequence[Var],
+    variable_positions: Dict[Var, int],
     index: int,
     namespace: Dict[str, Any],
-    conversion: str = "first_reaching(time) if time.__class__ is float else reach(time)",
+    conversion: str = "first_reaching(time) if time.__class__ is float else required_instant(time)",
 ) -> List[str]:
     """Return the source lines that compute the instant of a time by a conversion."""
     if time.__class__ is Var:
-        lines = [f"    time = values[{positions_of_names[time]}]"]
+        lines = [f"    time = values[{variable_positions[time]}]"]
     else:
-        namespace[f"build{index}"] = compile_builder(time, names, "time of a synchronized query")
+        namespace[f"build{index}"] = compile_builder(time, rule_variables, "time of a synchronized query")
         lines = [f"    time = build{index}(values)"]
     return [*lines, f"    instant = {conversion}"]
 
 
 def _condition_pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
-    """Return ids and times.
+    """Return the pairs of id and time of a list of conditions.
 
     Raises:
         UsageError: if an element is not ``[Id, Time]``.
@@ -201,7 +206,7 @@ def required_instant(time: Term) -> int:
 
 
 def transform_instant(time: Term) -> int:
-    """Return the instant that a transform has to reach, which is that of a look-up for the same time.
+    """Return the instant that a transform has to reach: the one that a look-up uses for the same time.
 
     Raises:
         UsageError: if the term is not a time.
@@ -214,95 +219,94 @@ _REPORT_NAME = "synchronized query"
 
 
 class QueryContext(NamedTuple):
-    """The system, dispatcher and receiver of warnings of queries."""
+    """Prolog system, dispatcher and warning callback that all queries share."""
 
     logic: PrologSystem
     dispatcher: Dispatcher
     warn: Warn
 
 
-class TriggeredQuery:
-    """A query and the event that it triggers, compiled for values that are known when it is called.
-
-    Args:
-        context: logic, dispatcher and receiver of warnings.
-        goal: the query; None if it is always true.
-        inputs: positions of the goal's inputs in the values.
-        build: makes the event from the values followed by the results of the goal.
-        unsolved: makes the event from the values alone, for reports.
+class ReleasableQuery:
+    """Base class of what is executed when the memories have reached their instants. Subclasses set the attributes.
 
     Attributes:
-        event: makes the event from the values alone, before the query is called.
-        terms: makes event and query from the values, in the form of `compile_general_query`.
+        event_of: creates the event from the values alone, for reports.
+        terms_of: creates event and query from the values, in the form of `compile_general_query`.
         execute: takes values, start, end and next frame; returns the frame that calls the query and triggers the
             event if it has a solution.
     """
 
-    __slots__ = (
-        "_context",
-        "_dispatcher",
-        "_dispatch",
-        "_goal",
-        "_inputs",
-        "_build",
-        "event",
-        "execute",
-        "terms",
-    )
+    __slots__ = ("event_of", "terms_of", "execute")
 
-    terms: Callable[[Values], Tuple[Term, Term]]
+    event_of: Callable[[Values], Term]
+
+    terms_of: Callable[[Values], Tuple[Term, Term]]
 
     execute: Callable[[Values, int, int, Frame], Frame]
+
+
+class TriggeredQuery(ReleasableQuery):
+    """A query and the event that it triggers, compiled for values that are known when it is called.
+
+    Args:
+        context: Prolog system, dispatcher and warning callback.
+        goal: the query; None if it is always true.
+        inputs: positions of the goal's inputs in the values.
+        build_event: creates the event from the values followed by the results of the goal.
+        build_event_unsolved: creates the event from the values alone, for reports.
+    """
+
+    __slots__ = ("_context", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build_event")
 
     def __init__(
         self,
         context: QueryContext,
         goal: Optional[CompiledGoal],
         inputs: Tuple[int, ...],
-        build: Callable[[Values], Term],
-        unsolved: Callable[[Values], Term],
+        build_event: Callable[[Values], Term],
+        build_event_unsolved: Callable[[Values], Term],
     ):
         self._context = context
         self._dispatcher = context.dispatcher
         self._dispatch = context.dispatcher.dispatch
         self._goal = goal
         self._inputs = inputs
-        self._build = build
-        self.event = unsolved
+        self._build_event = build_event
+        self.event_of = build_event_unsolved
         self.execute = self._trigger if goal is None else self._call
 
-    def _call(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _call(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
         # Not None: else `execute` is `_trigger`.
         goal: Any = self._goal
         goal_inputs = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
         return call(
-            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, frame
+            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, next_frame
         )
 
-    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        return self._trigger(values, start, end, frame)
+    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+        return self._trigger(values, start, end, next_frame)
 
-    def _trigger(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        event = self._build(values)
+    def _trigger(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+        event = self._build_event(values)
         try:
-            return self._dispatch(event, start, end, frame)
+            return self._dispatch(event, start, end, next_frame)
         except UsageError as error:
             show = self._context.logic.brief
             self._context.warn(f"{show(event)} is dropped: {error}", ("dropped", event_functor(event)))
-            return frame
+            return next_frame
 
     def _warn_of_error(self, values: Values, error: PrologError) -> None:
         if not record_caught_error(error):
             return
-        event = self.event(values)
+        event = self.event_of(values)
         self._context.warn(
             f"{self._context.logic.brief(event)} is dropped, its query raised: {error}",
             ("raised", event_functor(event)),
         )
 
 
-class QueryNotifier(TriggeredQuery):
+class QueryNotifier(ReleasableQuery):
     """A client outside of the program that waits for memories; it is notified instead of calling a query.
 
     Args:
@@ -315,43 +319,44 @@ class QueryNotifier(TriggeredQuery):
     def __init__(self, client_name: Term, notify: Callable[[], None]):
         self._client_name = client_name
         self._notify = notify
-        self.event = self._event_of_values
+        self.event_of = self._event_of_values
         self.execute = self._notify_client
 
     def _event_of_values(self, values: Values) -> Term:
         return self._client_name
 
-    def _notify_client(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _notify_client(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
         self._notify()
-        return frame
+        return next_frame
 
 
-class DerivedQuery(TriggeredQuery):
-    """A pending query whose event is derived from another event, if events are tracked.
+class DerivedQuery(ReleasableQuery):
+    """A pending query that records the event that caused it; used if lineage is tracked.
 
     Args:
         dispatcher: dispatcher of the events.
         query: the query.
-        token: occurrence of the event that is served when the query is registered.
+        cause: identity of the event that is being dispatched when the query is registered; the triggered event is
+            derived from it.
     """
 
-    __slots__ = ("_query", "_token")
+    __slots__ = ("_dispatcher", "_query", "_cause")
 
-    def __init__(self, dispatcher: Dispatcher, query: TriggeredQuery, token: object):
+    def __init__(self, dispatcher: Dispatcher, query: TriggeredQuery, cause: object):
         self._dispatcher = dispatcher
         self._query = query
-        self._token = token
-        self.event = query.event
-        self.terms = query.terms
+        self._cause = cause
+        self.event_of = query.event_of
+        self.terms_of = query.terms_of
         self.execute = self._execute_derived
 
     @property
-    def token(self) -> object:
-        """The occurrence that its event is derived from."""
-        return self._token
+    def cause(self) -> object:
+        """Identity of the event that the triggered event is derived from."""
+        return self._cause
 
-    def _execute_derived(self, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        return self._query.execute(values, start, end, self._dispatcher.set_cause(self._token, frame))
+    def _execute_derived(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+        return self._query.execute(values, start, end, self._dispatcher.set_cause(self._cause, next_frame))
 
 
 def compile_general_query(context: QueryContext) -> TriggeredQuery:
@@ -364,7 +369,7 @@ def compile_general_query(context: QueryContext) -> TriggeredQuery:
         (_CALL, query), [event, query], [event], name=_REPORT_NAME, is_from_client=True
     )
     compiled_query = TriggeredQuery(context, goal, (0, 1), lambda values: values[2], lambda values: values[0])
-    compiled_query.terms = lambda values: (values[0], values[1])
+    compiled_query.terms_of = lambda values: (values[0], values[1])
     return compiled_query
 
 
@@ -372,43 +377,57 @@ def compile_query(
     context: QueryContext,
     event: Term,
     query: Term,
-    names: Sequence[Var],
+    rule_variables: Sequence[Var],
     place: Optional[Place],
     from_outside: bool,
 ) -> Optional[TriggeredQuery]:
-    """Return the query for ground values of ``names``; None if the query itself depends on the values.
+    """Compile a query and its event for rule variables with ground values.
 
     Args:
-        context: logic, dispatcher and receiver of warnings.
+        context: Prolog system, dispatcher and warning callback.
         event: the event that it triggers.
         query: its goal.
-        names: variables that are known.
+        rule_variables: variables of the rule, whose values the query gets.
         place: place in the source.
-        from_outside: whether it was given by a service or topic instead of the program.
+        from_outside: whether the rule comes from a service or topic instead of the program.
+
+    Returns:
+        The query, or None if the goal itself is a value, so that it cannot be compiled.
     """
     event, query = deref(event), deref(query)
     query_variables = set(variables(query))
-    known_variables = set(names)
+    known_variables = set(rule_variables)
     # A variable query is called through `call/1`; one that is bound only at run time cannot be compiled.
     if query.__class__ is Var:
         if query not in known_variables:
             return None
         query = (_CALL, query)
     outputs = [var for var in variables(event) if var in query_variables and var not in known_variables]
-    build = compile_builder(event, [*names, *outputs], f"event of a {_REPORT_NAME}")
-    inputs = [position for position, name in enumerate(names) if name in query_variables]
+    build_event = compile_builder(event, [*rule_variables, *outputs], f"event of a {_REPORT_NAME}")
+    inputs = [position for position, var in enumerate(rule_variables) if var in query_variables]
     goal = None
     if query is not TRUE:
         try:
             goal = context.logic.compile_goal(
-                query, [names[position] for position in inputs], outputs, place, _REPORT_NAME, from_outside
+                query,
+                [rule_variables[position] for position in inputs],
+                outputs,
+                place,
+                _REPORT_NAME,
+                from_outside,
             )
         except PrologError:  # the general form reports the error for each event
             return None
     compiled_query = TriggeredQuery(
-        context, goal, tuple(inputs), build, lambda values: build((*values, *[Var() for _ in outputs]))
+        context,
+        goal,
+        tuple(inputs),
+        build_event,
+        lambda values: build_event((*values, *[Var() for _ in outputs])),
     )
-    compiled_query.terms = lambda values: copy((MINUS, event, query), dict(zip(names, values)))[1:]
+    compiled_query.terms_of = lambda values: copy((MINUS, event, query), dict(zip(rule_variables, values)))[
+        1:
+    ]
     return compiled_query
 
 
@@ -418,8 +437,8 @@ def event_functor(event: Term) -> Hashable:
     return event[0] if event.__class__ is tuple else event
 
 
-GIVEN_UP = functor("query_given_up", 3)
-"""The event that reports a query given up: its event, its goal, and its missing conditions ``[[Id,Time],...]``."""
+TIMEOUT_EVENT = functor("query_given_up", 3)
+"""Event that reports a query whose timeout expired: its event, goal, and missing conditions ``[[Id,Time],...]``."""
 
 MAX_PENDING_QUERIES = 200_000
 """Maximum number of pending queries; beyond it, the oldest is dropped with a warning."""
@@ -428,8 +447,11 @@ MAX_PENDING_QUERIES = 200_000
 MAX_NAMED_QUERIES = 20
 """Maximum number of dropped queries that one warning names."""
 
-PendingQuery = Tuple[int, TriggeredQuery, Values, int, int, MissingMemories]
-"""A pending query: order, query, values, start, end, and the memories that it waits for, next one last."""
+PendingQuery = Tuple[int, ReleasableQuery, Values, int, int, MissingSources]
+"""A pending query: order, query, values, start, end, and the memories that it waits for, the next one last.
+
+The unique order comes first, so that sorted queries are in order of registration.
+"""
 
 
 QueryRow = Tuple[int, Term, Term, int, int, List[Tuple[Term, int]], object]
@@ -444,7 +466,7 @@ class PendingQueries:
     """All pending synchronized queries of a program.
 
     Two spellings are accepted: ``synchronized`` and ``syncronized``. With ``[timeout(Seconds)]`` as a fourth
-    argument, a query is given up after that time, which an event reports.
+    argument, a query is dropped after that time, which the event `TIMEOUT_EVENT` reports.
 
     Attributes:
         limit: maximum number of pending queries.
@@ -467,46 +489,47 @@ class PendingQueries:
         self._transforms = transforms
         self._warn = warn
         self.limit = limit
-        self._order = count()
-        self._all: Dict[int, PendingQuery] = {}
+        self._next_order = count()
+        self._queries_by_order: Dict[int, PendingQuery] = {}
         self._oldest_order = 0
-        self.timeouts = Timeouts(clock, self._all, self._drop_timed_out)
+        self.timeouts = Timeouts(clock, self._queries_by_order, self._drop_timed_out)
         self._context = QueryContext(logic, dispatcher, warn)
         self._general_query = compile_general_query(self._context)
-        memories.on_update = self._release
-        transforms.on_reached = self._release_transforms
+        memories.on_update = self._on_memory_update
+        transforms.on_reached = self._on_transforms_reached
         memories.on_delete = self._drop_waiting_for
         for name in ("syncronized", "synchronized"):
             key = functor(name, 3)
-            dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._arrive)
-            # Without it, the benchmark `sync_now`, whose queries run immediately, takes 95 % more instructions.
+            dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._on_synchronized)
+            # Without this shortcut, the benchmark `sync_now`, whose queries run immediately, takes 95 % more
+            # instructions.
             dispatcher.shortcuts[key] = self._compile_rule_action
             key = functor(name, 4)
             dispatcher.listen(
-                ListenerPhase.QUERIES, key(Var(), Var(), Var(), Var()), self._arrive_with_timeout
+                ListenerPhase.QUERIES, key(Var(), Var(), Var(), Var()), self._on_synchronized_with_timeout
             )
 
     def __len__(self) -> int:
-        return len(self._all)
+        return len(self._queries_by_order)
 
     def __iter__(self) -> Iterator[PendingQuery]:
         """Yield the pending queries, oldest first."""
-        return iter(self._all.values())
+        return iter(self._queries_by_order.values())
 
     def copy_all(self) -> List[PendingQuery]:
         """Return the pending queries, oldest first; callable from other threads."""
-        return list(self._all.values())
+        return list(self._queries_by_order.values())
 
     def clear(self) -> None:
         """Drop all pending queries, because the clock went back."""
-        self._all.clear()
+        self._queries_by_order.clear()
         self.timeouts.clear()
         for instance in self._memories:
             instance.clear_queries()
         self._transforms.clear_queries()
 
     def notify_when_reached(
-        self, missing: MissingMemories, client_name: Term, now: int, notify: Callable[[], None]
+        self, missing: MissingSources, client_name: Term, now: int, notify: Callable[[], None]
     ) -> int:
         """Notify a client when memories have caught up; return the order of its entry, for `is_waiting`.
 
@@ -514,7 +537,7 @@ class PendingQueries:
             missing: the memories that are behind, at least one.
             client_name: name of the client in warnings.
             now: present instant.
-            notify: called once, while the last missing event is being served.
+            notify: called once, during the dispatch of the event that completes the data.
         """
         return self._register(QueryNotifier(client_name, notify), (), now, now, missing)
 
@@ -523,39 +546,39 @@ class PendingQueries:
 
         See `restore`. Clients that wait are not included.
         """
-        order = next(self._order)
+        order = next(self._next_order)
         # Reading the counter advances it, so it is set back.
-        self._order = count(order)
+        self._next_order = count(order)
         queries: List[QueryRow] = []
-        for query_order, triggered, values, start, end, missing in self._all.values():
+        for query_order, triggered, values, start, end, missing in self._queries_by_order.values():
             if isinstance(triggered, QueryNotifier):
                 continue
-            event, query = triggered.terms(values)
-            token = triggered.token if isinstance(triggered, DerivedQuery) else None
+            event, query = triggered.terms_of(values)
+            cause = triggered.cause if isinstance(triggered, DerivedQuery) else None
             # A transform may have become available by a change of the tree since it was registered.
             awaited = [
-                (instance.id, instant)
-                for instance, instant in missing
-                if isinstance(instance, AwaitedTransform) or not instance.has_reached(instant)
+                (source.id, instant)
+                for source, instant in missing
+                if isinstance(source, AwaitedTransform) or not source.has_reached(instant)
             ]
-            queries.append((query_order, event, query, start, end, awaited, token))
+            queries.append((query_order, event, query, start, end, awaited, cause))
         return order, queries
 
     def restore(self, order: int, queries: Sequence[QueryRow]) -> None:
-        """Set the pending queries."""
-        self._order = count(order)
+        """Replace the pending queries by those of `snapshot`."""
+        self._next_order = count(order)
         self._oldest_order = queries[0][0] if queries else order
-        for query_order, event, query, start, end, awaited, token in queries:
+        for query_order, event, query, start, end, awaited, cause in queries:
             missing: Any = [
                 (self._memories.find(name) or self._transforms.awaited_transform(name), instant)
                 for name, instant in awaited
             ]
             compiled_query = (
                 self._general_query
-                if token is None
-                else DerivedQuery(self._dispatcher, self._general_query, token)
+                if cause is None
+                else DerivedQuery(self._dispatcher, self._general_query, cause)
             )
-            pending = self._all[query_order] = (
+            pending = self._queries_by_order[query_order] = (
                 query_order,
                 compiled_query,
                 (event, query),
@@ -564,50 +587,52 @@ class PendingQueries:
                 missing,
             )
             # Queries are registered with the last memory that is missing, as in `_register`.
-            instance, instant = missing[-1]
-            instance.add_query(instant, query_order, pending)
+            source, instant = missing[-1]
+            source.add_query(instant, query_order, pending)
 
     def is_waiting(self, order: int) -> bool:
         """Return whether a client is still waiting: neither notified nor dropped."""
-        return order in self._all
+        return order in self._queries_by_order
 
     def withdraw(self, order: int) -> None:
-        """Remove a client that waits, if it still does."""
-        if order in self._all:
+        """Remove the entry of a client that is still waiting."""
+        if order in self._queries_by_order:
             self._remove_query(order)
 
-    def _arrive(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _on_synchronized(self, term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
         event, query, conditions = values
         try:
-            missing = missing_memories(self._logic, self._memories, self._transforms, conditions)
+            missing = find_missing_sources(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
             self._drop(event, error)
-            return frame
+            return next_frame
         # Without missing data, the query runs within the dispatch of the synchronized event.
         if missing:
             self._register(self._query_with_cause(), (event, query), start, end, missing)
-            return frame
-        return self._general_query.execute((event, query), start, end, frame)
+            return next_frame
+        return self._general_query.execute((event, query), start, end, next_frame)
 
-    def _arrive_with_timeout(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _on_synchronized_with_timeout(
+        self, term: Term, values: Values, start: int, end: int, next_frame: Frame
+    ) -> Frame:
         """Process ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
         event, query, conditions, options = values
         try:
             wait = timeout_of(options, self._logic.brief)
-            missing = missing_memories(self._logic, self._memories, self._transforms, conditions)
+            missing = find_missing_sources(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
             self._drop(event, error)
-            return frame
+            return next_frame
         if not missing:
-            return self._general_query.execute((event, query), start, end, frame)
+            return self._general_query.execute((event, query), start, end, next_frame)
         order = self._register(self._query_with_cause(), (event, query), start, end, missing)
         self.timeouts.add(order, end, wait)
-        return frame
+        return next_frame
 
-    def _query_with_cause(self) -> TriggeredQuery:
+    def _query_with_cause(self) -> ReleasableQuery:
         """Return the general query.
 
-        If events are tracked, its event is derived from the event that is being served.
+        If lineage is tracked, its event is derived from the event that is being dispatched.
         """
         dispatcher = self._dispatcher
         return (
@@ -617,98 +642,108 @@ class PendingQueries:
         )
 
     def _drop_timed_out(self, order: int, instant: int) -> None:
-        """Drop a query whose time is over, and dispatch an event that reports it."""
-        _, _, (event, query), _, _, missing = self._all[order]
+        """Drop a query whose timeout has expired, and dispatch an event that reports it."""
+        _, _, (event, query), _, _, missing = self._queries_by_order[order]
         pairs = [
-            make_list([instance.id, timestamps.to_term(timestamps.FloatSeconds(awaited_instant))])
-            for instance, awaited_instant in missing
-            if not instance.has_reached(awaited_instant)
+            make_list([source.id, timestamps.to_term(timestamps.FloatSeconds(awaited_instant))])
+            for source, awaited_instant in missing
+            if not source.has_reached(awaited_instant)
         ]
         self._remove_query(order)
         machine = self._logic.machine
-        report = GIVEN_UP(event, query, make_list(pairs))
+        report = TIMEOUT_EVENT(event, query, make_list(pairs))
         # The alarm may be called while another event is dispatched; the report does not depend on it.
         self._dispatcher.run_without_context(
             lambda: machine.run(self._dispatcher.dispatch(report, instant, instant, machine.done))
         )
 
     def _compile_rule_action(self, rule: EventRule, default_action: EventAction) -> Optional[EventAction]:
-        """Return the action for the values of a rule's match in place of its head; see `Dispatcher.shortcuts`."""
-        # It has the functor that this is the shortcut of.
+        """Return the action that runs when a rule matches, instead of dispatching its head.
+
+        See `Dispatcher.shortcuts`. Return None if the query cannot be compiled.
+        """
+        # `Dispatcher.shortcuts` calls this only for rules whose head is ``synchronized/3``.
         head: Any = rule.definition.head
         key, event, query, conditions = head
-        names, firings = rule.vars, rule.firings
-        find_missing = compile_conditions(self._logic, self._memories, self._transforms, conditions, names)
-        compiled_query = compile_query(self._context, event, query, names, rule.place, rule.from_outside)
+        rule_variables, firing_counter = rule.vars, rule.firings
+        find_missing = compile_conditions(
+            self._logic, self._memories, self._transforms, conditions, rule_variables
+        )
+        compiled_query = compile_query(
+            self._context, event, query, rule_variables, rule.place, rule.from_outside
+        )
         if find_missing is None or compiled_query is None:
             return None
 
-        def ask_or_wait(values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def execute_or_register(values: Values, start: int, end: int, next_frame: Frame) -> Frame:
             # The rule counts as fired although its head is not dispatched.
-            firings.number += 1
-            firings.last = end
+            firing_counter.number += 1
+            firing_counter.last = end
             try:
                 missing = find_missing(values)
             except UsageError as error:
-                self._drop(compiled_query.event(values), error)
-                return frame
+                self._drop(compiled_query.event_of(values), error)
+                return next_frame
             if missing:
                 self._register(compiled_query, values, start, end, missing)
-                return frame
-            return compiled_query.execute(values, start, end, frame)
+                return next_frame
+            return compiled_query.execute(values, start, end, next_frame)
 
         ground_count = rule.ground_with_event
-        return question_action(self._dispatcher, key, ground_count, ask_or_wait, default_action, rule.meter)
+        return query_action(
+            self._dispatcher, key, ground_count, execute_or_register, default_action, rule.meter
+        )
 
     def _drop(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", event_functor(event)))
 
     def _register(
-        self, compiled_query: TriggeredQuery, values: Values, start: int, end: int, missing: MissingMemories
+        self, compiled_query: ReleasableQuery, values: Values, start: int, end: int, missing: MissingSources
     ) -> int:
         """Register a query; return its order."""
-        if len(self._all) >= self.limit:
+        if len(self._queries_by_order) >= self.limit:
             self._drop_oldest()
-        order = next(self._order)
-        # The query is in the list before it is registered: `repair` registers all that are in the list.
-        pending = self._all[order] = (order, compiled_query, values, start, end, missing)
-        instance, instant = missing[-1]
-        instance.add_query(instant, order, pending)
+        order = next(self._next_order)
+        # Added to the dictionary first: after an interrupt, `repair` registers every query of the dictionary.
+        pending = self._queries_by_order[order] = (order, compiled_query, values, start, end, missing)
+        source, instant = missing[-1]
+        source.add_query(instant, order, pending)
         return order
 
-    def _release(self, instance: MemoryInstance, end: int, frame: Frame) -> Frame:
+    def _on_memory_update(self, instance: MemoryInstance, end: int, next_frame: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for this memory, in order of registration."""
-        return self._call_ready(instance.pop_reached(end), frame)
+        return self._call_ready(instance.pop_reached(end), next_frame)
 
-    def _release_transforms(self, reached: ReachedTransforms, frame: Frame) -> Frame:
+    def _on_transforms_reached(self, reached: ReachedTransforms, next_frame: Frame) -> Frame:
         """Return the frame that calls the queries that waited only for these transforms."""
         return self._call_ready(
-            [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], frame
+            [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], next_frame
         )
 
-    def _call_ready(self, released: Iterable[Any], frame: Frame) -> Frame:
+    def _call_ready(self, released: Iterable[Any], next_frame: Frame) -> Frame:
         """Return the frame that calls the queries whose conditions are all fulfilled, in order of registration."""
         ready: List[PendingQuery] = []
         for pending in released:
-            if len(pending[5]) == 1 or not self._register_with_next(pending):
-                del self._all[pending[0]]
+            order, _, _, _, _, missing = pending
+            if len(missing) == 1 or not self._register_with_next(pending):
+                del self._queries_by_order[order]
                 ready.append(pending)
         # The heap of the memory is ordered by instant, and queries must be called in order of registration.
         if len(ready) > 1:
             ready.sort()
         elif not ready:
-            return frame
-        return self._execute_ready((self, iter(ready), frame))
+            return next_frame
+        return self._execute_ready((self, iter(ready), next_frame))
 
     @staticmethod
     def _register_with_next(pending: PendingQuery) -> bool:
         """Register a query with the next memory that is behind; return whether there is one."""
-        missing = pending[5]
+        order, _, _, _, _, missing = pending
         missing.pop()
         while missing:
-            instance, instant = missing[-1]
-            if not instance.has_reached(instant):
-                instance.add_query(instant, pending[0], pending)
+            source, instant = missing[-1]
+            if not source.has_reached(instant):
+                source.add_query(instant, order, pending)
                 return True
             missing.pop()
         return False
@@ -730,30 +765,34 @@ class PendingQueries:
     def repair(self) -> None:
         """Register all pending queries again after an interrupt; queries that are ready run with the next event."""
         instances = set(self._memories)
-        for order in sorted(self._all):
-            pending = self._all[order]
-            missing = pending[5]
+        for order in sorted(self._queries_by_order):
+            pending = self._queries_by_order[order]
+            _, query, values, _, _, missing = pending
             if any(
                 instance not in instances for instance, _ in missing if isinstance(instance, MemoryInstance)
             ):
-                self._all.pop(order)
-                event = pending[1].event(pending[2])
+                self._queries_by_order.pop(order)
+                event = query.event_of(values)
                 self._warn(
                     f"{self._logic.brief(event)} is dropped: its memory was deleted", ("deleted", None)
                 )
                 continue
             # The last condition stays even if it is fulfilled: only an event of its memory can call the query.
-            while len(missing) > 1 and missing[-1][0].has_reached(missing[-1][1]):
+            while len(missing) > 1:
+                source, instant = missing[-1]
+                if not source.has_reached(instant):
+                    break
                 missing.pop()
             if missing:
-                missing[-1][0].add_query(missing[-1][1], order, pending)
+                source, instant = missing[-1]
+                source.add_query(instant, order, pending)
             else:
-                del self._all[order]
+                del self._queries_by_order[order]
 
     def _drop_oldest(self) -> None:
         oldest = self._oldest_order
         # Orders only increase, so the search continues where it ended before.
-        while oldest not in self._all:
+        while oldest not in self._queries_by_order:
             oldest += 1
         self._oldest_order = oldest
         event = self._remove_query(oldest)
@@ -764,17 +803,17 @@ class PendingQueries:
 
     def _remove_query(self, order: int) -> Term:
         """Remove a query; return its event."""
-        _, compiled_query, values, _, _, missing = self._all.pop(order)
-        instance, instant = missing[-1]
-        instance.remove_query(instant, order)
-        return compiled_query.event(values)
+        _, compiled_query, values, _, _, missing = self._queries_by_order.pop(order)
+        source, instant = missing[-1]
+        source.remove_query(instant, order)
+        return compiled_query.event_of(values)
 
     def _drop_waiting_for(self, instance: MemoryInstance) -> None:
         """Drop the queries that wait for a deleted memory, with one warning that names them."""
         orders = [
-            pending[0]
-            for pending in self._all.values()
-            if any(memory is instance and not memory.has_reached(instant) for memory, instant in pending[5])
+            order
+            for order, _, _, _, _, missing in self._queries_by_order.values()
+            if any(source is instance and not source.has_reached(instant) for source, instant in missing)
         ]
         dropped = [self._remove_query(order) for order in orders]
         if dropped:
