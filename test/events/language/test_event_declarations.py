@@ -84,7 +84,7 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
     )
     checker = FileChecker(declared=Declarations(str))
     for clause in read_program(rules, OPERATORS):
-        checker.read(clause)
+        checker.check_read_term(clause)
     assert list(checker.errors) == [] and len(checker.rules) == 2
 
 

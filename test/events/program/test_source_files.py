@@ -302,14 +302,14 @@ def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_
 def test_only_what_is_loaded_again_may_not_leave_out_more():
     files = SourceFiles()
     with files.loading_again({"one.pl": 2}):
-        assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (2, 0)
-    assert (files.may_omit("one.pl"), files.may_omit("two.pl")) == (None, None)
+        assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (2, 0)
+    assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (None, None)
 
 
 def test_a_file_that_is_loaded_without_any_terms_left_out_is_not_noted():
     files = SourceFiles()
     for number in (2, 0):
-        files.note_omitted("one.pl", number)
+        files.record_omitted("one.pl", number)
         assert files.omitted == ({"one.pl": 2} if number else {})
 
 
@@ -383,11 +383,11 @@ def test_a_file_that_goals_write_is_emptied_or_added_to(tmp_path):
 def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
     files, said = SourceFiles(), []
     files.on_same_module = said.append
-    files.note_module("nothing_is_loaded")
+    files.record_module("nothing_is_loaded")
     one, two, other = (tmp_path / name for name in ("one.pl", "two.pl", "other.pl"))
     for path, name in ((one, "m"), (other, "n"), (one, "m"), (two, "m")):
         with files.loading_file(path):
-            files.note_module(name)
+            files.record_module(name)
             assert files.module(path) == name
     assert said == [f"Warning: {one} is module m as well; what {two} has of it is added to that\n"]
     assert files.module(tmp_path / "none.pl") == ""
@@ -395,5 +395,5 @@ def test_a_second_file_of_a_module_is_said_while_the_first_is_loaded(tmp_path):
     files.loaded.clear()
     assert files.module(one) == ""
     with files.loading_file(two):
-        files.note_module("m")
+        files.record_module("m")
     assert len(said) == 1

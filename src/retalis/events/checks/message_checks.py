@@ -26,7 +26,7 @@ from ...prolog.terms.types import (
     functor,
 )
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by
-from ..program.event_file_checker import nowhere
+from ..program.event_file_checker import no_place
 from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_text
 from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (
@@ -295,7 +295,7 @@ def output_fault(definition: Definition, subscription: CompoundTerm, topic: str)
         subscription: the goal ``subscribe/5``.
         topic: the topic, for the message.
     """
-    output = deref(EventConsumer(subscription, "", nowhere).output_term)
+    output = deref(EventConsumer(subscription, "", no_place).output_term)
     # The event itself is sent if the form is a variable, and events may be anything.
     return None if is_variable(output) else fault_of(definition, output, topic)
 

@@ -29,7 +29,7 @@ from ..language.pattern_parser import PlaceLookup
 from ..language.pattern_tree import EventPattern, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, parse_state_declaration
 from ..language.stream_parser import subscription_event
-from ..program.event_file_checker import FileChecker, nowhere
+from ..program.event_file_checker import EntryKind, FileChecker, no_place
 from ..program.goal_file import goal_of, read_goals
 from ..program.topic_configuration import GOALS, Topics, TopicType, read_text
 from ..rules.rule_base import RuleBase
@@ -263,15 +263,15 @@ def _add_file(positions: ParsedSources, program: Iterable[Union[ReadTerm, Syntax
         if isinstance(read_term, SyntaxFault):
             continue
         checker = FileChecker()
-        checker.read(read_term)
+        checker.check_read_term(read_term)
         positions.read_terms.append(read_term)
         for definition in [*checker.rules, *checker.nested_rules]:
             positions.rules.append(SourceRule(definition, read_term.place_of))
-        for step in checker.steps:
-            if step.kind == "clause":
-                positions.clauses.append(clause_of(step.term, read_term.place_of, read_term.place))
-            elif step.kind == "directive":
-                positions.goals.append(_source_goal(step.term, read_term))
+        for entry in checker.entries:
+            if entry.kind is EntryKind.CLAUSE:
+                positions.clauses.append(clause_of(entry.term, read_term.place_of, read_term.place))
+            elif entry.kind is EntryKind.DIRECTIVE:
+                positions.goals.append(_source_goal(entry.term, read_term))
 
 
 def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> SourceTerm:
@@ -295,7 +295,7 @@ def clause_at(head: Term, body: Term, place: Optional[Place]) -> SourceTerm:
 def constant_place(place: Optional[Place]) -> PlaceLookup:
     """Return a function that gives the same place for all parts."""
     if place is None:
-        return nowhere
+        return no_place
 
     def place_of(part: Term, number: int = 0) -> Optional[Place]:
         return place

@@ -19,7 +19,7 @@ from ..language.event_operators import OperatorKind, names_of_kind
 from ..language.pattern_parser import EventTerm, PlaceLookup
 from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
-from ..program.event_file_checker import nowhere
+from ..program.event_file_checker import no_place
 from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
 from .event_flow_checks import event_of_consumer, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrap_term
@@ -174,7 +174,7 @@ def _created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[i
     makers = [] if output is None else [wrap_term(deref(output))]
     makers += [subterm.term for subterm in all_subterms if makes_event(subterm.term)]
     # By identity: an equal term may occur as a pattern as well. The ids stay unique, because the terms are alive.
-    return {id(subterm.term) for maker in makers for subterm in subterms(maker, 1, nowhere)}
+    return {id(subterm.term) for maker in makers for subterm in subterms(maker, 1, no_place)}
 
 
 def _type_clash_text(name: str, first: SlotType, second: SlotType) -> str:

@@ -6,6 +6,7 @@ advice (``->`` in place of ``<-``). A fact such as ``subscribe(...)`` without ``
 predicate; it is rejected, unless the file clearly defines that predicate itself (see `defined_in`).
 """
 
+from enum import Enum
 from itertools import chain
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set
 
@@ -68,11 +69,30 @@ _RENAMED = {
     functor("module", 2): functor("etalis_module", 2),
 }
 _UNWRAPPED = frozenset(functor(name, 1) for name in ("db", "prolog", "static"))
+
+
+class EntryKind(Enum):
+    """Effects of a `FileEntry`."""
+
+    CLAUSE = "clause"
+    """Add a clause."""
+    DIRECTIVE = "directive"
+    """Run a goal."""
+    PROPERTY = "property"
+    """Set a property of a label."""
+    LOAD = "load"
+    """Load a file."""
+    LOAD_ONCE = "load_once"
+    """Load a file unless it has been loaded before."""
+    AT_END = "at_end"
+    """Run a goal after all other entries."""
+
+
 _LOAD_KINDS = {
-    functor("use_module", 1): "use",
-    functor("use_module", 2): "use",
-    functor("ensure_loaded", 1): "ensure",
-    **{functor(name, arity): "use" for name in ("autoload", "reexport") for arity in (1, 2)},
+    functor("use_module", 1): EntryKind.LOAD,
+    functor("use_module", 2): EntryKind.LOAD,
+    functor("ensure_loaded", 1): EntryKind.LOAD_ONCE,
+    **{functor(name, arity): EntryKind.LOAD for name in ("autoload", "reexport") for arity in (1, 2)},
 }
 _INITIALIZATION_AT = functor("initialization", 2)
 _INITIALIZATION = frozenset((functor("initialization", 1), _INITIALIZATION_AT))
@@ -87,23 +107,17 @@ TOO_DEEP = "the pattern is nested too deeply"
 class FileEntry(NamedTuple):
     """An entry that takes effect when the file is accepted.
 
-    ``kind`` is clause, directive, property, use, ensure or later.
-
-    ``goals`` are the goals of a directive with their places.
+    Attributes:
+        kind: its effect.
+        term: the clause, goal, `Property` or name of a file.
+        place: place in the source.
+        goals: goals of a directive with their places.
     """
 
-    kind: str
+    kind: EntryKind
     term: Term
     place: Optional[Place]
     goals: Goals = []
-
-
-class CheckedFile(NamedTuple):
-    """Contents of a file."""
-
-    steps: List[FileEntry]
-    rules: List[RuleDefinition]
-    nested_rules: List[RuleDefinition]
 
 
 class FileChecker:
@@ -121,20 +135,20 @@ class FileChecker:
         self.errors = Errors()
         self._declared = FileDeclarations(declared, self.errors)
         self.warnings = Errors()
-        self.steps: List[FileEntry] = []
+        self.entries: List[FileEntry] = []
         self.rules: List[RuleDefinition] = []
         self.nested_rules: List[RuleDefinition] = []
         self.calls: List[PredicateCall] = []
         self.interval_calls: List[PredicateCall] = []
         self._names: Dict[Var, str] = {}
 
-    def read(self, read: ReadTerm, place: Optional[Place] = None) -> None:
+    def check_read_term(self, read: ReadTerm, place: Optional[Place] = None) -> None:
         """Check a term that was read from a text; ``place`` is its position if known."""
         self._names = {var: name for name, var in read.names.items()}
-        self.term(read.term, read.place_of, place or read.place)
+        self.check_term(read.term, read.place_of, place or read.place)
         self._names = {}
 
-    def term(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
+    def check_term(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Check a term; ``place_of`` returns the position of a part, ``place`` is the position of the term."""
         term = deref(term)
         # The numbers of problems before the check identify those of this term.
@@ -146,7 +160,7 @@ class FileChecker:
         # A term of 1,000 nested operators exceeds the recursion limit of the checks; this is an error of the file.
         except RecursionError:
             self.errors.append(RuleError(TOO_DEEP, place))
-        # Without a position the text of the term is the only way to tell which term is meant.
+        # Without a position, only the text of the term identifies it.
         if place is None and self._show is not None:
             for problems, previous_count in counts:
                 for position in range(previous_count, len(problems)):
@@ -159,24 +173,24 @@ class FileChecker:
         elif head in DIRECTIVES:
             self._add_directive(term, place_of, place)
         elif head in _LOAD_KINDS:
-            self._add_use_steps(term, place)
+            self._add_load_entries(term, place)
         elif head is PROPERTY_FACT:
             self._add_property(
-                Property(deref(term[1]), _name(term[2]), deref(term[3])), term, place_of, place
+                Property(deref(term[1]), _atom_name(term[2]), deref(term[3])), term, place_of, place
             )
-            self.steps.append(FileEntry("clause", term, place))
+            self.entries.append(FileEntry(EntryKind.CLAUSE, term, place))
         else:
             # ETALIS programs use these names; the clause is added under both names, since goals may call either.
             if head in _RENAMED:
-                self.steps.append(FileEntry("clause", (_RENAMED[head], *term[1:]), place))
+                self.entries.append(FileEntry(EntryKind.CLAUSE, (_RENAMED[head], *term[1:]), place))
             elif head in _UNWRAPPED:
-                self.steps.append(FileEntry("clause", deref(term[1]), place))
+                self.entries.append(FileEntry(EntryKind.CLAUSE, deref(term[1]), place))
             self._warn_of_likely_rule(term, place_of, place)
             if head is _CLAUSE:
                 self._declared.check_events(
                     events_raised_by_goals(calls(term, 2)), term, self._names, place_of, place
                 )
-            self.steps.append(FileEntry("clause", term, place))
+            self.entries.append(FileEntry(EntryKind.CLAUSE, term, place))
 
     def _add_directive(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
         # Such a rule would be a goal that is called once, which is never intended.
@@ -187,19 +201,19 @@ class FileChecker:
             self._add_initialization(goal, place_of, goal_place)
             return
         if goal.__class__ is tuple and goal[0] in _LOAD_KINDS:
-            self._add_use_steps(goal, goal_place)
+            self._add_load_entries(goal, goal_place)
             return
         goals = goals_of(term, place_of)
         self._declared.check_events(
             events_raised_by_goals(calls(term, 1)), term, self._names, place_of, place
         )
-        self.steps.append(FileEntry("directive", goal, goal_place, goals))
+        self.entries.append(FileEntry(EntryKind.DIRECTIVE, goal, goal_place, goals))
         self._declared.apply(goals, place_of)
 
-    def _add_use_steps(self, goal: CompoundTerm, place: Optional[Place]) -> None:
+    def _add_load_entries(self, goal: CompoundTerm, place: Optional[Place]) -> None:
         """Process a directive that loads a file, with clauses for predicates that it renames."""
-        self.steps.append(FileEntry(_LOAD_KINDS[goal[0]], deref(goal[1]), place))
-        self.steps += [FileEntry("clause", clause, place) for clause in renaming(*goal[1:])]
+        self.entries.append(FileEntry(_LOAD_KINDS[goal[0]], deref(goal[1]), place))
+        self.entries += [FileEntry(EntryKind.CLAUSE, clause, place) for clause in renaming(*goal[1:])]
 
     def _add_initialization(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Process ``initialization/1,2``: the goal is called after loading or at the time that the term states."""
@@ -211,9 +225,9 @@ class FileChecker:
                 place,
             )
         elif call_time is _NOW:
-            self.steps.append(FileEntry("directive", deref(term[1]), place, goals))
+            self.entries.append(FileEntry(EntryKind.DIRECTIVE, deref(term[1]), place, goals))
         elif call_time in _AFTER_LOAD_TIMES:
-            self.steps.append(FileEntry("later", deref(term[1]), place, goals))
+            self.entries.append(FileEntry(EntryKind.AT_END, deref(term[1]), place, goals))
         else:
             raise RuleError(
                 "initialization/2 takes now, after_load, restore, restore_state, program or main", place
@@ -256,7 +270,7 @@ class FileChecker:
         """Process a property from a term whose last arguments are its name and value."""
         problem, value_position = prop.problem, len(term) - 1
         if problem is None:
-            self.steps.append(FileEntry("property", prop, place))
+            self.entries.append(FileEntry(EntryKind.PROPERTY, prop, place))
         elif prop.known:
             raise RuleError(problem, place_of(term, value_position) or place)
         else:
@@ -269,15 +283,15 @@ class FileChecker:
             for item in list_items(label[1]) or ():
                 property_term: Any = deref(item)  # `split_label` has checked the label
                 self._add_property(
-                    Property(atom(name), _name(property_term[1]), deref(property_term[2])),
+                    Property(atom(name), _atom_name(property_term[1]), deref(property_term[2])),
                     property_term,
                     place_of,
                     place,
                 )
             label = atom(name)
-        self.rules.append(self.definition(rule, label, place_of, place))
+        self.rules.append(self.parse_rule(rule, label, place_of, place))
 
-    def definition(
+    def parse_rule(
         self,
         rule: Any,
         label: Optional[Term],
@@ -285,7 +299,7 @@ class FileChecker:
         place: Optional[Place],
         names: Optional[Dict[Var, str]] = None,
     ) -> RuleDefinition:
-        """Return the definition of a rule; nested rules are added to `nested_rules`.
+        """Return the definition of a rule, and add its nested rules to `nested_rules`.
 
         Raises:
             RuleError: if the rule cannot fire.
@@ -315,7 +329,7 @@ class FileChecker:
                 self.warnings.append,
             )
             for call in calls_in_query(head):
-                self._note_call(call, place_of, place)
+                self._record_call(call, place_of, place)
             self._warn_of_pattern(rule, place_of)
             pattern = reader.read(rule, 2)
             if goal is not None:
@@ -335,7 +349,7 @@ class FileChecker:
         for window, part in reader.windows:
             check_window(window, part, rule, self._names, reader.place, self.warnings.append)
         for nested in reader.nested_rules:
-            self.nested_rules.append(self.definition(nested, None, place_of, place_of(nested) or place))
+            self.nested_rules.append(self.parse_rule(nested, None, place_of, place_of(nested) or place))
         return definition
 
     def _warn_of_parts(
@@ -374,14 +388,14 @@ class FileChecker:
                 raise RuleError(
                     f"{name} never gets a goal to call", place_of(call.parent, call.number) or place
                 )
-            self._note_call(call, place_of, place)
+            self._record_call(call, place_of, place)
 
-    def _note_call(self, call: Subgoal, place_of: PlaceLookup, place: Optional[Place]) -> None:
+    def _record_call(self, call: Subgoal, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Record the predicate that a goal of a rule calls."""
         term = call.term
         module = call.parent[1] if call.parent[0] is COLON else None
         if term.__class__ is tuple:
-            self.calls.append(PredicateCall(term[0], place_of(term) or place, "", _advice(term), module))
+            self.calls.append(PredicateCall(term[0], place_of(term) or place, "", _advice_for(term), module))
         elif term.__class__ is Atom:
             goal_place = place_of(call.parent, call.number) or place
             self.calls.append(PredicateCall(term.functor, goal_place, module=module))
@@ -425,11 +439,11 @@ def reread_rule(
     """
     if not is_unlabelled_rule(term):
         raise RuleError("expected an event rule", place)
-    return FileChecker().definition(term, label, nowhere, place, names)
+    return FileChecker().parse_rule(term, label, no_place, place, names)
 
 
-def nowhere(part: Term, number: int = 0) -> Optional[Place]:
-    """Return no position, for terms that were not read from a text."""
+def no_place(part: Term, number: int = 0) -> Optional[Place]:
+    """Return None as the place of a part; for terms that were not read from a text."""
     return None
 
 
@@ -438,7 +452,7 @@ def _is_labelled(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is RULE or term[0] is COLON)
 
 
-def _advice(goal: CompoundTerm) -> str:
+def _advice_for(goal: CompoundTerm) -> str:
     """Return advice for a goal whose predicate does not exist, or ""."""
     name = SPELLINGS.get(goal[0])
     if name is not None:
@@ -446,7 +460,7 @@ def _advice(goal: CompoundTerm) -> str:
     return "a rule that contains a comma needs brackets of its own" if goal[0] is _INSERT else ""
 
 
-def _name(term: Term) -> str:
+def _atom_name(term: Term) -> str:
     term = deref(term)
     return term.name if term.__class__ is Atom else "(not an atom)"
 
@@ -455,7 +469,7 @@ def _is_negative(term: Term) -> bool:
     return term.__class__ is tuple and term[0] is _MINUS
 
 
-_NEARLY_ARROWS = frozenset((functor("->", 2), functor("=", 2)))
+_SIMILAR_ARROWS = frozenset((functor("->", 2), functor("=", 2)))
 
 
 def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
@@ -473,7 +487,7 @@ def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
         assert key is not None  # or `split_clause` has raised an error
         logic.database.require_writable(key, "modify")
     except PrologError as error:
-        is_near = term.__class__ is tuple and term[0] in _NEARLY_ARROWS
+        is_near = term.__class__ is tuple and term[0] in _SIMILAR_ARROWS
         return error.message + (
             "; the arrow of an event rule is <-, that of a clause is :-" if is_near else ""
         )
@@ -483,7 +497,7 @@ def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
 _INCLUDE = functor("include", 1)
 
 
-def included(term: Term) -> Optional[Term]:
+def included_file_name(term: Term) -> Optional[Term]:
     """Return the name of the file in ``:- include(File)``, or None for another term."""
     term = deref(term)
     if term.__class__ is not tuple or term[0] not in DIRECTIVES:
@@ -511,25 +525,25 @@ _DECLARES = frozenset(
 _AS = functor("as", 2)
 
 
-def defined_in(steps: Sequence[FileEntry]) -> Set[Functor]:
+def defined_in(entries: Sequence[FileEntry]) -> Set[Functor]:
     """Return the predicates that a file clearly defines: by clauses with a body, several facts, or a declaration.
 
     Several facts count only for predicates that a program may replace: not for ISO predicates and event goals.
     """
     defined: Set[Functor] = set()
     facts: Set[Optional[Functor]] = set()
-    for step in steps:
-        if step.kind == "clause" and step.term.__class__ is tuple and _has_body(step.term):
-            key = _key(step.term[1])
+    for entry in entries:
+        if entry.kind is EntryKind.CLAUSE and entry.term.__class__ is tuple and _has_body(entry.term):
+            key = _predicate_of(entry.term[1])
             if key is not None:
                 defined.add(key)
-        elif step.kind == "clause":
-            key = _key(step.term)
+        elif entry.kind is EntryKind.CLAUSE:
+            key = _predicate_of(entry.term)
             if key is not None and key in facts and is_replaceable(key):
                 defined.add(key)
             facts.add(key)
-        elif step.kind == "directive":
-            defined |= _declared(step.term)
+        elif entry.kind is EntryKind.DIRECTIVE:
+            defined |= _predicates_declared_by(entry.term)
     return defined
 
 
@@ -547,7 +561,7 @@ def fact_error(
         defined: predicates that the file clearly defines.
         is_guarded: returns whether facts must not replace a predicate of the system; by default all are guarded.
     """
-    key = None if _has_body(term) else _key(term)
+    key = None if _has_body(term) else _predicate_of(term)
     if key is None or key in defined or not (is_guarded or logic.is_system_predicate)(key):
         return None
     if key in _REPLACEABLE_PREDICATES and not _REPLACEABLE_PREDICATES[key](term):
@@ -562,14 +576,14 @@ def _has_body(term: Term) -> bool:
     return term.__class__ is tuple and term[0] in (_CLAUSE, _GRAMMAR, _SINGLE_SIDED)
 
 
-def _key(term: Term) -> Optional[Functor]:
+def _predicate_of(term: Term) -> Optional[Functor]:
     term = deref(term)
     if isinstance(term, Atom):
         return term.functor
     return term[0] if term.__class__ is tuple else None
 
 
-def _declared(goal: Term) -> Set[Functor]:
+def _predicates_declared_by(goal: Term) -> Set[Functor]:
     """Return the predicates that a directive declares."""
     goal = deref(goal)
     if goal.__class__ is not tuple or goal[0] not in _DECLARES:

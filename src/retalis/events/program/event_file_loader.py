@@ -36,17 +36,18 @@ from ..network.event_rule import EventRule
 from .event_file_checker import (
     DIRECTIVES,
     TOO_DEEP,
+    EntryKind,
     FileChecker,
     FileEntry,
     clause_error,
     defined_in,
     fact_error,
-    included,
-    nowhere,
+    included_file_name,
+    no_place,
 )
 from .file_directives import Directives
 from .file_kind import apply_reader_settings, is_event_file
-from .prolog_file_loader import Consultation, PrologFileText
+from .prolog_file_loader import PrologFileLoader, PrologSource
 from .source_files import LIBRARY, SourceFiles, require_library
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
@@ -116,7 +117,7 @@ class CheckedProgram(NamedTuple):
     ``folder`` and ``path`` are None for the outermost file, whose folder is the current one already.
     """
 
-    steps: "List[Union[FileEntry, PrologFileText, CheckedProgram]]"
+    entries: "List[Union[FileEntry, PrologSource, CheckedProgram]]"
     rules: List[EventRule]
     calls: List[PredicateCall]
     folder: Optional[Path] = None
@@ -125,12 +126,14 @@ class CheckedProgram(NamedTuple):
     @property
     def can_fail_partially(self) -> bool:
         """True if an error can occur after a part has taken effect; not for rules, labels, or a single clause."""
-        kinds = [step.kind if isinstance(step, FileEntry) else "" for step in self.steps]
-        return kinds != ["clause"] and any(step_kind != "property" for step_kind in kinds)
+        kinds = [entry.kind if isinstance(entry, FileEntry) else None for entry in self.entries]
+        return kinds != [EntryKind.CLAUSE] and any(
+            entry_kind is not EntryKind.PROPERTY for entry_kind in kinds
+        )
 
 
 class _Reading(NamedTuple):
-    """State of reading a file: the checker, operators, errors and conditional compilation."""
+    """Reading state of a file: checker, operators, errors and conditional compilation."""
 
     checker: FileChecker
     operators: Operators
@@ -145,19 +148,19 @@ class EventFileLoader:
         self._rules = rules
         self._files: SourceFiles = rules.files
         self._directives = Directives(rules.logic)
-        self._consultation = Consultation(rules, self._directives, self.use)
+        self._prolog_loader = PrologFileLoader(rules, self._directives, self.use_file)
         self._expansion = TermExpansion(rules.logic)
         self._active_files: List[CheckedProgram] = []
         """Files that are taking effect, outermost first."""
         self._rollbacks: List[Union[LoadSavepoint, LoadRollback]] = []
-        """Undo information of the load in progress; entries after the first two belong to nested loads."""
+        """Rollbacks of the load in progress; entries after the first two belong to nested loads."""
         self._deferred_calls: Optional[List[PredicateCall]] = None
         self._modules = rules.logic.database.modules
-        self._modules.on_begin = self._files.note_module
+        self._modules.on_begin = self._files.record_module
         self._files.on_same_module = self._modules.on_import_conflict
         rules.logic.files = self._files
 
-    def note_calls(self, unknown: List[PredicateCall]) -> None:
+    def record_calls(self, unknown: List[PredicateCall]) -> None:
         """Warn about unknown predicates, at the end of the load in progress or now."""
         if self._active_files:
             self._active_files[0].calls.extend(unknown)
@@ -186,8 +189,8 @@ class EventFileLoader:
         """Load a file; see `RuleBase.load_file`."""
         self._load_file(self._files.resolve(path))
 
-    def use(self, name: Term, once: bool) -> None:
-        """Load the file that a term names; do nothing for a built-in library.
+    def use_file(self, name: Term, once: bool) -> None:
+        """Load the file that a term names, as ``use_module`` does; do nothing for a built-in library.
 
         Args:
             name: name of the file, or ``library(Name)``.
@@ -213,14 +216,14 @@ class EventFileLoader:
         logic = self._rules.logic
         reading = self._start_reading(FileChecker(logic.brief, self._rules.declared.current()), Errors())
         for term, place in terms:
-            name = included(term)
+            name = included_file_name(term)
             if name is None:
-                reading.checker.term(copy(term), nowhere, place)
+                reading.checker.check_term(copy(term), no_place, place)
             else:
                 self._include(name, place, reading)
         self._finish(lambda errors: self._check_contents(reading.checker, errors), reading.errors)
 
-    def load_read(self, read: ReadTerm) -> None:
+    def load_read_term(self, read_term: ReadTerm) -> None:
         """Load a parsed term like an event file of one term.
 
         Raises:
@@ -228,7 +231,7 @@ class EventFileLoader:
         """
         rules = self._rules
         checker = FileChecker(declared=rules.declared.current())
-        checker.read(read)
+        checker.check_read_term(read_term)
         # `preparing` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
             self._finish(lambda errors: self._check_contents(checker, errors), Errors())
@@ -245,7 +248,7 @@ class EventFileLoader:
 
     def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:
         if not is_event_file(text, self._rules.logic, self._open_included):
-            return CheckedProgram([PrologFileText(text, source)], [], [])
+            return CheckedProgram([PrologSource(text, source)], [], [])
         reading = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
         self._read(read_program(text, reading.operators, source, OF_FILES), reading)
         errors.extend(reading.conditions.unclosed())
@@ -283,7 +286,7 @@ class EventFileLoader:
             return
         if reading.conditions.is_skipping:
             return
-        name = included(term)
+        name = included_file_name(term)
         if name is not None:
             self._include(name, read_term.place_of(term, 1), reading, program)
             return
@@ -291,13 +294,15 @@ class EventFileLoader:
         expansion = self._expansion.expand_term(term)
         if expansion is not None:
             for expanded_term in expansion:
-                reading.checker.term(self._expansion.expand_goals(expanded_term), nowhere, read_term.place)
+                reading.checker.check_term(
+                    self._expansion.expand_goals(expanded_term), no_place, read_term.place
+                )
             return
         expanded = self._expansion.expand_goals(term)
         if expanded is term:
-            reading.checker.read(read_term)
+            reading.checker.check_read_term(read_term)
         else:
-            reading.checker.term(expanded, nowhere, read_term.place)
+            reading.checker.check_term(expanded, no_place, read_term.place)
         if read_term.singletons and self._rules.warn_singletons:
             names = ", ".join(read_term.singletons)
             self._rules.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
@@ -306,7 +311,7 @@ class EventFileLoader:
             apply_reader_settings(directive, program)
 
     def _include(
-        self, name: Term, place: Optional[Place], reading: _Reading, outer: Optional[Program] = None
+        self, name: Term, place: Optional[Place], reading: _Reading, outer_program: Optional[Program] = None
     ) -> None:
         """Read the terms of an included file."""
         try:
@@ -314,11 +319,11 @@ class EventFileLoader:
             text = self._files.text(path)
             with self._files.loading_file(path), self._files.relative_to(path.parent):
                 program = read_program(text, reading.operators, str(path), OF_FILES)
-                if outer is not None:
-                    program.flags = outer.flags
+                if outer_program is not None:
+                    program.flags = outer_program.flags
                 self._read(program, reading)
-                if outer is not None:
-                    outer.flags = program.flags
+                if outer_program is not None:
+                    outer_program.flags = program.flags
         except (UsageError, PrologError) as error:
             reading.errors.append(RuleError(error.message, place))
 
@@ -326,22 +331,22 @@ class EventFileLoader:
         """Check what depends on the logic: clauses, predicates that goals call, files that are used."""
         errors.extend(checker.errors)
         logic = self._rules.logic
-        steps: List[Union[FileEntry, PrologFileText, CheckedProgram]] = []
-        defined = defined_in(checker.steps)
-        for step in checker.steps:
-            if step.kind == "clause":
-                problem = clause_error(logic, step.term) or fact_error(logic, step.term, defined)
+        entries: List[Union[FileEntry, PrologSource, CheckedProgram]] = []
+        defined_predicates = defined_in(checker.entries)
+        for entry in checker.entries:
+            if entry.kind is EntryKind.CLAUSE:
+                problem = clause_error(logic, entry.term) or fact_error(logic, entry.term, defined_predicates)
                 if problem is not None:
-                    errors.append(RuleError(problem, step.place))
-            if step.kind in ("use", "ensure"):
-                checked_file = self._check_used_file(step, errors)
+                    errors.append(RuleError(problem, entry.place))
+            if entry.kind in (EntryKind.LOAD, EntryKind.LOAD_ONCE):
+                checked_file = self._check_used_file(entry, errors)
                 if checked_file is not None:
-                    steps.append(checked_file)
+                    entries.append(checked_file)
             else:
-                steps.append(step)
-        # A predicate that the program defines itself is not the one of `check`.
+                entries.append(entry)
+        # If the program defines such a predicate itself, the call does not mean the one of `check`.
         for call in checker.interval_calls:
-            if call.key not in defined and logic.is_system_predicate(call.key):
+            if call.key not in defined_predicates and logic.is_system_predicate(call.key):
                 message = (
                     f"{call.key} is defined only in the goals of check: "
                     "write check instead of where, do or another operator"
@@ -350,7 +355,7 @@ class EventFileLoader:
         rules = self._compile_rules([*checker.rules, *checker.nested_rules], errors)
         for warning in checker.warnings.with_omitted_count():
             self._rules.on_warning(warning)
-        return CheckedProgram(steps, rules, checker.calls)
+        return CheckedProgram(entries, rules, checker.calls)
 
     def _compile_rules(self, definitions: List[RuleDefinition], errors: Errors) -> List[EventRule]:
         rules = []
@@ -363,22 +368,24 @@ class EventFileLoader:
                 errors.append(RuleError(TOO_DEEP, definition.place))
         return rules
 
-    def _check_used_file(self, step: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
+    def _check_used_file(self, entry: FileEntry, errors: Errors) -> Optional[CheckedProgram]:
         """Return the checked contents of a file that is used; None for a library or a file that is already loaded."""
-        name = deref(step.term)
+        name = deref(entry.term)
         try:
             if name.__class__ is tuple and name[0] is LIBRARY:
                 require_library(name)
                 return None
             path = self._files.find(name)
-            if self._files.module(path) or (step.kind == "ensure" and self._files.has_loaded(path)):
+            if self._files.module(path) or (
+                entry.kind is EntryKind.LOAD_ONCE and self._files.has_loaded(path)
+            ):
                 return None
             text = self._files.text(path)
             with self._files.loading_file(path), self._files.relative_to(path.parent):
                 checked_file = self._parse_and_check(text, str(path), errors)
             return checked_file._replace(folder=path.parent, path=path)
         except (UsageError, PrologError) as error:
-            errors.append(RuleError(error.message, step.place))
+            errors.append(RuleError(error.message, entry.place))
             return None
 
     def _finish(self, check_program: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
@@ -446,41 +453,41 @@ class EventFileLoader:
             self._process_entries(checked)
 
     def _process_entries(self, checked: CheckedProgram) -> None:
-        rules, final_steps = self._rules, []
-        for step in checked.steps:
-            if isinstance(step, CheckedProgram):
-                module = "" if step.path is None else self._files.module(step.path)
+        rules, final_entries = self._rules, []
+        for entry in checked.entries:
+            if isinstance(entry, CheckedProgram):
+                module = "" if entry.path is None else self._files.module(entry.path)
                 # A file that precedes this one may have loaded it meanwhile.
                 if not module:
-                    self._activate(step)
+                    self._activate(entry)
                     module = self._modules.last_loaded_name
                 self._modules.import_exports(module)
-            elif isinstance(step, PrologFileText):
-                self._consult(step, checked)
-            elif step.kind == "later":
-                final_steps.append(step)
-            elif step.kind == "clause":
-                rules.logic.add_clause(step.term, step.place)
-            elif isinstance(step.term, Property):
-                rules.set_property(step.term)
+            elif isinstance(entry, PrologSource):
+                self._consult(entry, checked)
+            elif entry.kind is EntryKind.AT_END:
+                final_entries.append(entry)
+            elif entry.kind is EntryKind.CLAUSE:
+                rules.logic.add_clause(entry.term, entry.place)
+            elif isinstance(entry.term, Property):
+                rules.set_property(entry.term)
             else:
-                self._run_directive(step)
+                self._run_directive(entry)
         # Rules are activated after all clauses, so that an event of a directive cannot reach a rule whose clauses are
         # incomplete; goals of `initialization/1` follow, so that their events reach the rules.
         for rule in checked.rules:
             rules.activate(rule)
-        for step in final_steps:
-            self._run_directive(step)
+        for entry in final_entries:
+            self._run_directive(entry)
 
-    def _consult(self, file: PrologFileText, checked: CheckedProgram) -> None:
+    def _consult(self, file: PrologSource, checked: CheckedProgram) -> None:
         if checked.path is None:
-            self._consultation.load(file, checked.calls.extend)
+            self._prolog_loader.load(file, checked.calls.extend)
             return
         with self._files.loading_file(checked.path):
-            self._consultation.load(file, checked.calls.extend)
+            self._prolog_loader.load(file, checked.calls.extend)
 
-    def _run_directive(self, step: FileEntry) -> None:
-        warning = self._directives.run(step.term, step.goals, step.place)
+    def _run_directive(self, entry: FileEntry) -> None:
+        warning = self._directives.run(entry.term, entry.goals, entry.place)
         if warning is not None:
             self._rules.on_warning(warning)
 

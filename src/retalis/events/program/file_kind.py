@@ -2,7 +2,7 @@
 
 A file counts as an event file if it contains an event rule, or a directive that calls a predicate of the event
 language. A regular expression excludes most Prolog files. For the others the terms are read, with the operators and
-flags that their directives set, and included files are followed. Nothing is executed.
+flags that their directives set, and included_file_name files are followed. Nothing is executed.
 """
 
 import re
@@ -14,7 +14,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import conjuncts, list_items
 from ...prolog.terms.types import Atom, Functor, Term, deref, functor
 from ..language.rule_head_parser import RULE, is_rule
-from .event_file_checker import DIRECTIVES, PROPERTY_FACT, included
+from .event_file_checker import DIRECTIVES, PROPERTY_FACT, included_file_name
 
 _OP = functor("op", 3)
 _SET_FLAG = functor("set_prolog_flag", 2)
@@ -74,7 +74,7 @@ def is_event_file(text: str, logic: PrologSystem, opened: Opened) -> bool:
     Args:
         text: text of the file.
         logic: provides predicates and operators.
-        opened: returns the text of an included file.
+        opened: returns the text of an included_file_name file.
     """
     if not _may_have_rules(text):
         return False
@@ -108,7 +108,7 @@ def _has_rules(program: Program, logic: PrologSystem, open_included: Opened, dep
             return True
         if term.__class__ is not tuple or term[0] not in DIRECTIVES:
             continue
-        name = included(term)
+        name = included_file_name(term)
         if name is not None and depth < _MAX_INCLUDE_DEPTH:
             included_file = _text_of_included(name, open_included)
             if included_file is not None:

@@ -1,4 +1,4 @@
-"""Consulting of Prolog files: each clause and directive takes effect before the next one is read.
+"""Loader of Prolog files: each clause and directive takes effect before the next one is read.
 
 A file with event rules is checked as a whole and accepted or rejected as a whole (see `event_file_loader`). A file
 without them is a Prolog program and is consulted as other Prolog systems do: each directive runs before the next term
@@ -18,12 +18,13 @@ from ..language.called_predicates import PredicateCall
 from ..language.rule_head_parser import Property
 from .event_file_checker import (
     DIRECTIVES,
+    EntryKind,
     FileChecker,
     FileEntry,
     clause_error,
     fact_error,
-    included,
-    nowhere,
+    included_file_name,
+    no_place,
 )
 from .file_directives import Directives, Goals
 from .source_files import SourceFiles, declare_operators
@@ -34,35 +35,35 @@ if TYPE_CHECKING:
 
 
 _END_OF_FILE = atom("end_of_file")
-_MODULES = frozenset((functor("module", 2), functor("module", 3)))
+_MODULE_DECLARATIONS = frozenset((functor("module", 2), functor("module", 3)))
 _FILE_FLAGS = ("double_quotes", "back_quotes")
 """Flags that apply until the end of the file that sets them."""
 
-Use = Callable[[Term, bool], None]
+LoadFile = Callable[[Term, bool], None]
 
 
-class PrologFileText(NamedTuple):
+class PrologSource(NamedTuple):
     """The text of a Prolog file that is to be consulted."""
 
     text: str
     source: str
 
 
-class Consultation:
-    """Consults Prolog files.
+class PrologFileLoader:
+    """Loads Prolog files.
 
     Args:
         rules: receives clauses and rules.
         directives: runs directives.
-        use: loads another file, optionally only once.
+        load_file: loads the file that a term names; the flag is True if it is to be loaded only once.
     """
 
-    def __init__(self, rules: "RuleBase", directives: Directives, use: Use):
+    def __init__(self, rules: "RuleBase", directives: Directives, load_file: LoadFile):
         self._rules = rules
         self._directives = directives
-        self._use = use
+        self._load_file = load_file
 
-    def load(self, file: PrologFileText, note_calls: Callable[[List[PredicateCall]], None]) -> None:
+    def load(self, file: PrologSource, record_calls: Callable[[List[PredicateCall]], None]) -> None:
         """Consult a file.
 
         Raises:
@@ -72,16 +73,16 @@ class Consultation:
         flags = self._rules.logic.flags
         saved_flags = {name: flags[name] for name in _FILE_FLAGS}
         try:
-            _PrologFile(self._rules, self._directives, self._use, note_calls).load(file)
+            _FileConsultation(self._rules, self._directives, self._load_file, record_calls).load(file)
         finally:
             flags.update(saved_flags)
 
 
-class _Omissions:
+class _OmittedTerms:
     """Terms that are omitted from a file.
 
-    They are reported as warnings when the first term is accepted; before that, the file may still be rejected as a
-    whole, and they would be reported as errors.
+    When the first term is accepted, they are reported as warnings. Before that, the file may still be rejected as a
+    whole, and then they are reported as errors.
 
     Args:
         warn: receives warnings.
@@ -99,20 +100,20 @@ class _Omissions:
 
     def append(self, error: RetalisError) -> None:
         """Record an omitted term."""
-        # Memory for errors is bounded: `Errors` counts those beyond its limit, and these are not reported one by one.
         previous_count = len(self._errors)
+        # `Errors` is bounded: it counts the errors beyond its limit, and these are not reported one by one.
         self._errors.append(error)
         if self._is_accepted and len(self._errors) > previous_count:
             self._warn(Omission(error))
 
-    def accept(self) -> None:
+    def record_accepted(self) -> None:
         """Record that a term was accepted."""
         if not self._is_accepted:
             self._is_accepted = True
             for error in self._errors:
                 self._warn(Omission(error))
 
-    def end(self) -> None:
+    def finish(self) -> None:
         """Reject the file if no term was accepted or too many were omitted.
 
         Raises:
@@ -125,38 +126,38 @@ class _Omissions:
             self._warn(self._errors.with_omitted_count()[-1])
 
 
-class _PrologFile:
-    """A Prolog file that is being consulted."""
+class _FileConsultation:
+    """Consultation of one Prolog file."""
 
     def __init__(
         self,
         rules: "RuleBase",
         directives: Directives,
-        use: Use,
-        note_calls: Callable[[List[PredicateCall]], None],
+        load_file: LoadFile,
+        record_calls: Callable[[List[PredicateCall]], None],
     ):
         self._rules = rules
         self._logic = rules.logic
         self._files: SourceFiles = rules.files
         self._directives = directives
-        self._use = use
-        self._note_calls = note_calls
-        self._omitted = _Omissions(rules.on_warning, None)
+        self._load_file = load_file
+        self._record_calls = record_calls
+        self._omitted = _OmittedTerms(rules.on_warning, None)
         self._conditions = ConditionalCompilation(self._condition_holds)
         self._expansion = TermExpansion(rules.logic)
         self._checker = FileChecker(rules.logic.brief, rules.declared.current())
         self._final_entries: List[FileEntry] = []
 
-    def load(self, file: PrologFileText) -> None:
+    def load(self, file: PrologSource) -> None:
         """Consult the text, then run the goals that are scheduled for the end."""
-        omitted = self._omitted = _Omissions(self._rules.on_warning, self._files.may_omit(file.source))
+        omitted = self._omitted = _OmittedTerms(self._rules.on_warning, self._files.max_omitted(file.source))
         program = read_program(file.text, self._logic.operators, file.source, OF_FILES)
         self._process_terms(program)
         for unclosed in self._conditions.unclosed():
             self._omitted.append(unclosed)
         self._finish()
-        omitted.end()
-        self._files.note_omitted(file.source, len(omitted))
+        omitted.finish()
+        self._files.record_omitted(file.source, len(omitted))
 
     def _finish(self) -> None:
         """Expand ``end_of_file``, and run the goals of ``initialization/1``."""
@@ -165,11 +166,11 @@ class _PrologFile:
             self._process_expansion(_END_OF_FILE, None, None)
         except RetalisError as error:
             self._omit(error, None)
-        for step in self._final_entries:
+        for entry in self._final_entries:
             try:
-                self._run_goal(step.term, step.goals, step.place)
+                self._run_goal(entry.term, entry.goals, entry.place)
             except RetalisError as error:
-                self._omit(error, step.place)
+                self._omit(error, entry.place)
 
     def _process_terms(self, program: Program) -> None:
         """Process the terms of a text; the terms of included files take the place of the ``include`` directive."""
@@ -185,9 +186,9 @@ class _PrologFile:
             try:
                 if term.__class__ is tuple and term[0] in DIRECTIVES:
                     self._process_directive(read_term, program)
-                    # Operators are shared with the reader. Flags are copied at its start, so a directive's change
-                    # must be passed on.
-                    self._follow_flags(program)
+                    # The reader shares the operator table, but it copies the flags when it starts: flags that a
+                    # directive changes must be copied again.
+                    self._update_read_flags(program)
                 elif not self._conditions.is_skipping:
                     self._process_term(read_term, place)
             except RetalisError as error:
@@ -198,7 +199,7 @@ class _PrologFile:
         place = read_term.place_of(term, 1)
         if self._conditions.process(term[1], place) or self._conditions.is_skipping:
             return
-        name = included(term)
+        name = included_file_name(term)
         if name is None:
             self._name_module(term[1])
             self._process_term(read_term, read_term.place)
@@ -211,7 +212,7 @@ class _PrologFile:
     def _name_module(self, goal: Term) -> None:
         """Bind the name of a module to the name of its file if it is a variable."""
         goal, path = deref(goal), self._files.innermost
-        if goal.__class__ is tuple and goal[0] in _MODULES and path is not None:
+        if goal.__class__ is tuple and goal[0] in _MODULE_DECLARATIONS and path is not None:
             name = deref(goal[1])
             if isinstance(name, Var):
                 name.ref = atom(path.stem)
@@ -240,19 +241,19 @@ class _PrologFile:
         """Process a term; if it is the one that was read, the places of its parts are known."""
         checker = self._checker
         if read_term is not None and term is deref(read_term.term):
-            checker.read(read_term, place)
+            checker.check_read_term(read_term, place)
         else:
-            checker.term(term, nowhere, place)
-        steps = checker.steps[:]
-        checker.steps.clear()
-        # The checker collects over all terms of a file, so what belongs to this term is taken out of it.
+            checker.check_term(term, no_place, place)
+        entries = checker.entries[:]
+        checker.entries.clear()
+        # The checker accumulates results for a whole file, so the results of this term are removed after each term.
         if not self._accept_checked(checker):
             return
-        for step in steps:
+        for entry in entries:
             try:
-                self._process_entry(step)
+                self._process_entry(entry)
             except RetalisError as error:
-                self._omit(error, step.place or place)
+                self._omit(error, entry.place or place)
 
     def _accept_checked(self, checker: FileChecker) -> bool:
         """Report the findings about a term and activate its rules; return whether there are no errors."""
@@ -261,7 +262,7 @@ class _PrologFile:
                 self._rules.on_warning(warning)
             checker.warnings.clear()
         if checker.calls:
-            self._note_calls(checker.calls[:])
+            self._record_calls(checker.calls[:])
             checker.calls.clear()
         # Copied before they are cleared: these lists are also used by the checker.
         errors, rules = checker.errors[:], [*checker.rules, *checker.nested_rules]
@@ -272,12 +273,12 @@ class _PrologFile:
             self._omitted.append(error)
         for definition in () if errors else rules:
             self._rules.activate(self._rules.compile(definition))
-            self._omitted.accept()
+            self._omitted.record_accepted()
         return not errors
 
     def _process_entry(self, entry: FileEntry) -> None:
-        if entry.kind == "clause":
-            # Only clauses of the event language's predicates are guarded: a Prolog file may redefine library
+        if entry.kind is EntryKind.CLAUSE:
+            # Only clauses of the event language's predicates are checked: a Prolog file may redefine library
             # predicates.
             problem = clause_error(self._logic, entry.term)
             if problem is None:
@@ -285,33 +286,33 @@ class _PrologFile:
             if problem is not None:
                 raise RuleError(problem, entry.place)
             self._logic.add_clause(entry.term, entry.place)
-            self._omitted.accept()
+            self._omitted.record_accepted()
         elif isinstance(entry.term, Property):
             self._rules.set_property(entry.term)
-        elif entry.kind in ("use", "ensure"):
+        elif entry.kind in (EntryKind.LOAD, EntryKind.LOAD_ONCE):
             declare_operators(entry.term, self._logic.operators)
-            self._use(entry.term, entry.kind == "ensure")
-            self._omitted.accept()
-        elif entry.kind == "later":
+            self._load_file(entry.term, entry.kind is EntryKind.LOAD_ONCE)
+            self._omitted.record_accepted()
+        elif entry.kind is EntryKind.AT_END:
             self._final_entries.append(entry)
         else:
             self._run_goal(entry.term, entry.goals, entry.place)
 
     def _run_goal(self, goal: Term, goals: Goals, place: Optional[Place]) -> None:
         warning = self._directives.run(goal, goals, place)
-        self._omitted.accept()
+        self._omitted.record_accepted()
         if warning is not None:
             self._rules.on_warning(warning)
 
-    def _include(self, name: Term, outer: Program) -> None:
+    def _include(self, name: Term, outer_program: Program) -> None:
         path = self._files.find(name)
         text = self._files.text(path)
         with self._files.loading_file(path), self._files.relative_to(path.parent):
             program = read_program(text, self._logic.operators, str(path))
             # Flags of directives apply across the boundaries of included files, in both directions.
-            program.flags = outer.flags
+            program.flags = outer_program.flags
             self._process_terms(program)
-            outer.flags = program.flags
+            outer_program.flags = program.flags
 
     def _condition_holds(self, goal: Term, place: Optional[Place]) -> bool:
         """Return whether the goal of an ``if`` succeeds; a goal that raises an error counts as failed."""
@@ -324,7 +325,7 @@ class _PrologFile:
             self._omitted.append(RuleError(f"this condition raises an error: {error.message}", place))
             return False
 
-    def _follow_flags(self, program: Program) -> None:
+    def _update_read_flags(self, program: Program) -> None:
         """Apply the flags that a directive has set to the reading of the following terms."""
         flags = self._logic.flags
         double_quotes, back_quotes = deref(flags["double_quotes"]), deref(flags["back_quotes"])
@@ -344,12 +345,12 @@ class _PrologFile:
         if isinstance(error, ProgramErrors):
             for nested_error in error.errors:
                 self._omitted.append(nested_error)
-        elif _is_final(error):
+        elif _is_limit_error(error):
             raise error
         else:
             self._omitted.append(error if error.place else RuleError(error.message, place))
 
 
-def _is_final(error: RetalisError) -> bool:
+def _is_limit_error(error: RetalisError) -> bool:
     """Return whether an error, or its cause, is an exceeded resource limit."""
     return isinstance(error, LimitError) or isinstance(error.__cause__, LimitError)

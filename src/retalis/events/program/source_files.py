@@ -232,19 +232,19 @@ class SourceFiles:
             self._base_folder = outer_folder
 
     @contextmanager
-    def loading_again(self, before: Dict[str, int]) -> Iterator[None]:
+    def loading_again(self, previous_counts: Dict[str, int]) -> Iterator[None]:
         """Reject files with more omitted terms than before, for a reload."""
-        self.omitted, self._is_reload = dict(before), True
+        self.omitted, self._is_reload = dict(previous_counts), True
         try:
             yield
         finally:
             self._is_reload = False
 
-    def may_omit(self, source: str) -> Optional[int]:
+    def max_omitted(self, source: str) -> Optional[int]:
         """Return the maximum number of omitted terms of a file; None for any number."""
         return self.omitted.get(source, 0) if self._is_reload else None
 
-    def note_omitted(self, source: str, number: int) -> None:
+    def record_omitted(self, source: str, number: int) -> None:
         """Record the number of omitted terms of a file."""
         self.omitted.pop(source, None)
         if number:
@@ -355,7 +355,7 @@ class SourceFiles:
         """Return whether a file has been loaded or is being loaded."""
         return _resolve_links(path) in self.loaded
 
-    def note_module(self, name: str) -> None:
+    def record_module(self, name: str) -> None:
         """Record the module of the file that is being loaded; report another file with the same module."""
         if not self._open_files:
             return

@@ -43,7 +43,7 @@ def define_load_goals(rules: "RuleBase") -> None:
         )
         items = list_items(names)
         for name in [names] if items is None else items:
-            loader.use(name, only_new)
+            loader.use_file(name, only_new)
         return True
 
     def context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
@@ -57,7 +57,7 @@ def define_load_goals(rules: "RuleBase") -> None:
             undo(machine.trail, mark)
 
     def use(machine: Machine, name: Term, imports: Term = NIL) -> bool:
-        loader.use(name, once=False)
+        loader.use_file(name, once=False)
         return True
 
     for name in ("reconsult", "compile", "load_files"):
@@ -117,8 +117,8 @@ class _RuleGoals:
             logic.define(name, 1, self.load_file)
         logic.define("consult", 1, self.consult)
         logic.define("[|]", 2, lambda machine, name, more: self.consult(machine, (CONS, name, more)))
-        logic.define("use_module", 1, self.use)
-        logic.define("use_module", 2, lambda machine, name, imports: self.use(machine, name))
+        logic.define("use_module", 1, self.use_file)
+        logic.define("use_module", 2, lambda machine, name, imports: self.use_file(machine, name))
         logic.define("ensure_loaded", 1, self.ensure_loaded)
         logic.define("compile_event_rules", 1, self.load_terms)
         logic.define("compile_event_rules", 2, lambda machine, module, terms: self.load_terms(machine, terms))
@@ -145,15 +145,15 @@ class _RuleGoals:
     def consult(self, machine: Machine, names: Term) -> bool:
         items = list_items(names)
         for name in [names] if items is None else items:
-            self.rules.loader.use(name, once=False)
+            self.rules.loader.use_file(name, once=False)
         return True
 
-    def use(self, machine: Machine, name: Term) -> bool:
-        self.rules.loader.use(name, once=False)
+    def use_file(self, machine: Machine, name: Term) -> bool:
+        self.rules.loader.use_file(name, once=False)
         return True
 
     def ensure_loaded(self, machine: Machine, name: Term) -> bool:
-        self.rules.loader.use(name, once=True)
+        self.rules.loader.use_file(name, once=True)
         return True
 
     def load_terms(self, machine: Machine, terms: Term) -> bool:

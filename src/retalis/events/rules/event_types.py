@@ -15,7 +15,7 @@ from ...prolog.syntax.operators import DECLARE_EVENT
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import Functor, Term, deref, functor
 from ..language.event_declarations import STRICTLY, UNDECLARED, Declaration, Declarations, parse_declarations
-from ..program.event_file_checker import nowhere
+from ..program.event_file_checker import no_place
 
 if TYPE_CHECKING:
     from .rule_base import RuleBase
@@ -77,7 +77,7 @@ class EventTypes:
         declarations = self.current()
         goal = (DECLARE_EVENT, deref(declared))
         try:
-            for declaration, _ in parse_declarations(goal, nowhere):
+            for declaration, _ in parse_declarations(goal, no_place):
                 self.in_use = True
                 if declarations.add(declaration):
                     self._logic.add_clause((_DECLARED, declaration.term))
@@ -130,7 +130,7 @@ class EventTypes:
 def _read(clause: Clause) -> List[Declaration]:
     assert isinstance(clause.head, tuple)
     try:
-        return [declaration for declaration, _ in parse_declarations(clause.head, nowhere)]
+        return [declaration for declaration, _ in parse_declarations(clause.head, no_place)]
     # Asserted by the program under the hidden name, and not a declaration.
     except RuleError:
         return []

@@ -27,7 +27,7 @@ from ..language.rule_head_parser import Property, is_absolute, is_rule
 from ..matches.partial_matches import NetworkOptions, with_property
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
-from ..program.event_file_checker import FileChecker, nowhere
+from ..program.event_file_checker import FileChecker, no_place
 from ..program.event_file_loader import EventFileLoader
 from ..program.source_files import SourceFiles
 from ..provenance.event_log import EventLog, Occurrence
@@ -326,7 +326,7 @@ class RuleBase:
 
     def _rules_equal_to(self, term: Term) -> List[EventRule]:
         checker = FileChecker()
-        checker.term(copy(term), nowhere, None)
+        checker.check_term(copy(term), no_place, None)
         if not checker.rules:
             return []
         # The label is part of the identity only if the given term has one.
@@ -336,7 +336,7 @@ class RuleBase:
 
     def warn_unknown_calls(self, conditions: Term, caller: str) -> None:
         """Warn of unknown predicates in the conditions of a memory or subscription."""
-        self.loader.note_calls(calls_in_goals(conditions, caller))
+        self.loader.record_calls(calls_in_goals(conditions, caller))
 
     def terms(self) -> List[Term]:
         """Return the terms of all rules and the bodies of all clauses of the program."""
