@@ -43,7 +43,7 @@ def test_the_folder_is_the_working_directory_by_default(capsys, folder, monkeypa
 def test_warnings_count_where_that_is_wanted(capsys, folder):
     (folder / "eventRules.txt").write_text(f"{RULES}cold <- hto(_).\nprint_trigger(cold).\n")
     said = (
-        f"warning: {folder}/eventRules.txt:3:9: nothing makes hto/1: no topic, rule or goal; "
+        f"warning: {folder}/eventRules.txt:3:9: no producer of hto/1: no topic, rule or goal; "
         "did you mean hot/1? [RT1201]\n"
         f"cold <- hto(_).\n        ^\n{folder}: no errors, 1 warning\n"
     )
@@ -72,7 +72,7 @@ def test_json_has_the_same(capsys, folder):
                 "severity": "warning",
                 "check": "never-made",
                 "code": "RT1201",
-                "message": "nothing makes hto/1: no topic, rule or goal; did you mean hot/1?",
+                "message": "no producer of hto/1: no topic, rule or goal; did you mean hot/1?",
                 "file": f"{folder}/eventRules.txt",
                 "line": 3,
                 "column": 9,
@@ -140,7 +140,7 @@ def test_a_file_of_rules_is_looked_at_alone(capsys, tmp_path):
     rules.write_text("hot(T) <- warm(T) where T > 30.\nfire <- hot(_, _) seq smoke.\n")
     assert checked(capsys, rules) == (
         0,
-        f"warning: {rules}:2:9: nothing makes hot/2: no topic, rule or goal; did you mean hot/1? [RT1201]\n"
+        f"warning: {rules}:2:9: no producer of hot/2: no topic, rule or goal; did you mean hot/1? [RT1201]\n"
         f"fire <- hot(_, _) seq smoke.\n        ^\n{rules}: no errors, 1 warning\n",
     )
 

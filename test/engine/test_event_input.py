@@ -117,5 +117,5 @@ def test_events_of_such_topics_are_made(tmp_path):
     ]
     assert [one.partition(f"{tmp_path}/")[2] for one in found] == [
         "goalPredicates.txt:3:1: there is no message type std_msgs/Strng; did you mean std_msgs/String?",
-        "rules.txt:4:11: nothing makes bumb/1: no topic, rule or goal; did you mean bump/1?",
+        "rules.txt:4:11: no producer of bumb/1: no topic, rule or goal; did you mean bump/1?",
     ]

@@ -13,10 +13,10 @@ TOPICS = Topics((topic_type("said", "std_msgs/String"),))
 @pytest.mark.parametrize(
     ("pattern", "said"),
     [
-        ("alram(_)", "nothing makes alram/1: no topic, rule or goal; did you mean alarm/1?"),
+        ("alram(_)", "no producer of alram/1: no topic, rule or goal; did you mean alarm/1?"),
         (
             "crash",
-            "nothing makes crash/0: no topic, rule or goal; if other programs send it, say so with the fact "
+            "no producer of crash/0: no topic, rule or goal; if another program sends it, add the fact "
             "input_event(crash/0).",
         ),
         ("alarm(_)", ""),

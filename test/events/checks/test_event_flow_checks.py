@@ -23,7 +23,7 @@ def test_events_of_the_package_itself_are_made_by_it():
     assert len(patterns) == 4
     assert said_of(find_unproduced_events, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
     (said,) = said_of(find_unproduced_events, "seen <- query_given_up(_, _).")
-    assert said == "nothing makes query_given_up/2: no topic, rule or goal; did you mean query_given_up/3?"
+    assert said == "no producer of query_given_up/2: no topic, rule or goal; did you mean query_given_up/3?"
 
 
 @pytest.mark.parametrize(
@@ -41,21 +41,21 @@ def test_a_rule_that_is_there_for_what_it_does_needs_nobody_to_take_its_event(ru
 
 def test_an_event_that_nobody_takes_is_said():
     (said,) = said_of(find_unconsumed_events, "noted <- std_msgs__0__String(_).")
-    assert said == "nothing takes noted/0: no rule, memory or subscription"
+    assert said == "no consumer of noted/0: no rule, memory or subscription"
 
 
 def test_timers_make_events():
     rules = ":- timer(tick, every(5)).\nnull do timer(later(X), after(X)) <- std_msgs__0__String(X).\n"
     assert said_of(find_unproduced_events, rules + "null <- tick.\nnull <- later(X).") == []
     assert said_of(find_unconsumed_events, rules + "null <- tick.") == [
-        "nothing takes later/1: no rule, memory or subscription"
+        "no consumer of later/1: no rule, memory or subscription"
     ]
 
 
 def test_states_take_events_and_make_one():
     rules = ":- state(docked(R), from(dock(R)), until(undock(R))).\ndock(X) <- std_msgs__0__String(X).\n"
     assert said_of(find_unproduced_events, rules + "null <- docked(_).") == [
-        "state docked(_): nothing makes undock/1: no topic, rule or goal; did you mean dock/1?"
+        "state docked(_): no producer of undock/1: no topic, rule or goal; did you mean dock/1?"
     ]
     assert said_of(find_unconsumed_events, rules) == []
 
@@ -66,4 +66,4 @@ def test_a_subscription_with_a_shape_takes_the_events_below_it():
         said_of(find_unconsumed_events, f":- {goal.format('noted')}.\nnoted <- std_msgs__0__String(_).") == []
     )
     (said,) = said_of(find_unproduced_events, f":- {goal.format('notde')}.\nnoted <- std_msgs__0__String(_).")
-    assert said.endswith("nothing makes notde/0: no topic, rule or goal; did you mean noted/0?")
+    assert said.endswith("no producer of notde/0: no topic, rule or goal; did you mean noted/0?")

@@ -30,7 +30,7 @@ def warnings(definitions, folder, rules="", goals="", types=("my_msgs/Warm", "my
     return [
         one
         for one in found
-        if "__0__" in one and "nothing makes" not in one and "stands here only" not in one
+        if "__0__" in one and "no producer of" not in one and "stands here only" not in one
     ]
 
 

@@ -52,15 +52,16 @@ class EventProducers:
     """Events that a program produces or receives.
 
     Attributes:
-        keys: their functors, each with the place of a producer (None for topics).
-        names: event names of message types whose number of slots is unknown.
-        accepts_any_event: whether some events cannot be determined statically.
+        places_by_functor: their functors, each with the place of a producer (None for topics).
+        names_of_any_arity: event names of message types whose number of slots is unknown.
+        has_unknown_events: whether some produced events cannot be determined statically; then every event counts as
+            produced.
     """
 
     def __init__(self, program: ProgramModel):
-        self.keys: Dict[Functor, Optional[Place]] = dict.fromkeys(OWN_EVENTS)
-        self.names: Set[str] = set()
-        self.accepts_any_event = False
+        self.places_by_functor: Dict[Functor, Optional[Place]] = dict.fromkeys(OWN_EVENTS)
+        self.names_of_any_arity: Set[str] = set()
+        self.has_unknown_events = False
         self._add_topics(program)
         for rule in program.rules:
             head = event_raised_by(rule.definition.head)
@@ -73,10 +74,14 @@ class EventProducers:
             self._add_event(state.form.state, None)
         for clause in program.clauses:
             if key_of(clause.head) is _INPUT_EVENT:
-                self.keys.update(dict.fromkeys(_functors_in_fact(clause.head)))
+                self.places_by_functor.update(dict.fromkeys(_functors_in_fact(clause.head)))
 
     def __contains__(self, key: object) -> bool:
-        return self.accepts_any_event or key in self.keys or getattr(key, "name", "") in self.names
+        return (
+            self.has_unknown_events
+            or key in self.places_by_functor
+            or getattr(key, "name", "") in self.names_of_any_arity
+        )
 
     def _add_topics(self, program: ProgramModel) -> None:
         for topic, type_name in (*program.topics.subscribed, *program.directly_subscribed):
@@ -84,26 +89,28 @@ class EventProducers:
             definition = program.definition(type_name)
             # The number of slots is unknown, so every arity of the name is accepted.
             if definition is None:
-                self.names.add(name)
+                self.names_of_any_arity.add(name)
             else:
-                self.keys[functor(name, len(definition.fields))] = None
+                self.places_by_functor[functor(name, len(definition.fields))] = None
 
     def _add_goal_events(self, program: ProgramModel) -> None:
-        hidden = False
-        named_keys: Set[Functor] = set()
+        has_variable_event = False
+        mentioned_functors: Set[Functor] = set()
         for subterm in program.all_subterms():
             term = subterm.term
             if subterm.key is not None:
-                named_keys.add(subterm.key)
+                mentioned_functors.add(subterm.key)
             if makes_event(term):
                 event: Any = deref(term[1])
-                hidden = hidden or is_variable(event)
+                has_variable_event = has_variable_event or is_variable(event)
                 self._add_event(event, subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
                 self._add_topic(program, [deref(argument) for argument in term[1:]])
         # The event is an argument at run time: it may be any one that the program names.
-        if hidden:
-            self.keys.update({key: None for key in named_keys if key not in self.keys})
+        if has_variable_event:
+            self.places_by_functor.update(
+                {key: None for key in mentioned_functors if key not in self.places_by_functor}
+            )
 
     def _add_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
         """Add the events of a topic that a goal subscribes to."""
@@ -111,18 +118,18 @@ class EventProducers:
         name = event if len(arguments) == 3 else type_name and functor_name(type_name)
         definition = program.definition(type_name)
         if name is None:
-            self.accepts_any_event = True
+            self.has_unknown_events = True
         elif definition is None:
-            self.names.add(name)
+            self.names_of_any_arity.add(name)
         else:
-            self.keys.setdefault(functor(name, len(definition.fields)))
+            self.places_by_functor.setdefault(functor(name, len(definition.fields)))
 
     def _add_event(self, term: Term, place: Optional[Place]) -> None:
         key = key_of(term)
         if key is None:
-            self.accepts_any_event = self.accepts_any_event or is_variable(term)
+            self.has_unknown_events = self.has_unknown_events or is_variable(term)
         elif key is not _NO_EVENT:
-            self.keys.setdefault(key, place)
+            self.places_by_functor.setdefault(key, place)
 
 
 def _functors_in_fact(head: Any) -> Iterator[Functor]:
@@ -141,10 +148,10 @@ def _functors_in_fact(head: Any) -> Iterator[Functor]:
 def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
     """Yield awaited events without a producer."""
     producers = EventProducers(program)
-    nearby = FunctorSuggestions()
+    suggestions = FunctorSuggestions()
     # Without topics, the program is probably fed by another one, through texts or the Python API: then only misspelt
     # names are reported.
-    from_outside = not (program.topics.subscribed or program.topics.published)
+    may_be_fed_externally = not (program.topics.subscribed or program.topics.published)
     reported: Set[Functor] = set()
     for subterm, prefix in program.patterns():
         key = subterm.key
@@ -160,11 +167,11 @@ def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
             # Errors in messages are reported by `find_message_mismatches`.
             continue
         reported.add(key)
-        nearest = nearby.suggest(key, producers.keys)
+        suggestion = suggestions.suggest(key, producers.places_by_functor)
         if type_name is not None:
             yield RuleError(f"{prefix}{_no_topic_text(program, key, type_name)}", subterm.place)
-        elif nearest or not from_outside:
-            yield RuleError(f"{prefix}{_no_producer_text(key, nearest)}", subterm.place)
+        elif suggestion or not may_be_fed_externally:
+            yield RuleError(f"{prefix}{_no_producer_text(key, suggestion)}", subterm.place)
 
 
 def _has_wrong_arity(program: ProgramModel, type_name: str, key: Functor) -> bool:
@@ -173,31 +180,30 @@ def _has_wrong_arity(program: ProgramModel, type_name: str, key: Functor) -> boo
 
 
 def _no_topic_text(program: ProgramModel, key: Functor, type_name: str) -> str:
-    renamed = [topic for topic, topic_type in program.topics.subscribed if topic_type == type_name]
-    if renamed:
-        return (
-            f"nothing makes {key}: the events of topic {renamed[0]} are called {program.event_of(renamed[0])}"
-        )
+    renamed_topics = [topic for topic, topic_type in program.topics.subscribed if topic_type == type_name]
+    if renamed_topics:
+        topic = renamed_topics[0]
+        return f"no producer of {key}: the events of topic {topic} are called {program.event_of(topic)}"
     element = f'<subscribe_to name="..." msg_type="{type_name}"/>'
-    return f"nothing makes {key}: no topic of that type is subscribed; {element} in {TOPICS} subscribes one"
+    return f"no producer of {key}: no topic of that type is subscribed; {element} in {TOPICS} subscribes one"
 
 
-def _no_producer_text(key: Functor, nearest: str) -> str:
-    hint = f"; did you mean {nearest}?" if nearest else ""
-    return (
-        f"nothing makes {key}: no topic, rule or goal{hint or '; if other programs send it, say so'}"
-        f"{'' if hint else f' with the fact input_event({key}).'}"
-    )
+def _no_producer_text(key: Functor, suggestion: str) -> str:
+    advice = f"; if another program sends it, add the fact input_event({key})."
+    hint = f"; did you mean {suggestion}?" if suggestion else advice
+    return f"no producer of {key}: no topic, rule or goal{hint}"
 
 
 def missing_producer_text(program: ProgramModel, pattern: Term) -> str:
-    """Return a message if an event pattern has no producer, otherwise ""; messages are ignored."""
+    """Return a message if an event pattern has no producer; "" if it has one or if it is a ROS message."""
     key = key_of(pattern)
     if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
         return ""
     producers = EventProducers(program)
     return (
-        "" if key in producers else _no_producer_text(key, FunctorSuggestions().suggest(key, producers.keys))
+        ""
+        if key in producers
+        else _no_producer_text(key, FunctorSuggestions().suggest(key, producers.places_by_functor))
     )
 
 
@@ -207,7 +213,7 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
     consumed = None if program.has_observer else _consumed_functors(program)
     if consumed is None:
         return
-    nearby = FunctorSuggestions()
+    suggestions = FunctorSuggestions()
     reported: Set[Functor] = set()
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
@@ -226,24 +232,24 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
             continue
         reported.add(key)
         place = rule.place_of(head) if deref(head).__class__ is tuple else rule.definition.place
-        yield RuleError(_no_consumer_text(key, consumed, nearby), place)
+        yield RuleError(_no_consumer_text(key, consumed, suggestions), place)
     for subterm in program.all_subterms():
         term = subterm.term
         if makes_event(term) and term[0].name != "event":
             key = key_of(term[1])
             if key is not None and key not in consumed and key not in reported:
                 reported.add(key)
-                yield RuleError(_no_consumer_text(key, consumed, nearby), subterm.place)
+                yield RuleError(_no_consumer_text(key, consumed, suggestions), subterm.place)
 
 
-def _no_consumer_text(key: Functor, consumed: FrozenSet[Functor], nearby: FunctorSuggestions) -> str:
-    nearest = nearby.suggest(key, consumed)
-    hint = f"; did you mean {nearest}?" if nearest else ": no rule, memory or subscription"
-    return f"nothing takes {key}{hint}"
+def _no_consumer_text(key: Functor, consumed: FrozenSet[Functor], suggestions: FunctorSuggestions) -> str:
+    suggestion = suggestions.suggest(key, consumed)
+    hint = f"; did you mean {suggestion}?" if suggestion else ": no rule, memory or subscription"
+    return f"no consumer of {key}{hint}"
 
 
 def _consumed_functors(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
-    """Return the functors of all consumed events, or None if some consumer takes all events."""
+    """Return the functors of all consumed events, or None if a consumer accepts all events."""
     consumed: Set[Functor] = set()
     for subterm, _ in program.patterns():
         if subterm.key is None:
@@ -287,33 +293,33 @@ def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
             [event_of_consumer(consumer)], consumer.place_of, VariableTypes({})
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
-    yield from _find_unfitting_topics(program)
+    yield from _find_topic_type_mismatches(program)
 
 
-def _find_unfitting_topics(program: ProgramModel) -> Iterator[RuleError]:
+def _find_topic_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics whose events have a declared name but slots of other types."""
     for topic, type_name in program.topics.subscribed:
         declaration = program.declared.get(program.event_of(topic))
         definition = program.definition(type_name)
         if declaration is None or definition is None:
             continue
-        fault = program.declared.wrong_functor(functor(declaration.name, len(definition.fields)))
-        for slot, argument in zip(definition.fields, () if fault else declaration.arguments):
+        mismatch = program.declared.wrong_functor(functor(declaration.name, len(definition.fields)))
+        for slot, argument in zip(definition.fields, () if mismatch else declaration.arguments):
             slot_type = slot_value_type(slot)
             if slot_type is not None and slot_type.excludes(argument.value_type):
-                fault = (
+                mismatch = (
                     f"{argument.name} of {declaration.key} is {argument.value_type.description}, "
                     f"and {slot.name} of {type_name} {slot_type.description}"
                 )
-        if fault:
-            yield RuleError(f"the events of topic {topic}: {fault}")
+        if mismatch:
+            yield RuleError(f"the events of topic {topic}: {mismatch}")
 
 
 def _events_of_state(form: StateForm) -> List[EventTerm]:
     """Return the events of a declared state: that of its start, that of its end, and its own."""
     assert isinstance(form.term, tuple)
-    sides = [form.term, *[deref(side) for side in form.term[2:4]]]
-    return [EventTerm(deref(side[1]), side, 1) for side in sides if isinstance(side, tuple)]
+    state_events = [form.term, *[deref(side) for side in form.term[2:4]]]
+    return [EventTerm(deref(side[1]), side, 1) for side in state_events if isinstance(side, tuple)]
 
 
 def events_of_rule(rule: SourceRule) -> List[EventTerm]:
@@ -322,7 +328,8 @@ def events_of_rule(rule: SourceRule) -> List[EventTerm]:
     assert term.__class__ is tuple
     # Parsed again with a reader that keeps places; its warnings were reported on loading.
     reader = PatternReader(rule.place_of, lambda warning: None)
-    if term[0] not in ARROWS:  # P do G
+    # A rule of the form ``Pattern do Goal`` has no arrow.
+    if term[0] not in ARROWS:
         reader.read(wrap_term(term), 1)
         return [*reader.events, *events_raised_by_goals(reader.goals)]
     head = deref(term[1])
@@ -334,7 +341,7 @@ def events_of_rule(rule: SourceRule) -> List[EventTerm]:
 
 
 def events_of_goals(goal: SourceTerm) -> List[EventTerm]:
-    """Return the events that a goal or the body of a clause creates."""
+    """Return the event patterns that a goal or the body of a clause creates."""
     return list(events_raised_by_goals(calls(goal.parent, goal.number)))
 
 

@@ -57,18 +57,18 @@ class _DefinablePredicates:
     def __init__(self, program: ProgramModel):
         self._logic = program.logic
         self.keys: Set[Functor] = {key for key in (key_of(clause.head) for clause in program.clauses) if key}
-        self.accepts_any_event = False
+        self.has_unknown_predicates = False
         for subterm in program.all_subterms():
             term = subterm.term
             if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
                 # Foreign libraries define predicates that are not listed in the program.
-                self.accepts_any_event = self.accepts_any_event or term[0] in _DEFINES_UNKNOWN
+                self.has_unknown_predicates = self.has_unknown_predicates or term[0] in _DEFINES_UNKNOWN
                 self._add_predicates(term[1])
             elif term.__class__ is tuple and term[0] is _SWI_IMPORT:
                 self._add_predicates(term[2], renames=True)
 
     def __contains__(self, key: Functor) -> bool:
-        return self.accepts_any_event or key in self.keys or self._logic.defines(key)
+        return self.has_unknown_predicates or key in self.keys or self._logic.defines(key)
 
     def _add_predicates(self, term: Term, renames: bool = False) -> None:
         """Add the predicates that a term names; ``as`` precedes a new name if ``renames``, otherwise options."""
@@ -77,13 +77,13 @@ class _DefinablePredicates:
             item = stack.pop()
             key = key_of(item)
             if key is None:
-                self.accepts_any_event = self.accepts_any_event or item.__class__ is Var
+                self.has_unknown_predicates = self.has_unknown_predicates or item.__class__ is Var
             elif key is COMMA or key is CONS:
                 stack += [deref(item[1]), deref(item[2])]
             elif key is NECK:
                 stack.append(deref(item[1]))
             elif key is _AS_OPTION and renames:
-                self.accepts_any_event = True
+                self.has_unknown_predicates = True
             elif key is _AS_OPTION:
                 stack.append(deref(item[1]))
             elif key is SLASH:
@@ -91,7 +91,7 @@ class _DefinablePredicates:
                 if isinstance(name, Atom) and isinstance(arity, int):
                     self.keys.add(functor(name.name, arity))
                 else:
-                    self.accepts_any_event = True
+                    self.has_unknown_predicates = True
             else:
                 self.keys.add(key)
 
@@ -165,7 +165,7 @@ def find_never_asserted(program: ProgramModel) -> Iterator[RuleError]:
     for subterm in program.all_subterms():
         term = subterm.term
         key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
-        if key is None or key in reported or key in defined.keys or defined.accepts_any_event:
+        if key is None or key in reported or key in defined.keys or defined.has_unknown_predicates:
             continue
         # A predicate with clauses from another source, for example a loaded state, has something to retract.
         if program.logic.defines(key) and not _is_empty(program, key):

@@ -2,8 +2,8 @@
 
 `InputReader` parses the same goals from text, as other nodes send them. Most texts are ``event(E,[T,T])`` with two
 equal timestamps; they are read by a shorter way that caches the seconds and parses only the event as a term.
-`define_new_event` defines the goals that emit events with given timestamps, `define_event_goals` those of the event
-language.
+`define_new_event` defines the goals that emit events with given timestamps, `define_event_predicates` those of the
+event language.
 """
 
 import re
@@ -258,7 +258,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
 _EVENT1 = functor("event", 1)
 
 
-def define_event_goals(rules: "RuleBase") -> None:
+def define_event_predicates(rules: "RuleBase") -> None:
     """Define the goals that fire events."""
     _FiringGoals(rules).define(rules.logic)
 

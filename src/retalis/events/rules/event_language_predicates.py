@@ -19,54 +19,54 @@ from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, funct
 from ...prolog.terms.unification import undo
 from ..provenance.event_log import stored_event_solutions
 from .event_flags import FLAGS
-from .event_input_predicates import EVENT2, define_event_goals, items_of, path_of
+from .event_input_predicates import EVENT2, define_event_predicates, items_of, path_of
 from .timer_service import define_timers
 
 if TYPE_CHECKING:
     from .rule_base import RuleBase
 
-_IF = functor("if", 1)
-_IF_NEW = ("not_loaded", "changed")
+_IF_OPTION = functor("if", 1)
+_LOAD_IF_CHANGED = ("not_loaded", "changed")
+_NO_VALUE = atom("nil")
 
 
-def define_load_goals(rules: "RuleBase") -> None:
-    """Define the predicates of Prolog that load files; those of the event language are in `_RuleGoals`."""
+def define_load_predicates(rules: "RuleBase") -> None:
+    """Define the predicates that load files, except those that `_RulePredicates` defines."""
     logic, loader = rules.logic, rules.loader
 
     def load(machine: Machine, names: Term, options: Term = NIL) -> bool:
         option_terms = [deref(option) for option in list_items(options) or ()]
-        only_new = any(
+        once = any(
             option.__class__ is tuple
-            and option[0] is _IF
-            and getattr(deref(option[1]), "name", "") in _IF_NEW
+            and option[0] is _IF_OPTION
+            and getattr(deref(option[1]), "name", "") in _LOAD_IF_CHANGED
             for option in option_terms
         )
         items = list_items(names)
         for name in [names] if items is None else items:
-            loader.use_file(name, only_new)
+            loader.use_file(name, once)
         return True
 
-    def context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
+    def load_context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
         path = rules.files.innermost
         for entry in () if path is None else _load_context_of(path):
-            # Bindings are undone before the next solution, as each solution of a nondeterministic predicate starts
-            # afresh.
+            # Bindings are undone before the next solution, because the machine expects none from a previous one.
             mark = len(machine.trail)
             if machine.unify_all((key, entry[0]), (value, entry[1])):
                 yield True
             undo(machine.trail, mark)
 
-    def use(machine: Machine, name: Term, imports: Term = NIL) -> bool:
+    def load_module(machine: Machine, name: Term, imports: Term = NIL) -> bool:
         loader.use_file(name, once=False)
         return True
 
     for name in ("reconsult", "compile", "load_files"):
         logic.define(name, 1, load)
     for name in ("autoload", "reexport"):
-        logic.define(name, 1, use)
-        logic.define(name, 2, use)
+        logic.define(name, 1, load_module)
+        logic.define(name, 2, load_module)
     logic.define("load_files", 2, load)
-    logic.define_nondeterministic("prolog_load_context", 2, context)
+    logic.define_nondeterministic("prolog_load_context", 2, load_context)
 
 
 def _load_context_of(path: Path) -> Tuple[Tuple[Term, Term], ...]:
@@ -83,19 +83,19 @@ def _load_context_of(path: Path) -> Tuple[Tuple[Term, Term], ...]:
 def define_predicates(rules: "RuleBase") -> None:
     """Define all predicates of the event language for a program's rules."""
     logic = rules.logic
-    _RuleGoals(rules).define(logic)
-    _FlagGoals(rules).define(logic)
-    define_event_goals(rules)
-    define_load_goals(rules)
+    _RulePredicates(rules).define(logic)
+    _FlagPredicates(rules).define(logic)
+    define_event_predicates(rules)
+    define_load_predicates(rules)
     define_timers(logic, rules.timers, rules.declared.require)
-    _ListingGoals(rules).define(logic)
+    _QueryPredicates(rules).define(logic)
 
 
 def _unify_each(
     machine: Machine, terms: Sequence[Term], results: Iterator[Tuple[Term, ...]]
 ) -> Iterator[bool]:
     """Unify terms with one solution after another."""
-    # The solutions are collected first, because a goal may change what they are computed from.
+    # The solutions are collected first, because a goal that runs between two solutions may change the store.
     for solution in list(results):
         mark = len(machine.trail)
         if all(machine.unify(term, value) for term, value in zip(terms, solution)):
@@ -103,38 +103,38 @@ def _unify_each(
         undo(machine.trail, mark)
 
 
-class _RuleGoals:
+class _RulePredicates:
     """Predicates that add and delete rules and load files."""
 
     def __init__(self, rules: "RuleBase"):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
-        logic.define("ins_event_rule", 1, self.insert)
-        logic.define("del_event_rule", 1, self.delete)
-        logic.define("del_all_event_rules", 1, self.delete_by_head)
+        logic.define("ins_event_rule", 1, self.insert_rule)
+        logic.define("del_event_rule", 1, self.delete_rule)
+        logic.define("del_all_event_rules", 1, self.delete_rules)
         for name in ("compile_event_file", "compile_events"):
             logic.define(name, 1, self.load_file)
         logic.define("consult", 1, self.consult)
         logic.define("[|]", 2, lambda machine, name, more: self.consult(machine, (CONS, name, more)))
-        logic.define("use_module", 1, self.use_file)
-        logic.define("use_module", 2, lambda machine, name, imports: self.use_file(machine, name))
+        logic.define("use_module", 1, self.load_module)
+        logic.define("use_module", 2, lambda machine, name, imports: self.load_module(machine, name))
         logic.define("ensure_loaded", 1, self.ensure_loaded)
         logic.define("compile_event_rules", 1, self.load_terms)
         logic.define("compile_event_rules", 2, lambda machine, module, terms: self.load_terms(machine, terms))
         logic.define("reset_db", 0, self.reset_db)
         logic.define("call_gc", 0, self.reset_db)
-        logic.define("reset_etalis_state", 0, self.reset_state)
-        logic.define("reset_etalis", 0, self.reset)
+        logic.define("reset_etalis_state", 0, self.reset_etalis_state)
+        logic.define("reset_etalis", 0, self.reset_etalis)
 
-    def insert(self, machine: Machine, rule: Term) -> bool:
+    def insert_rule(self, machine: Machine, rule: Term) -> bool:
         return bool(self.rules.insert(callable_of(rule)))
 
-    def delete(self, machine: Machine, rule: Term) -> bool:
+    def delete_rule(self, machine: Machine, rule: Term) -> bool:
         self.rules.delete(callable_of(rule))
         return True
 
-    def delete_by_head(self, machine: Machine, head: Term) -> bool:
+    def delete_rules(self, machine: Machine, head: Term) -> bool:
         self.rules.delete_by_head(callable_of(head))
         return True
 
@@ -148,7 +148,7 @@ class _RuleGoals:
             self.rules.loader.use_file(name, once=False)
         return True
 
-    def use_file(self, machine: Machine, name: Term) -> bool:
+    def load_module(self, machine: Machine, name: Term) -> bool:
         self.rules.loader.use_file(name, once=False)
         return True
 
@@ -161,12 +161,14 @@ class _RuleGoals:
         return True
 
     def reset_db(self, machine: Machine) -> bool:
+        # Past states, stored events, lineage and the clocks of the rules remain.
         for rule in self.rules.rules:
             rule.clear_matches()
         self.rules.on_reset(False)
         return True
 
-    def reset_state(self, machine: Machine) -> bool:
+    def reset_etalis_state(self, machine: Machine) -> bool:
+        # Rules, flags, memories and facts remain.
         for rule in self.rules.rules:
             rule.clear()
         self.rules.on_reset(True)
@@ -174,15 +176,16 @@ class _RuleGoals:
         self.rules.tracker.clear()
         return True
 
-    def reset(self, machine: Machine) -> bool:
-        # A service must not be able to change flags by resetting all of them; see `PrologSystem.require_flags`.
+    def reset_etalis(self, machine: Machine) -> bool:
+        # Each changed flag is checked, so that a client that may not set a flag cannot reset it either; see
+        # `PrologSystem.require_flags`.
         for name in self.rules.flags.changed_flags():
             self.rules.logic.require_flags(atom(name))
         self.rules.reset()
         return True
 
 
-class _FlagGoals:
+class _FlagPredicates:
     """Predicates that set and read flags and counters."""
 
     def __init__(self, rules: "RuleBase"):
@@ -190,18 +193,18 @@ class _FlagGoals:
         # Stored with the state of the built-ins, so that snapshots include it.
         state = rules.logic.state
         self.counters: Dict[Hashable, int] = state.setdefault("counters of events", {})
-        self.values: Dict[Hashable, Term] = state.setdefault("flags of events", {})
+        self.user_flags: Dict[Hashable, Term] = state.setdefault("flags of events", {})
 
     def define(self, logic: PrologSystem) -> None:
-        logic.define("set_etalis_flag", 2, self.set_flag)
-        logic.define_nondeterministic("get_etalis_flag", 2, self.get_flag)
-        logic.define("incCounter", 1, self.increase)
-        logic.define("counter", 2, self.count)
+        logic.define("set_etalis_flag", 2, self.set_etalis_flag)
+        logic.define_nondeterministic("get_etalis_flag", 2, self.get_etalis_flag)
+        logic.define("incCounter", 1, self.increment_counter)
+        logic.define("counter", 2, self.read_counter)
         logic.define("resetCounter", 1, self.reset_counter)
-        logic.define("set_flag", 2, self.set_value)
-        logic.define("get_flag", 2, self.get_value)
+        logic.define("set_flag", 2, self.set_user_flag)
+        logic.define("get_flag", 2, self.get_user_flag)
 
-    def set_flag(self, machine: Machine, name: Term, value: Term) -> bool:
+    def set_etalis_flag(self, machine: Machine, name: Term, value: Term) -> bool:
         name, value = callable_of(name), deref(value)
         if value.__class__ is Var:
             raise instantiation_error()
@@ -216,7 +219,7 @@ class _FlagGoals:
             raise domain_error("etalis_flag_value", (functor("+", 2), name, value), error.message) from None
         return True
 
-    def get_flag(self, machine: Machine, name: Term, value: Term) -> Iterator[bool]:
+    def get_etalis_flag(self, machine: Machine, name: Term, value: Term) -> Iterator[bool]:
         name = deref(name)
         names = list(FLAGS) if name.__class__ is Var else [name.name if name.__class__ is Atom else ""]
         # An unknown name that is given is an error; with a variable all flags are enumerated.
@@ -229,32 +232,29 @@ class _FlagGoals:
                 yield True
             undo(machine.trail, mark)
 
-    def increase(self, machine: Machine, name: Term) -> bool:
+    def increment_counter(self, machine: Machine, name: Term) -> bool:
         key = _key_of_term(name)
         self.counters[key] = self.counters.get(key, 0) + 1
         return True
 
-    def count(self, machine: Machine, name: Term, value: Term) -> bool:
+    def read_counter(self, machine: Machine, name: Term, value: Term) -> bool:
         return bool(machine.unify(value, self.counters.get(_key_of_term(name), 0)))
 
     def reset_counter(self, machine: Machine, name: Term) -> bool:
         self.counters.pop(_key_of_term(name), None)
         return True
 
-    def set_value(self, machine: Machine, name: Term, value: Term) -> bool:
+    def set_user_flag(self, machine: Machine, name: Term, value: Term) -> bool:
         # `nil` is the value of a flag that is not set, so setting it removes the entry.
         key, value = _key_of_term(name), copy(value)
         if value is _NO_VALUE:
-            self.values.pop(key, None)
+            self.user_flags.pop(key, None)
         else:
-            self.values[key] = value
+            self.user_flags[key] = value
         return True
 
-    def get_value(self, machine: Machine, name: Term, value: Term) -> bool:
-        return bool(machine.unify(value, copy(self.values.get(_key_of_term(name), _NO_VALUE))))
-
-
-_NO_VALUE = atom("nil")
+    def get_user_flag(self, machine: Machine, name: Term, value: Term) -> bool:
+        return bool(machine.unify(value, copy(self.user_flags.get(_key_of_term(name), _NO_VALUE))))
 
 
 def _key_of_term(term: Term) -> Hashable:
@@ -264,44 +264,44 @@ def _key_of_term(term: Term) -> Hashable:
         raise instantiation_error() from None
 
 
-class _ListingGoals:
+class _QueryPredicates:
     """Predicates that query intervals, stored events and explanations."""
 
     def __init__(self, rules: "RuleBase"):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
-        logic.define("t1", 1, lambda machine, instant: self.checked(machine, instant, 0))
-        logic.define("t2", 1, lambda machine, instant: self.checked(machine, instant, 1))
-        logic.define_nondeterministic("fired_event", 2, self.fired)
-        logic.define_nondeterministic("stored_event", 1, self.stored)
+        logic.define("t1", 1, lambda machine, instant: self.unify_condition_bound(machine, instant, 0))
+        logic.define("t2", 1, lambda machine, instant: self.unify_condition_bound(machine, instant, 1))
+        logic.define_nondeterministic("fired_event", 2, self.enumerate_fired_events)
+        logic.define_nondeterministic("stored_event", 1, self.enumerate_stored_events)
         self.rules.store.define()
-        logic.define("see_db", 0, self.see)
-        logic.define_nondeterministic("justify_event", 3, self.justify)
-        logic.define_nondeterministic("justification_edge", 2, self.edges)
+        logic.define("see_db", 0, self.print_partial_matches)
+        logic.define_nondeterministic("justify_event", 3, self.enumerate_explanations)
+        logic.define_nondeterministic("justification_edge", 2, self.enumerate_edges)
         # Declared dynamic, so that a call without any property fails and does not raise an existence error.
         logic.database.predicate(functor("event_rule_property", 3)).dynamic = True
 
-    def checked(self, machine: Machine, instant: Term, position: int) -> bool:
+    def unify_condition_bound(self, machine: Machine, instant: Term, position: int) -> bool:
         interval = self.rules.condition_state.condition_interval
         return interval is not None and bool(machine.unify(instant, shown(interval[position])))
 
-    def fired(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
+    def enumerate_fired_events(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
         return stored_event_solutions(self.rules.store.stored(), machine, event, interval)
 
-    def stored(self, machine: Machine, event: Term) -> Iterator[bool]:
+    def enumerate_stored_events(self, machine: Machine, event: Term) -> Iterator[bool]:
         events = self.rules.store.stored()
-        stored = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
-        return _unify_each(machine, (event,), iter(stored))
+        solutions = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
+        return _unify_each(machine, (event,), iter(solutions))
 
-    def justify(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
+    def enumerate_explanations(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
         explanations = self.rules.justifier.explanations(resolve(event), resolve(interval))
         return _unify_each(machine, (event, interval, why), explanations)
 
-    def edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
+    def enumerate_edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
         return _unify_each(machine, (head, body), self.rules.justifier.edges())
 
-    def see(self, machine: Machine) -> bool:
+    def print_partial_matches(self, machine: Machine) -> bool:
         logic = self.rules.logic
         for rule in self.rules.rules:
             logic.output(f"{rule.name}: {rule.match_count} partial matches\n")
