@@ -61,7 +61,7 @@ def feed(name: str, number: int) -> List[List[int]]:
         clock.move_to(instant)
         engine.post((kind, at, at), instant)
         if at % step == 0:
-            samples.append([at, resident(), engine.rules.waiting])
+            samples.append([at, resident(), engine.rules.match_count])
     return samples
 
 
@@ -151,7 +151,7 @@ def measure_parts(pattern: str, number: int) -> Tuple[float, Dict[str, float]]:
     sizes["arrivals"] = sys.getsizeof(rule.arrivals)
     sizes["expiration"] = sys.getsizeof(rule.expiries.queue)
     sizes["rest"] = total - sum(sizes.values())
-    return total / rule.waiting, {purpose: size / rule.waiting for purpose, size in sizes.items()}
+    return total / rule.stored_match_count, {purpose: size / rule.stored_match_count for purpose, size in sizes.items()}
 
 
 def print_parts(number: int) -> None:

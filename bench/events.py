@@ -240,9 +240,9 @@ class Expiring:
 
     def batch(self, length: int) -> Tuple[float, int]:
         """Add events, each of which makes an older partial match expire."""
-        before = self.engine.rules.waiting
+        before = self.engine.rules.match_count
         seconds = self._dispatch(length)
-        assert self.engine.rules.waiting <= before + 1
+        assert self.engine.rules.match_count <= before + 1
         return seconds, 0
 
     def _dispatch(self, number: int) -> float:

@@ -100,7 +100,7 @@ def test_partners_wait_again_after_a_batch(events):
     bench = events.Bench("seq", "recent", "values")
     bench.grow(10)
     bench.batch(5)
-    assert bench.engine.rules.waiting == 10
+    assert bench.engine.rules.match_count == 10
 
 
 def test_bounds_hold_memory(events):

@@ -361,7 +361,7 @@ def test_flags_that_settings_give_are_those_of_the_new_engine():
     assert Engine.restore(one.snapshot()).query("get_etalis_flag(max_gap, X)") == [{"X": -1}]
     record_origins(one)
     one.event("a", 1)
-    assert not Engine.restore(one.snapshot()).rules.mode.tracked
+    assert not Engine.restore(one.snapshot()).rules.options.tracks_events
 
 
 def test_topics_are_subscribed_once():

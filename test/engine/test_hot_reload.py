@@ -77,7 +77,7 @@ class Program:
         engine = self.engine
         predicates = [one for one in engine.logic.database.predicates.values() if one.kind == "user"]
         return (
-            [(rule.name, rule.waiting, rule.active) for rule in engine.rules.rules],
+            [(rule.name, rule.stored_match_count, rule.active) for rule in engine.rules.rules],
             {
                 str(one): [engine.show(clause.head) for clause in one.active_clauses()]
                 for one in predicates

@@ -120,7 +120,7 @@ def answer(rule, policy, flags, stream, changes):
         for flag, value in changes.get(at, ()):
             program.set(flag, value)
         found.append(program.feed(event))
-    return found, program.engine.rules.waiting
+    return found, program.engine.rules.match_count
 
 
 @pytest.mark.slow
@@ -194,11 +194,11 @@ def test_as_many_events_as_repetitions_cost_so_many_steps(policy, times):
     assert len(rule.nodes) < 10
     for at in range(times - 1):
         program.engine.event(f"a(1,{at % 7})", at, at)
-    assert rule.waiting == times - 1
+    assert rule.stored_match_count == times - 1
     assert program.feed(f"a(1,0)@{times}") == f"c(1)@0-{times}"
     assert program.feed(f"a(1,0)@{times + 1}") == f"c(1)@1-{times + 1}"
     (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
-    assert node.visits == times + 1
+    assert node.visit_count == times + 1
 
 
 def test_a_window_removes_what_is_too_old_from_the_longest_on():
@@ -206,9 +206,9 @@ def test_a_window_removes_what_is_too_old_from_the_longest_on():
     for at in range(100):
         program.engine.event(f"a({at})", at, at)
     rule = program.engine.rules.rules[0]
-    assert rule.waiting == 10
+    assert rule.stored_match_count == 10
     (node,) = [node for node, _, _ in rule.nodes if isinstance(node, RepeatNode)]
-    assert node.visits == 100
+    assert node.visit_count == 100
     assert sum(len(group.cursors) for group in node.groups.values()) <= 12
 
 

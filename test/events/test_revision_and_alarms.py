@@ -5,7 +5,7 @@ from events.stream_programs import Program, fired, show
 
 from retalis import StreamClock
 from retalis.events.matches import revived_matches
-from retalis.events.matches.partial_matches import TrackedMatch
+from retalis.events.matches.partial_matches import RepetitionChain
 from retalis.events.provenance import lineage
 from retalis.prolog.terms.timestamps import SECOND
 
@@ -210,7 +210,7 @@ def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeyp
     ]:
         program = Program(rules, ["revision_flag"])
         program.feed(" ".join(f"d@{number}" for number in range(100)))
-        assert program.engine.rules.waiting <= most
+        assert program.engine.rules.match_count <= most
         assert Program(rules, ["etalis_justification"]).feed("d@1 d@2") == ""
 
 
@@ -299,6 +299,6 @@ def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
     program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
     kept = program.engine.rules.tracker.all()
-    links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, TrackedMatch))]
+    links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, RepetitionChain))]
     assert len(kept) > 600
     assert sum(len(one.derived) + len(one.dependents) for one in links) < 4000

@@ -107,8 +107,8 @@ def _of_rule(rule):
                 if any(one.buffer is not buffer or one.key != key for one in ring):
                     yield f"{rule.name}: a match waits elsewhere"
                 waiting += ring
-    if rule.waiting != len(waiting):
-        yield f"{rule.name}: {len(waiting)} matches wait and {rule.waiting} are counted"
+    if rule.stored_match_count != len(waiting):
+        yield f"{rule.name}: {len(waiting)} matches wait and {rule.stored_match_count} are counted"
     if not set(waiting) <= set(rule.arrivals):
         yield f"{rule.name}: a match can never be dropped"
     if not rule.listeners or not rule.is_connected:

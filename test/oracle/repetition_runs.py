@@ -12,7 +12,7 @@ from .matches import AGGREGATES, Gap, Match, Run
 from .patterns import Aggregate, Pattern, Rule, Star, Within, pattern_variables
 
 
-class Repetitions(Conditions):
+class IdentifyingRepetitions(Conditions):
     """The runs of one rule."""
 
     def __init__(self, rule: Rule, policy: str, out_of_order: bool = False, expiry: bool = True):

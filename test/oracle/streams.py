@@ -15,7 +15,7 @@ from .conditions import may_bind
 from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify
 from .matches import Event, Match
 from .patterns import Aggregate, Awaited, Both, Pattern, Shaped, Star, Windowed, children
-from .repetition_runs import Repetitions
+from .repetition_runs import IdentifyingRepetitions
 from .row_pattern_matches import steps_of, whole_matches
 
 
@@ -38,7 +38,7 @@ class Taken:
     """Whether its window is over, or it waits no more."""
 
 
-class Streams(Repetitions):
+class Streams(IdentifyingRepetitions):
     """The operators on streams of one rule."""
 
     def __init__(self, rule: Any, policy: str, out_of_order: bool = False, expiry: bool = True):

@@ -363,7 +363,7 @@ class StatusReader:
             dropped=view.executor.dropped,
             errors=view.reports.errors,
             warnings=view.reports.warnings,
-            matches=view.rules.waiting,
+            matches=view.rules.match_count,
             alarms=len(view.clock.alarms),
             next_alarm=_find_next_alarm(view.clock),
             work=self._read_work(),
@@ -380,7 +380,7 @@ class StatusReader:
         # Called during garbage collections, so it adds up counters and does not visit records. A memory removes old
         # records in blocks, so `ends` can be longer than `size`.
         memories = [instance.memory for instance in list(self._view.knowledge.memories)]
-        return self._view.rules.waiting + sum(min(len(memory.ends), memory.size) for memory in memories)
+        return self._view.rules.match_count + sum(min(len(memory.ends), memory.size) for memory in memories)
 
     def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.

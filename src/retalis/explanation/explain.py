@@ -472,7 +472,7 @@ def _describe_likely_reasons(rule: EventRule) -> str:
         return "with other results, or other matches consumed all of it"
     if shapes:
         return f"{shapes[0]} did not let it through after others, or other matches consumed all of it"
-    strategy = rule.mode.after_match
+    strategy = rule.options.after_match
     skipped = (
         ""
         if strategy is AfterMatchSkipStrategy.KEEP

@@ -144,7 +144,7 @@ class CheckpointFile:
             time.time() - restored.written_at,
             engine.summary(),
             counted(records, "record"),
-            counted(engine.rules.waiting, "partial match", "partial matches"),
+            counted(engine.rules.match_count, "partial match", "partial matches"),
             counted(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
         )
 

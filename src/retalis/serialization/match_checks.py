@@ -10,7 +10,7 @@ from itertools import chain
 from typing import Any, Iterable, List, NamedTuple, Sequence, Set, Tuple
 
 from ..events.matches.negation import NegationBuffer
-from ..events.matches.partial_matches import PartialMatch, TrackedMatch
+from ..events.matches.partial_matches import PartialMatch, RepetitionChain
 from ..events.matches.shared_run_buffer import BufferSlice, Run, RunCursor, RunGroup
 from ..events.network.event_rule import EventRule, RuleState
 from ..events.network.join_node import JoinNode
@@ -217,7 +217,7 @@ def check_lineage(graph: GraphReader) -> None:
         if not _can_retry(suppressed.node, suppressed.match_or_pair):
             raise UsageError("a suppressed match does not fit its node")
     checked: Set[Tuple[int, int]] = set()
-    for tracked in graph.objects(Occurrence, TrackedMatch):
+    for tracked in graph.objects(Occurrence, RepetitionChain):
         for holder in tracked.dependents:
             if holder.__class__ is not tuple:
                 continue

@@ -22,7 +22,7 @@ from ..events.matches.partial_matches import (
     IdentifiedEventMatch,
     OrderedEventMatch,
     PartialMatch,
-    TrackedMatch,
+    RepetitionChain,
 )
 from ..events.matches.shared_run_buffer import BufferSlice, Run, RunCursor, RunGroup, SharedLog
 from ..events.network.event_rule import EventRule
@@ -140,7 +140,7 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _ColumnEncoding]]] = {
     "log": (SharedLog, {"items": _MIXED}),
     "buffer slice": (BufferSlice, {"pieces": _MIXED}),
     "repetition chain": (
-        TrackedMatch,
+        RepetitionChain,
         {"match": _OBJECT, "earlier": _OBJECT, "number": _DATA, "linked": _DATA, **_TRACKED},
     ),
     "event": (

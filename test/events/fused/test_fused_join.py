@@ -115,7 +115,7 @@ def known(engine, rule):
     ]
     return (
         waiting,
-        rule.waiting,
+        rule.stored_match_count,
         rule.clock,
         rule.order,
         rule.dropped,
@@ -167,7 +167,7 @@ def test_what_has_left_is_not_held_until_its_time_is_over(cap):
         engine.event_at(left(key), 2 * key, 2 * key)
         if cap > 50:
             engine.event_at(right(key), 2 * key + 1, 2 * key + 1)
-    assert rule.waiting == (0 if cap > 50 else cap)
+    assert rule.stored_match_count == (0 if cap > 50 else cap)
     assert len(rule.expiries) < 1200
 
 

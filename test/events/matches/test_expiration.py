@@ -21,7 +21,7 @@ class Waiting:
         self.order = order
         self.buffer = self
 
-    def leave(self):
+    def discard(self):
         """Leave."""
         self.buffer = None
 
@@ -70,7 +70,7 @@ def fill(expiries, add, number):
     for match in matches:
         add(expiries, match, number)
     for match in matches[::2] + matches[1::4]:  # those that stay lie among them
-        match.leave()
+        match.discard()
     return matches
 
 
@@ -129,7 +129,7 @@ def test_those_that_came_out_of_order_and_left_are_dropped_a_part_at_a_time(expi
 def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
     matches = deque(Waiting(order) for order in range(2 * SLICE_ENTRIES))
     for match in list(matches)[:SLICE_ENTRIES]:
-        match.leave()
+        match.discard()
     assert remove_stale_entries(matches, 0) == 0
     assert remove_stale_entries(matches, 0) is None
 
@@ -140,7 +140,7 @@ def test_the_next_slice_begins_at_the_start_after_a_slice_with_nothing_left():
 def test_slices_keep_the_order_and_reach_all(number):
     matches = deque(Waiting(order) for order in range(number))
     for match in list(matches)[::3]:
-        match.leave()
+        match.discard()
     start = 0
     for _ in range(number // SLICE_ENTRIES + 1):
         start = remove_stale_entries(matches, start) or 0
@@ -154,7 +154,7 @@ def test_what_has_left_is_dropped(step):
         match = Waiting(order)
         expiries.add(order * step, match, stored_count=1)
         if order:
-            match.leave()
+            match.discard()
     assert len(expiries) < 2000
     expiries.expire(20_000)
     assert len(expiries) == 0
@@ -169,7 +169,7 @@ def test_matches_that_leave_after_their_visit_are_dropped(expiries, add):
         waiting.append(Waiting(order))
         add(expiries, waiting[-1], len(waiting))
         if len(waiting) > 100:
-            waiting.popleft().leave()
+            waiting.popleft().discard()
     assert len(expiries) < 2000
 
 

@@ -18,11 +18,11 @@ class Rule:
     """What a place wants of its rule."""
 
     order = 0
-    waiting = 0
+    stored_match_count = 0
 
     def count_stored(self, match, span):
         """Count it."""
-        self.waiting += 1
+        self.stored_match_count += 1
 
 
 @pytest.fixture
@@ -62,9 +62,9 @@ def test_far_matches_are_found_by_time_once_many_are_not_in_time(buffer):
     assert ends(buffer.partners(0, 999, 999, True)) == [999] and reachable(buffer, IntervalIndex)
     assert ends(buffer.partners(0, 500, 500, False)) == [500]
     for match in buffer.all()[:999]:
-        match.leave()
+        match.discard()
     assert ends(buffer.partners(0, 999, 999, True)) == [999]
-    assert buffer.rule.waiting == 1
+    assert buffer.rule.stored_match_count == 1
 
 
 def test_an_index_goes_when_it_is_not_used(buffer):
@@ -81,7 +81,7 @@ def test_an_index_goes_when_it_is_not_used(buffer):
 def test_a_place_forgets_a_key_without_matches(buffer):
     matches = [wait(buffer, 0, at, at) for at in range(3)]
     for match in (matches[1], matches[0], matches[2]):
-        match.leave()
+        match.discard()
     assert buffer.newest == {} and buffer.all() == []
 
 
@@ -98,7 +98,7 @@ def test_matches_may_come_and_go_while_partners_are_looked_at(buffer, monkeypatc
         found.append(match.start)
         if len(found) == 3:
             for gone in (found[2], expected[3], expected[5]):
-                matches[gone].leave()
+                matches[gone].discard()
             wait(buffer, 0, 99, 50)
     assert found == [*expected[:3], expected[4], *expected[6:]]
 
@@ -141,7 +141,7 @@ def test_a_partner_that_goes_while_the_one_before_it_is_looked_at_is_passed_over
     for match in buffer.partners(0, 50, 60, newest):
         found.append(match.start)
         if len(found) == 1:
-            matches[2 if newest else 1].leave()
+            matches[2 if newest else 1].discard()
     assert found == expected
 
 
@@ -177,7 +177,7 @@ def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
                 waiting.append(wait(buffer, Var() if key is None else key, start, start + length))
             elif step == "leave":
                 for match in waiting[values[0] : values[0] + 1]:
-                    match.leave()
+                    match.discard()
                     waiting.remove(match)
             else:
                 key, start, newest = values
@@ -185,7 +185,7 @@ def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
                 found = [one for one in waiting if fits(one, key, limits)]
                 assert list(buffer.partners(key, start, start + 2, newest)) == found[:: -1 if newest else 1]
                 assert [one for one in waiting if one.key == key] == buffer.matches_of_key(key)
-            assert buffer.rule.waiting == len(waiting)
+            assert buffer.rule.stored_match_count == len(waiting)
         assert buffer.all() == waiting
 
     with few:

@@ -130,7 +130,7 @@ def test_what_rules_out_goes_when_no_partner_can_come_any_more(flags):
     program = Program("o <- ((a seq b) cnot (c seq d)) within 5.", flags)
     for number in range(0, 1000, 2):
         program.feed(f"c@{number} d@{number + 1}")
-        assert program.engine.rules.waiting < 20
+        assert program.engine.rules.match_count < 20
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_dropping_what_is_ruled_out_changes_nothing_while_events_come_in_order(r
     for at in range(120):
         event = f"{rng.choice('aabbc')}({rng.randrange(4)})@{at}"
         assert dropping.feed(event) == keeping.feed(event)
-        waiting, kept = (program.engine.rules.waiting for program in (dropping, keeping))
+        waiting, kept = (program.engine.rules.match_count for program in (dropping, keeping))
         assert waiting <= kept
         dropped = max(dropped, kept - waiting)
     assert dropped or "c(Y)" in rule or " and " in rule  # Y is known with b only; such pairs are few
@@ -215,7 +215,7 @@ def test_within_a_time_what_is_ruled_out_waits_until_the_time_is_over():
         program.feed("d@30") == "o(1)@1-30"
     )  # the second side overlaps c(1), which does not rule the pair out
     program.feed("a(0)@200")
-    assert program.engine.rules.waiting < 5
+    assert program.engine.rules.match_count < 5
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_what_is_ruled_out_and_what_rules_out_does_not_gather(rule, make):
     for at in range(20_000):
         program.engine.event(make(at), at)
         if at % 1000 == 0:
-            assert program.engine.rules.waiting < 10_000
+            assert program.engine.rules.match_count < 10_000
 
 
 @pytest.mark.parametrize(
@@ -277,10 +277,10 @@ def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch)
     program = Program("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
     for at in range(600):
         program.engine.event(f"a({at})" if at < 300 else f"b({at - 300})", at)
-    assert program.engine.rules.waiting < 20
+    assert program.engine.rules.match_count < 20
     for at in range(600, 1000):
         program.engine.event("c" if at % 2 else f"a({at})", at)
-        assert program.engine.rules.waiting < 150
+        assert program.engine.rules.match_count < 150
 
 
 def test_no_single_event_forgets_many_matches_that_have_left():
@@ -296,7 +296,7 @@ def test_no_single_event_forgets_many_matches_that_have_left():
         program.engine.event(f"a({at})" if at < number else f"{'ca'[at % 2]}({pair})", at)
         assert before - len(rule.arrivals) <= SLICE_ENTRIES
         before = len(rule.arrivals)
-    assert rule.waiting == rules.cap
+    assert rule.stored_match_count == rules.cap
     assert rule.dropped
 
 
@@ -321,4 +321,4 @@ def test_windows_expire_by_the_time_of_the_stream_where_the_clock_is_pinned(rule
     engine.load(rules=rule)
     for at in range(1000):
         engine.event(f"{'ac'[at % 2]}({at})", at)
-    assert rules.waiting < 10
+    assert rules.match_count < 10

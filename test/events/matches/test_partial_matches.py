@@ -89,7 +89,7 @@ def test_matches_that_wait_can_be_tracked_from_then_on():
     for event, instant in (("b(1)", 3), ("b(1)", 4), ("b(2)", 5)):
         engine.event(event, instant)
     assert [event for event in events if event[0] == "c"] == ["c(1,1)", "c(1,2)", "c(2,1)"]
-    assert not rule.waiting
+    assert not rule.stored_match_count
 
 
 def test_the_match_of_an_event_at_one_instant_in_nanoseconds_is_short():

@@ -112,13 +112,13 @@ def test_window_as_a_fact_and_of_rules_without_label():
 def test_a_window_removes_what_is_too_old_by_the_clock_of_the_rule():
     program = Program("r([property(window,2)]) : c(X) <- a(X) seq b(X).")
     program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
-    assert program.engine.rules.waiting == 3
+    assert program.engine.rules.match_count == 3
 
 
 def test_within_removes_below_it_too():
     program = Program("c <- ((a(X) and b(X)) seq d) within 5.")
     program.feed(" ".join(f"a({i})@{i}" for i in range(100)))
-    assert program.engine.rules.waiting == 5
+    assert program.engine.rules.match_count == 5
 
 
 def test_stamps_far_ahead_do_not_move_the_clock_of_a_rule():
@@ -130,7 +130,7 @@ def test_cap():
     program = Program("c(X) <- a(X) seq b.", policy="chronological")
     program.engine.rules.cap = 3
     program.feed(" ".join(f"a({i})@{i}" for i in range(10)))
-    assert program.engine.rules.waiting == 3
+    assert program.engine.rules.match_count == 3
     assert program.feed("b@20") == "c(7)@7-20"
     assert "partial matches" in str(program.warnings[0])
 
@@ -167,8 +167,8 @@ def test_garbage_control_general():
     kept, collected = Program(rules), Program(rules, flags)
     kept.feed(stream)
     collected.feed(stream)
-    assert kept.engine.rules.waiting == 101
-    assert collected.engine.rules.waiting < 10
+    assert kept.engine.rules.match_count == 101
+    assert collected.engine.rules.match_count < 10
 
 
 def test_garbage_control_counts_a_run_from_its_last_repetition():
@@ -177,7 +177,7 @@ def test_garbage_control_counts_a_run_from_its_last_repetition():
     assert program.feed("i@1 j@8") == "s(0)@1-1 t@1-1 s(1)@1-8 t@1-8"
     assert program.feed("j@17 j@26") == "s(2)@1-17 t@1-17 s(3)@1-26 t@1-26"
     assert program.feed("j@38") == ""
-    assert program.engine.rules.waiting == 0
+    assert program.engine.rules.match_count == 0
 
 
 def test_garbage_control_pattern():
@@ -186,7 +186,7 @@ def test_garbage_control_pattern():
     )
     program = Program(rules, [("garbage_control", "pattern")])
     program.feed(" ".join(f"a({i})@{i}" for i in range(200)))
-    assert [rule.waiting for rule in program.engine.rules.rules] == [51, 200]
+    assert [rule.stored_match_count for rule in program.engine.rules.rules] == [51, 200]
 
 
 @pytest.mark.parametrize("goal", ["set_etalis_flag(foo,on)", "set_etalis_flag(out_of_order,maybe)"])
@@ -213,8 +213,8 @@ class NewestOfAll(Enum):
 
     NEWEST = "newest_of_all"
 
-    newest = property(lambda self: True)
-    consuming = replacing = property(lambda self: False)
+    prefers_newest = property(lambda self: True)
+    consumes_partners = replaces_identical = property(lambda self: False)
 
 
 def test_a_policy_without_a_join_is_refused():
@@ -228,7 +228,7 @@ def test_a_rule_refuses_such_a_policy_and_stays_as_it_is():
     engine = Engine()
     engine.load("c(X) <- a(X) seq b(X).")
     (rule,) = engine.rules.rules
-    mode = rule.mode
+    options = rule.options
     with pytest.raises(UsageError, match="no join"):
-        rule.configure(mode._replace(policy=NewestOfAll.NEWEST), None, None)
-    assert rule.mode is mode
+        rule.configure(options._replace(policy=NewestOfAll.NEWEST), None, None)
+    assert rule.options is options

@@ -209,9 +209,9 @@ def test_reset():
 def test_all_partial_matches_are_dropped(goal, rule, stream, more):
     program = Program(rule)
     program.feed(stream)
-    assert program.engine.rules.waiting > 0
+    assert program.engine.rules.match_count > 0
     assert program.engine.call(goal)
-    assert program.engine.rules.waiting == 0
+    assert program.engine.rules.match_count == 0
     assert program.feed(more) == ""
     assert program.feed(f"{stream} {more}") != ""
 

@@ -133,7 +133,7 @@ def test_pattern_garbage_control_removes_what_no_window_does():
     rules = "r([property(window,10),property(window_step,{})]) : out(X) <- e(X) fnot g(X)."
     stream = [(f"g({at})", at) for at in range(100)]
     waiting = [
-        run(rules.format(step), stream, garbage_control=control)[0].rules.waiting
+        run(rules.format(step), stream, garbage_control=control)[0].rules.match_count
         for control, step in (("off", 1), ("pattern", 1), ("pattern", 30))
     ]
     assert waiting == [100, 11, 20]  # with a step of 30 s last at the 90th second

@@ -305,7 +305,7 @@ class _ActionGenerator:
                 ["match.buffer = own_buffer", "match.older = match.newer = own_newest[key] = match"],
             ),
             Block("else:", ["own_buffer.link(match)"]),
-            "rule.waiting = stored_count = rule.waiting + 1",
+            "rule.stored_match_count = stored_count = rule.stored_match_count + 1",
             "arrivals.append(match)",
             *expiration_statements,
             Block(

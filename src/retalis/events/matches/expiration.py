@@ -116,9 +116,9 @@ class ExpirationQueue:
         """Remove all matches whose instant is before ``clock`` from their buffers."""
         queue = self._queue
         while queue and queue[0][0] < clock:
-            queue.popleft()[1].leave()
+            queue.popleft()[1].discard()
         for match in self._late.pop_before(clock):
-            match.leave()
+            match.discard()
 
     def pop_expired(self, clock: int) -> List[PartialMatch]:
         """Remove and return the entries whose instant is before ``clock`` and whose matches are still stored."""
@@ -202,9 +202,9 @@ class StartExpirationQueue:
         """Remove all matches that expire before ``clock`` from their buffers."""
         for span, queue in [(self.span, self.queue), *self.others.items()]:
             while queue and queue[0].start + (span or 0) < clock:
-                queue.popleft().leave()
+                queue.popleft().discard()
         for match in self.late.pop_before(clock):
-            match.leave()
+            match.discard()
 
 
 def remove_stale_entries(

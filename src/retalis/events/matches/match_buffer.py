@@ -127,7 +127,7 @@ class MatchBuffer:
     def remove(self, match: PartialMatch) -> None:
         """Remove a stored match."""
         match.buffer = None
-        self.rule.waiting -= 1
+        self.rule.stored_match_count -= 1
         key = match.key
         older, newer = match.older, match.newer
         if older is match:
@@ -197,7 +197,7 @@ class MatchBuffer:
         for match in sorted(waiting, key=_order):
             match.buffer = self
             try:
-                match.key = self.key(match.key_values)
+                match.key = self.key(match.values_with_key)
             except ValueError:
                 match.key = None
             if self.identity_of is not None:

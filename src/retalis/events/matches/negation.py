@@ -73,7 +73,7 @@ class _Frontier:
         matches[first:last_position] = [match]
         # The frontier is consistent before the matches leave their buffer.
         for dominated_match in dominated:
-            dominated_match.leave()
+            dominated_match.discard()
         return True
 
     def compact(self) -> None:
@@ -132,15 +132,15 @@ class NegationBuffer:
         """Drop the frontiers; each is built again at its next use."""
         self.frontiers = {}
 
-    def bind(self, negated: "NetworkNode", mode: NetworkOptions) -> None:
+    def bind(self, negated: "NetworkNode", options: NetworkOptions) -> None:
         """Receive the matches of a node, and connect the buffers that the conditions contain."""
-        negated.bind(self.arrive, mode)
-        self.bind_carried(mode)
+        negated.bind(self.arrive, options)
+        self.bind_carried(options)
 
-    def bind_carried(self, mode: NetworkOptions) -> None:
+    def bind_carried(self, options: NetworkOptions) -> None:
         """Connect the negation buffers that the conditions contain."""
         for absence, node in self.carried:
-            absence.bind(node, mode)
+            absence.bind(node, options)
 
     def buffers(self) -> List[MatchBuffer]:
         """Return the buffers of negated matches, including those of its conditions."""
@@ -156,7 +156,7 @@ class NegationBuffer:
 
     def uses_frontiers(self) -> bool:
         """Return whether only times matter: matches have no conditions, and events are not retracted."""
-        return self.condition is None and not self.rule.network.mode.tracked
+        return self.condition is None and not self.rule.network.options.tracks_events
 
     def _is_needed(self, key: Hashable, match: PartialMatch) -> bool:
         newest_match = self.buffer.newest.get(key)
@@ -168,7 +168,7 @@ class NegationBuffer:
             older = newest_match.newer
             if older.end <= match.end:
                 return False
-            older.leave()
+            older.discard()
             return True
         frontier = self._frontier(key)
         # Must precede `add`: the new match is in no buffer yet and would be removed.
@@ -317,7 +317,7 @@ class RuledOutSweep:
         elif match.buffer is self.first_buffer and self._is_ruled_out(match):
             self._ruled_out.append(match)
             if len(self._ruled_out) > MAX_RULED_OUT:
-                self._ruled_out.popleft().leave()
+                self._ruled_out.popleft().discard()
 
     def _is_ruled_out(self, match: PartialMatch) -> bool:
         try:
@@ -347,7 +347,7 @@ class RuledOutSweep:
                     match.buffer is not None
                     and latest_end.get(self._key(match.values), match.end) > match.end
                 ):
-                    match.leave()
+                    match.discard()
         for match in surplus:
-            match.leave()
+            match.discard()
         return len(negated) <= MAX_RULED_OUT

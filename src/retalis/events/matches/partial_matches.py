@@ -10,7 +10,7 @@ tree of parts without recursion and shares the keys of common prefixes, so a lon
 one.
 
 If events are tracked for retraction and explanation, matches also lead to the occurrences that they contain:
-`event_tokens` and `lineage_tokens` enumerate these, and `arrival_number_of` orders matches by the last of them.
+`event_tokens` and `lineage_sources` enumerate these, and `arrival_number_of` orders matches by the last of them.
 """
 
 from enum import Enum
@@ -35,20 +35,15 @@ from ...prolog.terms.unification import undo, unify
 
 
 class MatchHolder(Protocol):
-    """The place where a match is stored: a buffer or a run group.
-
-    Attributes:
-        retention: retention time in ns; None for no bound.
-        is_negated: whether its matches belong to a negated pattern.
-    """
+    """The place where a match is stored: a buffer or a run group."""
 
     @property
     def retention(self) -> Optional[int]:
-        """See above."""
+        """Retention time in ns; None for no bound."""
 
     @property
     def is_negated(self) -> bool:
-        """See above."""
+        """True if the matches belong to a negated pattern."""
 
     def remove(self, match: "PartialMatch") -> None:
         """Remove a stored match."""
@@ -58,8 +53,8 @@ class EventMatch:
     """A match of one event without duration whose arguments are the values of its pattern.
 
     It has the attributes of a `PartialMatch` and is annotated as one, but takes 80 bytes instead of 136: millions may
-    be stored. Its timestamp is its start, its end and its order, all three in one slot. This requires a timestamp
-    that is larger than the orders of all matches that the rule has stored before; see `OrderedEventMatch`. The
+    be stored. Its timestamp is its start, its end and its order, all three in one slot. Therefore the timestamp must
+    be larger than the orders of all matches that the rule has stored before; see `OrderedEventMatch`. The
     attributes ``values``, ``event``, ``parts``, ``identity`` and ``consumed_by`` cannot be set.
 
     Attributes:
@@ -111,21 +106,21 @@ class EventMatch:
 
     @property
     def latest_end(self) -> int:
-        """The largest end so far; garbage control removes matches by it."""
+        """Largest end so far; garbage control selects expired matches by this value."""
         return self.end
 
     @property
-    def key_values(self) -> Values:
-        """The values that contain the shared values of the key."""
+    def values_with_key(self) -> Values:
+        """Values from which the key in a buffer is computed."""
         return self.values
 
     def repair(self) -> None:
         """Repair the match after an interrupt."""
 
-    def leave(self) -> None:
+    def discard(self) -> None:
         """Remove the match from the buffer where it is stored, if any."""
         if self.buffer is not None:
-            self.buffer.remove(self)  # type: ignore[arg-type]  # annotated as what it is like
+            self.buffer.remove(self)  # type: ignore[arg-type]  # annotated as `PartialMatch`, whose attributes it has
 
 
 if not TYPE_CHECKING:
@@ -157,7 +152,7 @@ class PartialMatch(OrderedEventMatch):
         values: values of the node's variables.
         event: token of the event, if the match consists of a single event; else None.
         term: the event, if this is the match of an event pattern; else None.
-        parts: the parts that it was joined from: matches, `TrackedMatch` and `ComputedValues`, and the number of a
+        parts: the parts that it was joined from: matches, `RepetitionChain` and `ComputedValues`, and the number of a
             branch.
 
     The other attributes are those of `EventMatch`.
@@ -184,18 +179,18 @@ class PartialMatch(OrderedEventMatch):
         self.identity = self.consumed_by = None
 
 
-class TrackedMatch:
-    """The repetitions of a run, as a part of the run's results that does not belong to their identity.
+class RepetitionChain:
+    """Linked list of the repetitions of a run, shared by all results of the run.
 
-    Each repetition has one `TrackedMatch`, which refers to the one before it. All results that a run emits share
-    them.
+    Each repetition has one `RepetitionChain`, which refers to the one of the repetition before it. It is not compared
+    when two results are tested for identity.
 
     Attributes:
         match: the last repetition; None if there is none.
-        earlier: the `TrackedMatch` of the repetitions before it.
+        earlier: the `RepetitionChain` of the repetitions before it.
         number: number of the last event in it, see `arrival_number_of`.
         linked: whether the occurrences that it contains refer to it, if events are tracked.
-        derived, dependents, suppressed, retracted, reported, forgotten: as of an event that is tracked.
+        derived, dependents, suppressed, retracted, reported, forgotten: see `Occurrence`.
     """
 
     __slots__ = (
@@ -212,7 +207,7 @@ class TrackedMatch:
 
     forgotten = False
 
-    def __init__(self, match: Optional[PartialMatch], earlier: Optional["TrackedMatch"]):
+    def __init__(self, match: Optional[PartialMatch], earlier: Optional["RepetitionChain"]):
         self.match = match
         self.earlier = earlier
         self.number: int = (
@@ -227,18 +222,18 @@ class TrackedMatch:
     def matches(self) -> List[PartialMatch]:
         """All repetitions, oldest first."""
         repetitions = []
-        tracked: Optional[TrackedMatch] = self
-        while tracked is not None and tracked.match is not None:
-            repetitions.append(tracked.match)
-            tracked = tracked.earlier
+        chain: Optional[RepetitionChain] = self
+        while chain is not None and chain.match is not None:
+            repetitions.append(chain.match)
+            chain = chain.earlier
         repetitions.reverse()
         return repetitions
 
 
-NO_REPETITIONS = TrackedMatch(None, None)
+NO_REPETITIONS = RepetitionChain(None, None)
 
 
-class Repetitions:
+class IdentifyingRepetitions:
     """Matches that follow each other and are parts of one match; they belong to its identity."""
 
     __slots__ = ()
@@ -263,17 +258,18 @@ class IdentityWithValues(NamedTuple):
 
     Attributes:
         structure: its `identity`.
-        values: keys of the other values; those may be variables that are bound by an event further up.
+        value_keys: keys of the values that the events do not determine; they may be variables that a later join
+            binds.
     """
 
     structure: Hashable
-    values: Tuple[Hashable, ...]
+    value_keys: Tuple[Hashable, ...]
 
 
-MatchPart = Union[PartialMatch, TrackedMatch, Repetitions, ComputedValues, int]
+MatchPart = Union[PartialMatch, RepetitionChain, IdentifyingRepetitions, ComputedValues, int]
 Parts = Tuple[MatchPart, ...]
 Dependent = Union[PartialMatch, Tuple[Any, ...]]
-"""An entry of an event: a stored match that contains it, or a node and the data that it must forget."""
+"""A dependent of an event: a stored match that contains it, or a node and the data that it must remove."""
 
 
 class Identity:
@@ -327,8 +323,8 @@ def identity(match: EventMatch) -> Hashable:
     is_known = last.__class__ is PartialMatch and last.identity is not None
     key: Hashable = last.identity if is_known else _identity_of(last, ())
     if is_known and key.__class__ is IdentityWithValues:
-        named_key: Any = key
-        key = named_key.structure
+        key_with_values: Any = key
+        key = key_with_values.structure
     for longer in reversed(path[:-1]):
         key = _identity_of(longer, (key,))
     return key
@@ -345,7 +341,7 @@ def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
             key += (identity(part),)
         elif part.__class__ is ComputedValues:
             key += (tuple([term_key(value) for value in part.values]),)
-        elif part.__class__ is not TrackedMatch:
+        elif part.__class__ is not RepetitionChain:
             key += (part,)
     return key[0] if len(key) == 1 else Identity(key)
 
@@ -362,12 +358,12 @@ def event_tokens(match: PartialMatch) -> Iterator[Hashable]:
             for inner in reversed(part.parts):
                 if isinstance(inner, EventMatch):
                     stack.append(inner)
-                elif inner.__class__ is TrackedMatch or isinstance(inner, Repetitions):
+                elif inner.__class__ is RepetitionChain or isinstance(inner, IdentifyingRepetitions):
                     stack.extend(reversed(inner.matches))
 
 
-def lineage_tokens(match: PartialMatch) -> Iterator[Hashable]:
-    """Yield the tokens of the events of a match; for the repetitions of a run the last `TrackedMatch`."""
+def lineage_sources(match: PartialMatch) -> Iterator[Hashable]:
+    """Yield the tokens of the events of a match; for the repetitions of a run, their `RepetitionChain` instead."""
     inner: Any
     stack: List[EventMatch] = [match]
     while stack:
@@ -378,16 +374,16 @@ def lineage_tokens(match: PartialMatch) -> Iterator[Hashable]:
         for inner in reversed(part.parts):
             if isinstance(inner, EventMatch):
                 stack.append(inner)
-            elif inner.__class__ is TrackedMatch:
+            elif inner.__class__ is RepetitionChain:
                 if inner.match is not None:
                     yield inner
-            elif isinstance(inner, Repetitions):
+            elif isinstance(inner, IdentifyingRepetitions):
                 stack.extend(reversed(inner.matches))
 
 
 def arrival_number_of(match: PartialMatch) -> int:
     """Return the number of the last event of a match, at which it was complete; 0 if events are not tracked."""
-    return max((getattr(token, "number", 0) for token in lineage_tokens(match)), default=0)
+    return max((getattr(token, "number", 0) for token in lineage_sources(match)), default=0)
 
 
 def is_retracted(match: PartialMatch) -> bool:
@@ -403,14 +399,15 @@ def unify_sides(
     Returns:
         Copies of the two matches with the resulting values, or None if the values do not unify.
     """
-    lefts = list(_renamed(left.values))
-    rights = list(_renamed(right.values))
+    left_values = list(_renamed(left.values))
+    right_values = list(_renamed(right.values))
     trail: Trail = []
     result = None
     if all(
-        unify(lefts[left_position], rights[right_position], trail) for left_position, right_position in shared
+        unify(left_values[left_position], right_values[right_position], trail)
+        for left_position, right_position in shared
     ):
-        result = (_with_values(left, lefts), _with_values(right, rights))
+        result = (_with_values(left, left_values), _with_values(right, right_values))
     # Only variables of the copies were bound, so no binding has to be undone.
     return result
 
@@ -445,49 +442,53 @@ class ConsumptionPolicy(Enum):
     """A consumption policy; see the table in the language reference."""
 
     RECENT = "recent"
-    """The newest partner; a newer occurrence of the same event replaces a stored one."""
+    """Chooses the newest partner. A newer occurrence of the same event replaces a stored one."""
     RECENT_2 = "recent_2"
-    """The newest partner; identical events are both stored."""
+    """Chooses the newest partner. Identical events are stored separately."""
     CHRONOLOGICAL = "chronological"
-    """The oldest partner."""
+    """Chooses the oldest partner. Identical events are stored separately."""
     CHRONOLOGICAL_2 = "chronological_2"
-    """The oldest partner."""
+    """Synonym of ``chronological``, which ETALIS distinguishes."""
     UNRESTRICTED = "unrestricted"
-    """All partners, oldest first; none is consumed."""
+    """Chooses all partners, oldest first, and consumes none."""
 
     @property
-    def newest(self) -> bool:
+    def prefers_newest(self) -> bool:
         """True if the newest partner is chosen first."""
         return self in (ConsumptionPolicy.RECENT, ConsumptionPolicy.RECENT_2)
 
     @property
-    def consuming(self) -> bool:
+    def consumes_partners(self) -> bool:
         """True if a partner is consumed."""
         return self is not ConsumptionPolicy.UNRESTRICTED
 
     @property
-    def replacing(self) -> bool:
+    def replaces_identical(self) -> bool:
         """True if a newer occurrence of the same event replaces the stored one."""
         return self is ConsumptionPolicy.RECENT
 
 
-_JOINED_POLICIES = frozenset(
-    # (newest, consuming, replacing)
+_SUPPORTED_POLICY_TRAITS = frozenset(
+    # (prefers_newest, consumes_partners, replaces_identical)
     ((True, True, True), (True, True, False), (False, True, False), (False, False, False))
 )
-"""The combinations of properties that the joins of the network implement."""
+"""Combinations of the properties of a policy that the joins of the network implement."""
 
 
 def check_policy(policy: ConsumptionPolicy) -> None:
-    """Refuse a policy that the network would silently treat as another one.
+    """Reject a policy that the network would silently treat as another one.
 
     Raises:
         UsageError: for a combination of properties without a join.
     """
-    if (policy.newest, policy.consuming, policy.replacing) not in _JOINED_POLICIES:
+    if (
+        policy.prefers_newest,
+        policy.consumes_partners,
+        policy.replaces_identical,
+    ) not in _SUPPORTED_POLICY_TRAITS:
         raise UsageError(
-            f"policy {policy.value}: the network has no join for a policy with newest={policy.newest}, "
-            f"consuming={policy.consuming}, replacing={policy.replacing}"
+            f"policy {policy.value}: the network has no join for a policy with newest={policy.prefers_newest}, "
+            f"consuming={policy.consumes_partners}, replacing={policy.replaces_identical}"
         )
 
 
@@ -503,20 +504,28 @@ class AfterMatchSkipStrategy(Enum):
 
 
 class NetworkOptions(NamedTuple):
-    """Options of the network: set by flags, and for a rule also by the properties of its label."""
+    """Options of the network: set by flags, and for a rule also by the properties of its label.
+
+    Attributes:
+        policy: the consumption policy.
+        out_of_order: whether the first operand of a sequence may arrive after the second one.
+        tracks_events: whether events are tracked for retraction and explanation.
+        emits_revisions: whether the results of a retracted event are retracted, and those that it prevented emitted.
+        after_match: partial matches that are skipped after a match.
+    """
 
     policy: ConsumptionPolicy = ConsumptionPolicy.RECENT
     out_of_order: bool = False
-    tracked: bool = False
-    revised: bool = False
+    tracks_events: bool = False
+    emits_revisions: bool = False
     after_match: AfterMatchSkipStrategy = AfterMatchSkipStrategy.KEEP
 
 
-def with_property(mode: NetworkOptions, name: str, word: str) -> NetworkOptions:
+def options_with_property(options: NetworkOptions, name: str, value: str) -> NetworkOptions:
     """Return the options changed by a property of a label, for the rules with that label."""
     if name == "policy":
-        return mode._replace(policy=ConsumptionPolicy(word))
+        return options._replace(policy=ConsumptionPolicy(value))
     if name == "after_match":
-        return mode._replace(after_match=AfterMatchSkipStrategy(word))
+        return options._replace(after_match=AfterMatchSkipStrategy(value))
     assert name == "out_of_order", name
-    return mode._replace(out_of_order=word == "on")
+    return options._replace(out_of_order=value == "on")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Deque, Hashable, Iterable, List, Optional
 from ...prolog.terms.types import Frame
 from .consumption_policy import Emit, Join, MatchSide, emit_each, metered, unify_and_join
 from .match_buffer import MatchBuffer
-from .partial_matches import PartialMatch, arrival_number_of, lineage_tokens
+from .partial_matches import PartialMatch, arrival_number_of, lineage_sources
 
 if TYPE_CHECKING:
     from ..provenance.lineage import LineageTracker
@@ -30,7 +30,7 @@ MAX_RETAINED_MATCHES = 10_000
 def is_valid(match: Optional[PartialMatch]) -> bool:
     """Return whether there is a match and none of its events was retracted."""
     return match is not None and not any(
-        getattr(token, "retracted", False) for token in lineage_tokens(match)
+        getattr(token, "retracted", False) for token in lineage_sources(match)
     )
 
 
@@ -54,7 +54,7 @@ class RetainedMatches:
         self.buffer.add(match, key)
         self._retained.append(match)
         if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.cap // 2):
-            self._retained.popleft().leave()
+            self._retained.popleft().discard()
 
 
 def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:

@@ -29,7 +29,7 @@ from typing import (
 )
 
 from ...prolog.terms.types import NIL, Term, Values, Var
-from .partial_matches import NO_REPETITIONS, PartialMatch, Parts, Repetitions, identity
+from .partial_matches import NO_REPETITIONS, IdentifyingRepetitions, PartialMatch, Parts, identity
 
 if TYPE_CHECKING:
     from ..network.repeat_node import RepeatNode
@@ -65,7 +65,7 @@ LogSlice = Tuple[SharedLog, int, int]
 """A log, and the positions of a slice of it."""
 
 
-class BufferSlice(Repetitions):
+class BufferSlice(IdentifyingRepetitions):
     """The repetitions of a match, oldest first, as slices of shared logs.
 
     Two are equal if they consist of identical event terms. Creating and hashing one does not depend on its length.
@@ -207,7 +207,7 @@ class RunGroup:
     @property
     def retention(self) -> Optional[int]:
         """Retention time of the sequences in ns; None for no bound."""
-        return self.node.limit
+        return self.node.retention
 
     @property
     def is_negated(self) -> bool:
@@ -277,7 +277,7 @@ class RunGroup:
         cursor.end = self.end
         cursor.buffer = None
         self.cursor_count -= 1
-        self.node.rule.waiting -= 1
+        self.node.rule.stored_match_count -= 1
         if not self.cursor_count:
             self.node.groups.pop(self.key, None)
 
@@ -314,7 +314,7 @@ class RunGroupBuffer:
     @property
     def retention(self) -> Optional[int]:
         """Retention time of the sequences in ns; None for no bound."""
-        return self._node.limit
+        return self._node.retention
 
     def repair(self) -> List[PartialMatch]:
         """Repair the groups after an interrupt; return the stored sequences, oldest first."""
@@ -341,7 +341,7 @@ class Run(PartialMatch):
         state: state of the accumulator of an aggregate.
         items: values that conditions further up test for each repetition.
         repetitions: the repetitions, if events are tracked.
-        tracked: their `TrackedMatch`, for the results.
+        tracked: their `RepetitionChain`, for the results.
         step_values: values of the start and of the repetition, for each repetition.
         valid_count: number of the repetitions that its results still rest on.
         free_vars: variables that its repetitions share and that none of them binds.
@@ -376,8 +376,8 @@ class Run(PartialMatch):
         return self.last
 
     @property
-    def key_values(self) -> Values:
-        """The values of the key; see `PartialMatch.key_values`."""
+    def values_with_key(self) -> Values:
+        """The values of the key; see `PartialMatch.values_with_key`."""
         return self.first.values
 
     def after_restore(self) -> None:

@@ -6,7 +6,7 @@ leaves its buffer when
 
 * it is consumed or replaced (`consumption_policy`),
 * its retention time ends, or it ended before the window of garbage control (`EventRule.tick`),
-* it is skipped after a match (`rule_match_skip`),
+* it is skipped after a match (`after_match_skip`),
 * a sweep finds that it is ruled out (`RuledOutSweep`), or
 * the rule has too many matches: then the oldest one is dropped and reported.
 
@@ -41,10 +41,10 @@ from ..matches.expiration import (
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
+from .after_match_skip import AfterMatchSkip, skip_state_for
 from .pattern_nodes import EventNode
 from .retention import smaller_bound
 from .rule_compiler import RuleCompiler
-from .rule_match_skip import AfterMatchSkip, skip_state_for
 from .stream_node import StreamNode
 
 if TYPE_CHECKING:
@@ -111,8 +111,8 @@ class EventRule:
         serial: position among the rules; older ones are served first.
         meter: counts its pattern work; None if nothing is counted.
         from_outside: whether it was added by a service or topic instead of the program.
-        mode: its options, see `configure`.
-        skipping: state of its after-match skip strategy; None if it skips nothing.
+        options: its options, see `configure`.
+        skip_state: state of its after-match skip strategy; None if it skips nothing.
         window: longest interval that its label allows, in ns; None for no bound.
         idle: time in ns after which the state of a key without new events is dropped; None for no bound.
         listeners: the listeners of its event nodes.
@@ -142,12 +142,12 @@ class EventRule:
         self.label = definition.label
         self.serial = serial
         self.name = name
-        self.mode = NetworkOptions()
-        self.skipping: Optional[AfterMatchSkip] = None
+        self.options = NetworkOptions()
+        self.skip_state: Optional[AfterMatchSkip] = None
         self.window: Optional[int] = None
         self.idle: Optional[int] = None
         self.is_connected = False
-        self.waiting = 0
+        self.stored_match_count = 0
         self.dropped = 0
         self.firings = RuleMetrics()
         self.alarms_dropped = 0
@@ -182,48 +182,48 @@ class EventRule:
         self._builder: Optional[Callable[[Values], Term]] = None
 
     def configure(
-        self, mode: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
+        self, options: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
     ) -> None:
         """Connect the nodes.
 
         Args:
-            mode: the options.
+            options: the options.
             window: longest interval that the label allows, in ns; None for no bound.
             garbage: window and step of garbage control, in ns; None if it is off.
 
         Raises:
             UsageError: for a policy that the network does not implement; nothing has changed then.
         """
-        check_policy(mode.policy)
+        check_policy(options.policy)
         root: Any = self.root
         # If an interrupt prevents the rest, the rule is configured again before it is used.
         self.is_connected = False
         self.store_deferred()
-        self.mode = mode
-        self.skipping = skipping = skip_state_for(self, mode)
+        self.options = options
+        self.skip_state = skip_state = skip_state_for(self, options)
         self.window = window
         self._garbage = garbage
         self.idle = None if garbage is None else garbage[0]
         # Operators on streams have clocks of their own.
         self.timed = garbage is not None and not root.is_single_event
         for node, span, retentions in self.nodes:
-            limit = retentions.late if mode.out_of_order else retentions.in_order
+            retention = retentions.late if options.out_of_order else retentions.in_order
             node.set_span(
-                smaller_bound(span, window) if node.tests_window else span, smaller_bound(limit, window)
+                smaller_bound(span, window) if node.tests_window else span, smaller_bound(retention, window)
             )
             self.timed = self.timed or any(buffer.retention is not None for buffer in node.buffers())
         spans = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
         self._span = max(spans, key=spans.count) if spans else None
-        self._tracks_stored = self.timed or mode.tracked or skipping is not None
+        self._tracks_stored = self.timed or options.tracks_events or skip_state is not None
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [
             sweep
             for node, _, _ in self.nodes
-            for sweep in node.sweeps(mode)
+            for sweep in node.sweeps(options)
             if sweep.first_buffer.retention is None
         ]
-        self._sweeps = [] if skipping is not None else sweeps
-        if mode.tracked:
+        self._sweeps = [] if skip_state is not None else sweeps
+        if options.tracks_events:
             self._expand_matches()
         self._end_sweep()
         self._enqueue_all_expirations()
@@ -235,14 +235,14 @@ class EventRule:
         def complete_match(match: PartialMatch, frame: Frame) -> Frame:
             return complete(match.term, match.values, match.start, match.end, frame)
 
-        complete_root: Emit = self._complete_tracked if mode.tracked else complete_match
-        if skipping is not None:
-            skipping.connect(root, complete_root, mode)
-        elif root.is_single_event and not self.timed and not mode.tracked:
+        complete_root: Emit = self._complete_tracked if options.tracks_events else complete_match
+        if skip_state is not None:
+            skip_state.connect(root, complete_root, options)
+        elif root.is_single_event and not self.timed and not options.tracks_events:
             # Match objects would take 12 % more time, and goals are fused only here.
             root.bind_values(completion)
         else:
-            root.bind(complete_root, mode)
+            root.bind(complete_root, options)
         self.is_connected = True
 
     def _expand_matches(self) -> None:
@@ -281,7 +281,7 @@ class EventRule:
             ),
             [(buffer_positions[id(buffer)], match) for buffer, match, _ in self.deferred_matches],
             self._deferring_event,
-            None if self.skipping is None else self.skipping.snapshot(),
+            None if self.skip_state is None else self.skip_state.snapshot(),
         )
 
     def restore(self, state: RuleState) -> None:
@@ -290,8 +290,8 @@ class EventRule:
         firings.number, firings.last, firings.errors = state.counts[:3]
         self.dropped, self.alarms_dropped, self.alarms_past, self.late = state.counts[3:]
         self.clock, self.order, self._last_collection = state.times
-        if self.skipping is not None and state.skipped is not None:
-            self.skipping.restore(state.skipped)
+        if self.skip_state is not None and state.skipped is not None:
+            self.skip_state.restore(state.skipped)
         class_names = [type(node).__name__ for node, _, _ in self.nodes]
         # A newer version of the package may compile the same rule to other nodes.
         if class_names != [class_name for class_name, _ in state.nodes]:
@@ -312,7 +312,7 @@ class EventRule:
             if position >= 0:
                 buffers[position].put_back(list(matches))
         self._reset_arrivals(stored)
-        self.waiting = len(set(self.arrivals))
+        self.stored_match_count = len(set(self.arrivals))
         self.deferred_matches = [
             (buffers[position], match, buffers[position].key_of(match))
             for position, match in state.deferred_matches
@@ -329,7 +329,7 @@ class EventRule:
         waiting.sort(key=lambda match: match.order)
         for match in waiting:
             match.repair()
-        self.waiting = len(waiting)
+        self.stored_match_count = len(waiting)
         self._reset_arrivals(waiting)
         self._enqueue_all_expirations()
         for node, _, _ in self.nodes:
@@ -346,8 +346,8 @@ class EventRule:
         for match in self.arrivals:
             if match.buffer is not None:
                 self._enqueue_expiration(match, match.buffer.retention)
-        if self.skipping is not None:
-            self.skipping.rebuild_entries(self.arrivals)
+        if self.skip_state is not None:
+            self.skip_state.rebuild_entries(self.arrivals)
 
     def _clear_expirations(self) -> None:
         self.expiries.reset(self._span)
@@ -392,7 +392,7 @@ class EventRule:
     @property
     def match_count(self) -> int:
         """Number of matches in its buffers and in its operators on streams."""
-        return self.waiting + sum(node.stored_count() for node, _, _ in self.nodes)
+        return self.stored_match_count + sum(node.stored_count() for node, _, _ in self.nodes)
 
     @property
     def keys(self) -> int:
@@ -403,7 +403,7 @@ class EventRule:
     @property
     def bytes(self) -> int:
         """Estimate of the memory of its state: numbers of matches and keys times measured constants."""
-        return self.waiting * MATCH_BYTES + sum(node.bytes() for node, _, _ in self.nodes)
+        return self.stored_match_count * MATCH_BYTES + sum(node.bytes() for node, _, _ in self.nodes)
 
     @property
     def active(self) -> bool:
@@ -419,8 +419,8 @@ class EventRule:
     def clear(self) -> None:
         """Remove all partial matches and reset the clock."""
         self.clear_matches()
-        if self.skipping is not None:
-            self.skipping.clear()
+        if self.skip_state is not None:
+            self.skip_state.clear()
         self.clock = self.allowed = _BEFORE_ALL_INSTANTS
         self._last_collection = None
 
@@ -430,7 +430,7 @@ class EventRule:
         for node, _, _ in self.nodes:
             node.clear()
         for match in list(self.arrivals):
-            match.leave()
+            match.discard()
         self.arrivals.clear()
         self._clear_expirations()
         self._end_sweep()
@@ -447,8 +447,8 @@ class EventRule:
         """Store the matches that were deferred until another event is served."""
         if self._deferring_event != event:
             self.store_deferred()
-        if self.skipping is not None:
-            self.skipping.begin_event(event)
+        if self.skip_state is not None:
+            self.skip_state.begin_event(event)
 
     def store_deferred(self, only: Optional[MatchBuffer] = None) -> None:
         """Store all deferred matches; with ``only``, those of one buffer."""
@@ -484,36 +484,38 @@ class EventRule:
         self._last_collection = clock
         for match in self._by_end.pop_expired(clock - window):
             if match.latest_end < clock - window:
-                match.leave()
+                match.discard()
             else:  # a run that was extended since it was entered
-                self._by_end.add(match.latest_end, match, self.waiting)
+                self._by_end.add(match.latest_end, match, self.stored_match_count)
 
     def count_stored(self, match: PartialMatch, span: Optional[int]) -> None:
         """Count a match that has been stored; if there are too many, drop the oldest."""
-        self.waiting += 1
+        self.stored_match_count += 1
         arrivals = self.arrivals
         arrivals.append(match)
         # Most rules need none of this: no expiration, no tracking, no skip strategy.
         if self._tracks_stored:
             self._track_stored(match, span)
-        number = self.waiting
+        number = self.stored_match_count
         if number > self.sweep_threshold or number > self.network.cap or len(arrivals) > 2 * number + SPARE:
             self.remove_excess()
 
     def remove_excess(self) -> None:
         """Drop the oldest match if there are too many; remove stale entries if they are the larger part."""
-        max_entries = 2 * self.waiting + SPARE
-        if self.waiting > self.sweep_threshold or (self._sweeping and len(self.arrivals) > max_entries):
+        max_entries = 2 * self.stored_match_count + SPARE
+        if self.stored_match_count > self.sweep_threshold or (
+            self._sweeping and len(self.arrivals) > max_entries
+        ):
             self._sweep()
         elif len(self.arrivals) > max_entries:
             self._visited = remove_stale_entries(self.arrivals, self._visited) or 0
             # Fewer matches are stored than at the last pass, so the next one begins earlier.
             if self._sweeps:
-                self.sweep_threshold = min(self.sweep_threshold, 2 * (self.waiting + SPARE))
-        if self.waiting > self.network.cap:
+                self.sweep_threshold = min(self.sweep_threshold, 2 * (self.stored_match_count + SPARE))
+        if self.stored_match_count > self.network.cap:
             self._drop_oldest()
         if len(self.expiries) > max_entries:
-            self.expiries.remove_stale(self.waiting)
+            self.expiries.remove_stale(self.stored_match_count)
 
     def _sweep(self) -> None:
         """Remove some of the matches that are ruled out; see `RuledOutSweep`.
@@ -536,7 +538,7 @@ class EventRule:
         ):
             self._end_sweep()
         else:
-            self.sweep_threshold = self.waiting + _MATCHES_PER_SWEEP_STEP
+            self.sweep_threshold = self.stored_match_count + _MATCHES_PER_SWEEP_STEP
 
     def _visit(self, match: PartialMatch) -> None:
         for sweep in self._sweeps:
@@ -547,27 +549,27 @@ class EventRule:
         self._sweeping = self._visits_remain = False
         for sweep in self._sweeps:
             sweep.begin(self.order)
-        self.sweep_threshold = 2 * (self.waiting + SPARE) if self._sweeps else _NO_SWEEP
+        self.sweep_threshold = 2 * (self.stored_match_count + SPARE) if self._sweeps else _NO_SWEEP
 
     def _track_stored(self, match: PartialMatch, span: Optional[int]) -> None:
         """Enter a stored match into the expiration queues, and register it with the events that it contains."""
         # A match that arrives after its retention time cannot be part of a result.
         if span is not None and match.start + span < self.clock:
-            match.leave()
+            match.discard()
             return
         network = self.network
-        if network.mode.tracked:
+        if network.options.tracks_events:
             network.tracker.register_match(match)
         if self.timed and match.buffer is not None:
             self._enqueue_expiration(match, span)
-        if self.skipping is not None:
-            self.skipping.add_entry(match)
+        if self.skip_state is not None:
+            self.skip_state.add_entry(match)
 
     def _enqueue_expiration(self, match: PartialMatch, span: Optional[int]) -> None:
         if span is not None:
-            self.expiries.add(span, match, self.waiting)
+            self.expiries.add(span, match, self.stored_match_count)
         if self._garbage is not None:
-            self._by_end.add(match.latest_end, match, self.waiting)
+            self._by_end.add(match.latest_end, match, self.stored_match_count)
 
     def _drop_oldest(self) -> None:
         """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
@@ -579,10 +581,10 @@ class EventRule:
             if self._visited:
                 self._visited -= 1
             if oldest.buffer is not None:
-                oldest.leave()
+                oldest.discard()
                 self.dropped += 1
                 self.network.report_dropped(self)
-                if self.waiting <= cap:
+                if self.stored_match_count <= cap:
                     return
 
     def _complete_values(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:

@@ -129,9 +129,9 @@ class JoinNode(NetworkNode):
         negated = [buffer for absence in absences for buffer in absence.buffers()]
         return (self.left_buffer, self.right_buffer, *negated)
 
-    def sweeps(self, mode: NetworkOptions) -> List[RuledOutSweep]:
+    def sweeps(self, options: NetworkOptions) -> List[RuledOutSweep]:
         """Return the sweeps that remove ruled-out first operands; see `NetworkNode.sweeps`."""
-        if mode.out_of_order or mode.tracked or mode.revised:
+        if options.out_of_order or options.tracks_events or options.emits_revisions:
             # A first operand may arrive after the match that rules it out, or that match may be retracted.
             return []
         sweeps = []
@@ -144,13 +144,13 @@ class JoinNode(NetworkNode):
                 sweeps.append(RuledOutSweep(self.left_buffer, absence, positions))
         return sweeps
 
-    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
-        self.left_buffer.retention = self.right_buffer.retention = limit
-        late = self.rule.mode.out_of_order
+        self.left_buffer.retention = self.right_buffer.retention = retention
+        late = self.rule.options.out_of_order
         for absence in self.absences:
-            absence.buffer.retention = retention_for_late(span, limit) if late else limit
+            absence.buffer.retention = retention_for_late(span, retention) if late else retention
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -162,20 +162,20 @@ class JoinNode(NetworkNode):
         self.completed.update(dict.fromkeys(completed))
         self.retained_matches.restore(sides)
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node, and the join nodes on its left; see `NetworkNode.bind`."""
         node: NetworkNode = self
         fuse: Optional[Fuse] = None
         # A long sequence is a deep tree on the left, so it is walked by a loop instead of recursion.
         while isinstance(node, JoinNode):
-            out, fuse = node.bind_right(out, mode)
+            emit, fuse = node.bind_right(emit, options)
             node = node.left
-        _bind(node, out, mode, fuse)
+        _bind(node, emit, options, fuse)
 
-    def bind_right(self, out: Emit, mode: NetworkOptions) -> Tuple[Emit, Optional[Fuse]]:
+    def bind_right(self, emit: Emit, options: NetworkOptions) -> Tuple[Emit, Optional[Fuse]]:
         """Connect all but the left operand; return the action for its matches, and the function that fuses it."""
         operator = self.operator
-        self.out = out
+        self.emit = emit
         self.joined = self._join(True)
         self.left_buffer.partner_bounds = interval_bounds(operator.name, self.span, False)
         self.right_buffer.partner_bounds = interval_bounds(operator.name, self.span, True)
@@ -184,97 +184,102 @@ class JoinNode(NetworkNode):
             # Without shared variables the bound is the same for all first operands, so the search can use it.
             if absence.uses_frontiers() and not absence.shared:
                 self.left_buffer.min_end_for = absence.min_first_end
-        left_name, right_name = self._names if mode.policy.replacing else (None, None)
+        left_name, right_name = self._names if options.policy.replaces_identical else (None, None)
         self.left_buffer.set_identity_function(None if operator.joins_all else left_name)
-        self.right_buffer.set_identity_function(None if self._keeps(mode) else right_name)
-        left_action = self._bind_sides(self._left_side(), self._right_side(mode), out, mode)
+        self.right_buffer.set_identity_function(None if self._keeps(options) else right_name)
+        left_action = self._bind_sides(self._left_side(), self._right_side(options), emit, options)
         for negated, absence in zip(self.negated, self.absences):
-            _bind(negated, absence.arrive, mode, self._fuse_absence(negated, absence, mode))
-            absence.bind_carried(mode)
+            _bind(negated, absence.arrive, options, self._fuse_absence(negated, absence, options))
+            absence.bind_carried(options)
         for absence, node in self.carried:
-            absence.bind(node, mode)
+            absence.bind(node, options)
         return left_action
 
-    def _is_late(self, mode: NetworkOptions) -> bool:
+    def _is_late(self, options: NetworkOptions) -> bool:
         """Return whether the first operand of a sequence may arrive after the second one."""
-        return mode.out_of_order and not self.operator.either
+        return options.out_of_order and not self.operator.either
 
-    def _is_revised(self, mode: NetworkOptions) -> bool:
+    def _is_revised(self, options: NetworkOptions) -> bool:
         """Return whether a retraction can revive operands of a sequence that arrive in order."""
-        return mode.revised and not self.operator.either and not mode.out_of_order
+        return options.emits_revisions and not self.operator.either and not options.out_of_order
 
-    def _keeps(self, mode: NetworkOptions) -> bool:
+    def _keeps(self, options: NetworkOptions) -> bool:
         """Return whether second operands are kept for a first one that a retraction may revive."""
-        return self._is_revised(mode) and self.can_be_revived[0]
+        return self._is_revised(options) and self.can_be_revived[0]
 
     def _left_side(self) -> MatchSide:
         # A left operand is always stored, even after it has joined with a partner: later right operands may use it.
         return MatchSide(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
 
-    def _right_side(self, mode: NetworkOptions) -> MatchSide:
-        any_order, late, retains_right = self.operator.either, self._is_late(mode), self._keeps(mode)
+    def _right_side(self, options: NetworkOptions) -> MatchSide:
+        any_order, late, retains_right = self.operator.either, self._is_late(options), self._keeps(options)
         flipped = tuple((right_position, left_position) for left_position, right_position in self.pairs)
         join = self._join(False)
-        if self._is_revised(mode) and self.can_be_revived[1]:
+        if self._is_revised(options) and self.can_be_revived[1]:
             join = join_in_order(self.rule.network.tracker, join)
         waits, stays = any_order or late or retains_right, late or retains_right
         right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
         if retains_right:
             right = right._replace(store=self.retained_matches.add)
-        if self.shares_events and mode.policy.replacing and (any_order or late):
+        if self.shares_events and options.policy.replaces_identical and (any_order or late):
             right = right._replace(store=self._wait_later)
         return right
 
     def _bind_sides(
-        self, left: MatchSide, right: MatchSide, out: Emit, mode: NetworkOptions
+        self, left: MatchSide, right: MatchSide, emit: Emit, options: NetworkOptions
     ) -> Tuple[Emit, Optional[Fuse]]:
         """Connect the right operand by the policy.
 
         Return the action of the left one, and the function that fuses it.
         """
-        policy, operator, late = mode.policy, self.operator, self._is_late(mode)
+        policy, operator, late = options.policy, self.operator, self._is_late(options)
         any_order = operator.either
-        only_waits = store_only(left), self._fuse(left, False, out, mode)
-        if self._keeps(mode):
+        only_waits = store_only(left), self._fuse(left, False, emit, options)
+        if self._keeps(options):
             tracker = self.rule.network.tracker
-            only_waits = join_revived_first(tracker, left, policy.consuming, operator.joins_all, out), None
+            only_waits = (
+                join_revived_first(tracker, left, policy.consumes_partners, operator.joins_all, emit),
+                None,
+            )
         if operator.joins_all:
-            self.right.bind(join_all_at_once(right, True, out), mode)
+            self.right.bind(join_all_at_once(right, True, emit), options)
             if not late:
                 return only_waits
-            if policy.consuming:
-                return join_one_partner(left, policy.newest, True, out), self._fuse(left, True, out, mode)
-            return join_all_at_once(left, False, out), None
-        fuse = self._fuse(right, True, out, mode)
-        if not policy.consuming:
-            _bind(self.right, join_all_partners(right, out), mode, fuse)
+            if policy.consumes_partners:
+                return join_one_partner(left, policy.prefers_newest, True, emit), self._fuse(
+                    left, True, emit, options
+                )
+            return join_all_at_once(left, False, emit), None
+        fuse = self._fuse(right, True, emit, options)
+        if not policy.consumes_partners:
+            _bind(self.right, join_all_partners(right, emit), options, fuse)
             return (
-                (join_all_partners(left, out), self._fuse(left, True, out, mode))
+                (join_all_partners(left, emit), self._fuse(left, True, emit, options))
                 if any_order or late
                 else only_waits
             )
         # `and` with one event in both operands: each event may complete one pair only.
         once = self.completed if self.shares_events and any_order and operator.alone else None
-        _bind(self.right, join_one_partner(right, policy.newest, True, out, once), mode, fuse)
+        _bind(self.right, join_one_partner(right, policy.prefers_newest, True, emit, once), options, fuse)
         if not any_order and not late:
             return only_waits
-        arrive = join_one_partner(left, policy.newest, True, out, once)
+        arrive = join_one_partner(left, policy.prefers_newest, True, emit, once)
         # The event of a right operand is stored when it has been tried as a left operand too; see `_wait_later`.
         if right.store and any_order:
             return self._after_waiting(arrive), None
-        return arrive, self._fuse(left, True, out, mode)
+        return arrive, self._fuse(left, True, emit, options)
 
-    def _fuse(self, side: MatchSide, joins: bool, out: Emit, mode: NetworkOptions) -> Optional[Fuse]:
+    def _fuse(self, side: MatchSide, joins: bool, emit: Emit, options: NetworkOptions) -> Optional[Fuse]:
         """Return the function that fuses an operand with the dispatch of its events; None if it cannot be fused.
 
         Args:
             side: the operand.
             joins: whether its matches join with partners; else they are only stored.
-            out: receives the results.
-            mode: options of the network.
+            emit: receives the results.
+            options: options of the network.
         """
         rule = self.rule
-        if not self._may_fuse(mode):
+        if not self._may_fuse(options):
             return None
         # At the root, the pair is not created as a match: its values go directly to the head.
         completion = rule.completion if rule.root is self else None
@@ -289,21 +294,26 @@ class JoinNode(NetworkNode):
             computed_values_getter(self.vars, len(self.value_sources), self.shared_vars),
             completion,
         )
-        newest, consumes = mode.policy.newest, mode.policy.consuming
-        choice = PartnerChoice(newest, consumes, join_one_of_others(side, newest, out)) if joins else None
-        return lambda general_path: fused_side(side, pair, choice, rule, general_path, out)
+        newest, consumes = options.policy.prefers_newest, options.policy.consumes_partners
+        choice = PartnerChoice(newest, consumes, join_one_of_others(side, newest, emit)) if joins else None
+        return lambda general_path: fused_side(side, pair, choice, rule, general_path, emit)
 
-    def _may_fuse(self, mode: NetworkOptions) -> bool:
+    def _may_fuse(self, options: NetworkOptions) -> bool:
         """Return whether nothing inspects the events of the matches, so that no match object is needed."""
         rule = self.rule
-        is_inspected = mode.tracked or mode.revised or rule.shares_events or rule.skipping is not None
+        is_inspected = (
+            options.tracks_events
+            or options.emits_revisions
+            or rule.shares_events
+            or rule.skip_state is not None
+        )
         return not is_inspected and not rule.collects
 
     def _fuse_absence(
-        self, negated: NetworkNode, absence: NegationBuffer, mode: NetworkOptions
+        self, negated: NetworkNode, absence: NegationBuffer, options: NetworkOptions
     ) -> Optional[Fuse]:
         rule = self.rule
-        if not self._may_fuse(mode):
+        if not self._may_fuse(options):
             return None
         return lambda general_path: fused_absence(absence, rule, negated.values_are_arguments, general_path)
 
@@ -375,7 +385,7 @@ class JoinNode(NetworkNode):
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", names, f"join by {operator.name}"
         )
-        if self.rule.network.mode.tracked and (self.absences or self.carried):
+        if self.rule.network.options.tracks_events and (self.absences or self.carried):
             return self._recording_suppressed(join, left_arrives)
         return join
 
@@ -396,31 +406,31 @@ class JoinNode(NetworkNode):
     def retry(self, pair: Tuple[PartialMatch, PartialMatch], frame: Frame) -> Frame:
         """Join two matches again, after the negated match between them was retracted."""
         left, right = pair
-        mode = self.rule.mode
+        options = self.rule.options
         # Meanwhile the operands may have been consumed by other pairs, or retracted themselves.
         if left.buffer is None or right.consumed_by is not None:
             return frame
-        if right.buffer is None and self._right_waits(mode):
+        if right.buffer is None and self._right_waits(options):
             return frame
         if is_retracted(left) or is_retracted(right):
             return frame
         result = self.joined(left, right)
         if result is None:
             return frame
-        if mode.policy.consuming or self.operator.joins_all:
-            left.leave()
+        if options.policy.consumes_partners or self.operator.joins_all:
+            left.discard()
             right.consumed_by = left
             if self.operator.either:
-                right.leave()
-        return self.out(result, frame)
+                right.discard()
+        return self.emit(result, frame)
 
-    def _right_waits(self, mode: NetworkOptions) -> bool:
-        return self.operator.either or mode.out_of_order
+    def _right_waits(self, options: NetworkOptions) -> bool:
+        return self.operator.either or options.out_of_order
 
 
-def _bind(node: NetworkNode, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse]) -> None:
+def _bind(node: NetworkNode, emit: Emit, options: NetworkOptions, fuse: Optional[Fuse]) -> None:
     """Connect an operand; only event nodes can be fused with the join."""
     if fuse is not None and isinstance(node, EventNode):
-        node.bind(out, mode, fuse)
+        node.bind(emit, options, fuse)
     else:
-        node.bind(out, mode)
+        node.bind(emit, options)

@@ -46,7 +46,7 @@ from ..matches.partial_matches import (
     ComputedValues,
     NetworkOptions,
     PartialMatch,
-    TrackedMatch,
+    RepetitionChain,
     arrival_number_of,
     is_retracted,
     unify_sides,
@@ -200,7 +200,7 @@ class KleeneValues(NetworkNode):
                 return None
         computed_values = ComputedValues(self._computed_values(result_values))
         event = run.event if run.fixed_values is None else None
-        # The `TrackedMatch` is needed even if it is empty: with one part, the match would look like a condition
+        # The `RepetitionChain` is needed even if it is empty: with one part, the match would look like a condition
         # around its start.
         return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, computed_values))
 
@@ -277,11 +277,11 @@ class KleeneNode(KleeneValues):
         carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
         return (self.buffer, self.incoming, *carried)
 
-    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
-        self.buffer.retention = limit
-        self.incoming.retention = limit
+        self.buffer.retention = retention
+        self.incoming.retention = retention
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -291,16 +291,16 @@ class KleeneNode(KleeneValues):
         """Set the state of the node; see `NetworkNode.restore`."""
         self.retained_matches.restore(saved)
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
-        policy = mode.policy
-        self.tracked = mode.tracked
+        policy = options.policy
+        self.tracked = options.tracks_events
         self.extending: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
-        self.extending = self._extend_and_record if mode.tracked and self.carried else self.extend
-        self.consuming = policy.consuming
-        self.late = mode.out_of_order
-        self.waits_later = self.late and self.shares_events and policy.replacing
-        revised = mode.revised and not self.late
+        self.extending = self._extend_and_record if options.tracks_events and self.carried else self.extend
+        self.consuming = policy.consumes_partners
+        self.late = options.out_of_order
+        self.waits_later = self.late and self.shares_events and policy.replaces_identical
+        revised = options.emits_revisions and not self.late
         self.retains_right, self.ordered = (
             revised and self.can_be_revived[0],
             revised and self.can_be_revived[1],
@@ -308,24 +308,24 @@ class KleeneNode(KleeneValues):
         self.buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
         self.incoming.partner_bounds = interval_bounds(SEQ, self.span, True)
         self.buffer.set_identity_function(
-            (identity_by_start if policy.replacing else identity_by_start_interval)(self._first_name)
+            (identity_by_start if policy.replaces_identical else identity_by_start_interval)(self._first_name)
         )
         self.incoming.set_identity_function(
-            self._repeated_name if policy.replacing and not self.retains_right else None
+            self._repeated_name if policy.replaces_identical and not self.retains_right else None
         )
         self._computed_values = computed_values_getter(self.vars, self._same_at, self._shared_vars)
-        self.out = out
+        self.emit = emit
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
         # ones.
-        if policy.consuming:
-            self.repeated.bind(self._extend_one(out, policy.newest), mode)
+        if policy.consumes_partners:
+            self.repeated.bind(self._extend_one(emit, policy.prefers_newest), options)
         else:
-            self.repeated.bind(self._extend_all(out), mode)
-        self.first.bind(self._start(out), mode)
+            self.repeated.bind(self._extend_all(emit), options)
+        self.first.bind(self._start(emit), options)
         for absence, negated in self.carried:
-            absence.bind(negated, mode)
+            absence.bind(negated, options)
 
-    def _start(self, out: Emit) -> Emit:
+    def _start(self, emit: Emit) -> Emit:
         buffer = self.buffer
         aggregate = self.aggregate
         fires = aggregate is None or aggregate.empty_result is not None
@@ -345,8 +345,8 @@ class KleeneNode(KleeneValues):
             ):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
-                return emit_each(iter(results), out, frame)
-            return frame if result is None else out(result, frame)
+                return emit_each(iter(results), emit, frame)
+            return frame if result is None else emit(result, frame)
 
         return arrive
 
@@ -366,7 +366,7 @@ class KleeneNode(KleeneValues):
             if extended:
                 match.consumed_by = run
                 if self.consuming and self.late:
-                    match.leave()
+                    match.discard()
             if result is not None:
                 results.append(result)
         return results
@@ -382,7 +382,7 @@ class KleeneNode(KleeneValues):
         elif self.retains_right:
             self.retained_matches.add(match, key)
 
-    def _extend_one(self, out: Emit, newest: bool) -> Emit:
+    def _extend_one(self, emit: Emit, newest: bool) -> Emit:
         waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
         meter = self.rule.meter
 
@@ -399,11 +399,11 @@ class KleeneNode(KleeneValues):
                     break
             if waits:
                 self._wait(match, key)
-            return frame if result is None else out(result, frame)
+            return frame if result is None else emit(result, frame)
 
         return arrive
 
-    def _extend_all(self, out: Emit) -> Emit:
+    def _extend_all(self, emit: Emit) -> Emit:
         waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
         meter = self.rule.meter
 
@@ -424,7 +424,7 @@ class KleeneNode(KleeneValues):
                 for result in (extend(run, match, has_equal_key(key, run))[1],)
                 if result is not None
             )
-            return emit_each(results, out, frame)
+            return emit_each(results, emit, frame)
 
         return arrive
 
@@ -504,7 +504,7 @@ class KleeneNode(KleeneValues):
         run.commit(last, fixed, items, values, state)
         if self.tracked:
             run.repetitions.append(match)
-            run.tracked = TrackedMatch(match, run.tracked)
+            run.tracked = RepetitionChain(match, run.tracked)
             run.step_values.append((values, step))
             run.valid_count += 1
         return True, self.result_of(run, fitted)
@@ -534,7 +534,7 @@ class KleeneNode(KleeneValues):
                 results.append(result)
         return results if self.rule.active else []
 
-    def invalid_results(self) -> List[TrackedMatch]:
+    def invalid_results(self) -> List[RepetitionChain]:
         """Return the results that become invalid without containing the forgotten matches: none."""
         return []
 
@@ -553,5 +553,9 @@ class KleeneNode(KleeneValues):
         if result is None or is_retracted(result):
             return frame
         # The result arrives after its events; a match that has fired meanwhile may have skipped it.
-        skipping = None if self.is_negated else self.rule.skipping
-        return self.out(result, frame) if skipping is None or skipping.accepts_start(result.start) else frame
+        skip_state = None if self.is_negated else self.rule.skip_state
+        return (
+            self.emit(result, frame)
+            if skip_state is None or skip_state.accepts_start(result.start)
+            else frame
+        )

@@ -1,7 +1,7 @@
 """Nodes of the Rete network: events, conditions, alternatives, actions and negation.
 
 Each rule has a tree of nodes that mirrors its pattern. A node receives matches from the nodes below it and emits its
-own to ``out``. An action takes a match and the next frame, and returns the frame to continue with. Matches of one
+own to ``emit``. An action takes a match and the next frame, and returns the frame to continue with. Matches of one
 event are processed depth-first: a match reaches the root, and the rule fires, before the next match is made.
 
 The nodes are connected for given options by `NetworkNode.bind`, from the root down. Each ``bind`` compiles the
@@ -142,7 +142,7 @@ class NetworkNode:
     Attributes:
         place: position among the nodes of the rule; a node follows those below it.
         vars: variables of the values of its matches, in order.
-        limit: retention time of matches below, in ns; None for no bound.
+        retention: retention time of matches below, in ns; None for no bound.
     """
 
     vars: List[Var]
@@ -156,8 +156,8 @@ class NetworkNode:
     is_negated = False
     """True if it belongs to a negated pattern; its matches are not skipped after a match."""
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
-        """Send matches to ``out`` from now on, according to ``mode``; stored matches remain."""
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
+        """Send matches to ``emit`` from now on, according to ``options``; stored matches remain."""
         raise NotImplementedError
 
     def bind_values(self, completion: Continuation) -> None:
@@ -170,13 +170,13 @@ class NetworkNode:
         """Return the buffers of this node itself."""
         return ()
 
-    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the longest interval of the node's matches, and the retention time of stored ones, in ns.
 
         None for no bound.
         """
 
-    def sweeps(self, mode: NetworkOptions) -> Sequence[RuledOutSweep]:
+    def sweeps(self, options: NetworkOptions) -> Sequence[RuledOutSweep]:
         """Return the sweeps that remove matches of the node that can hardly complete, if there are many."""
         return ()
 
@@ -216,12 +216,12 @@ class EventNode(NetworkNode):
         self.rank = 0
         self.vars = variables(term)
 
-    def bind(self, out: Emit, mode: NetworkOptions, fuse: Optional[Fuse] = None) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions, fuse: Optional[Fuse] = None) -> None:
         """Listen to events.
 
         Args:
-            out: receives the matches.
-            mode: options of the network.
+            emit: receives the matches.
+            options: options of the network.
             fuse: makes a fused action from the plain one; None if there is none.
         """
         rule = self.rule
@@ -230,11 +230,11 @@ class EventNode(NetworkNode):
         # One closure for each combination of options: the first one runs for most events, and must not test
         # anything. The token of an event is created only if something needs its identity.
         def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            return out(PartialMatch(values, start, end, None, term, None), frame)
+            return emit(PartialMatch(values, start, end, None, term, None), frame)
 
         def arrive_timed(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             rule.tick(end)
-            return out(PartialMatch(values, start, end, None, term, None), frame)
+            return emit(PartialMatch(values, start, end, None, term, None), frame)
 
         def arrive_identified(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
@@ -243,7 +243,7 @@ class EventNode(NetworkNode):
                 rule.store_deferred_of_earlier_events(event)
             if rule.timed:
                 rule.tick(end)
-            return out(PartialMatch(values, start, end, event, term, None), frame)
+            return emit(PartialMatch(values, start, end, event, term, None), frame)
 
         def arrive_unskipped(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
@@ -251,20 +251,20 @@ class EventNode(NetworkNode):
             if rule.timed:
                 rule.tick(end)
             return (
-                out(PartialMatch(values, start, end, event, term, None), frame)
+                emit(PartialMatch(values, start, end, event, term, None), frame)
                 if accepts_start(start)
                 else frame
             )
 
-        needs_identity = rule.shares_events or mode.tracked
-        if rule.skipping is None:
+        needs_identity = rule.shares_events or options.tracks_events
+        if rule.skip_state is None:
             arrival_action = arrive_identified if needs_identity else arrive_timed if rule.timed else arrive
             if fuse is None:
                 rule.listen(self, arrival_action)
             else:
                 rule.listen(self, fuse(arrival_action), fused=True)
         else:
-            accepts_start = (lambda start: True) if self.is_negated else rule.skipping.accepts_start
+            accepts_start = (lambda start: True) if self.is_negated else rule.skip_state.accepts_start
             rule.listen(self, arrive_unskipped)
 
     def bind_values(self, completion: Continuation) -> None:
@@ -286,11 +286,11 @@ class FilterNode(NetworkNode):
         self.tests = list(tests)
         self.span: Optional[int] = None
 
-    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound; see `NetworkNode.set_span`."""
         self.span = span
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         tests = self.tests
         span = self.span
@@ -312,9 +312,9 @@ class FilterNode(NetworkNode):
                 match = PartialMatch(
                     values, start, end, match.event, None, (match, ComputedValues(computed_values(values)))
                 )
-            return out(match, frame)
+            return emit(match, frame)
 
-        self.child.bind(arrive, mode)
+        self.child.bind(arrive, options)
 
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
@@ -341,14 +341,14 @@ class BindNode(NetworkNode):
         self.child = child
         self.vars = [*child.vars, start, end]
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
 
         def arrive(match: PartialMatch, frame: Frame) -> Frame:
             values = (*match.values, match.start, match.end)
-            return out(PartialMatch(values, match.start, match.end, match.event, None, (match,)), frame)
+            return emit(PartialMatch(values, match.start, match.end, match.event, None, (match,)), frame)
 
-        self.child.bind(arrive, mode)
+        self.child.bind(arrive, options)
 
 
 class OrNode(NetworkNode):
@@ -363,19 +363,19 @@ class OrNode(NetworkNode):
                     shared.setdefault(var)
         self.vars = list(shared)
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         for index, child in enumerate(self.children):
-            child.bind(self._branch(index, child, out), mode)
+            child.bind(self._branch(index, child, emit), options)
 
-    def _branch(self, index: int, child: NetworkNode, out: Emit) -> Emit:
+    def _branch(self, index: int, child: NetworkNode, emit: Emit) -> Emit:
         places = positions(child.vars)
         layout = [places.get(var) for var in self.vars]
 
         def arrive(match: PartialMatch, frame: Frame) -> Frame:
             values = match.values
             ordered_values = tuple([Var() if position is None else values[position] for position in layout])
-            return out(
+            return emit(
                 PartialMatch(ordered_values, match.start, match.end, match.event, None, (index, match)), frame
             )
 
@@ -401,15 +401,15 @@ class ActionNode(NetworkNode):
         self.vars = list(call.result_vars)
         self.span: Optional[int] = None
 
-    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound; see `NetworkNode.set_span`."""
         self.span = span
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         call = self.call
         act = call.act_on_all if self.every else call.act
-        tracked = mode.tracked
+        tracked = options.tracks_events
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
@@ -419,7 +419,7 @@ class ActionNode(NetworkNode):
                 return frame
 
             def solved(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
-                return out(
+                return emit(
                     PartialMatch(
                         values,
                         start,
@@ -440,7 +440,7 @@ class ActionNode(NetworkNode):
             arrive
             if may_fire is None
             else lambda match, frame: arrive(match, frame) if may_fire(match.start) else frame,
-            mode,
+            options,
         )
 
     def bind_values(self, completion: Continuation) -> None:
@@ -481,22 +481,22 @@ class NotNode(NetworkNode):
         self.rule = rule
         self.vars = child.vars
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         absence = self.absence
         tracker = self.rule.network.tracker
-        tracked = mode.tracked
+        tracked = options.tracks_events
 
         def arrive(match: PartialMatch, frame: Frame) -> Frame:
             if absence.forbids_pair(match.values, match.start, match.start):
                 if tracked:
                     tracker.record_suppressed(self, match)
                 return frame
-            return out(match, frame)
+            return emit(match, frame)
 
         self.retry = _without_skipped(self, arrive)
-        self.child.bind(arrive, mode)
-        absence.bind(self.negated, mode)
+        self.child.bind(arrive, options)
+        absence.bind(self.negated, options)
 
     def buffers(self) -> Sequence[Buffer]:
         """Return the buffers of the node."""
@@ -521,9 +521,9 @@ class EarlyTestNode(NetworkNode):
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.vars = child.vars
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
-        tracker, tracked, test = self.rule.network.tracker, mode.tracked, self.test
+        tracker, tracked, test = self.rule.network.tracker, options.tracks_events, self.test
 
         def arrive(match: PartialMatch, frame: Frame) -> Frame:
             values = test(match.values, match.start, match.end)
@@ -534,12 +534,12 @@ class EarlyTestNode(NetworkNode):
             tested = match
             if values is not match.values:
                 tested = PartialMatch(values, match.start, match.end, match.event, None, (match,))
-            return out(tested, frame)
+            return emit(tested, frame)
 
         self.retry = _without_skipped(self, arrive)
-        self.child.bind(arrive, mode)
+        self.child.bind(arrive, options)
         for absence, negated in self.carried:
-            absence.bind(negated, mode)
+            absence.bind(negated, options)
 
     def buffers(self) -> Sequence[Buffer]:
         """Return the buffers of the node."""
@@ -548,7 +548,7 @@ class EarlyTestNode(NetworkNode):
 
 def _without_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
     """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile."""
-    skipping = node.rule.skipping
-    if skipping is None or node.is_negated:
+    skip_state = node.rule.skip_state
+    if skip_state is None or node.is_negated:
         return emit
-    return lambda match, frame: emit(match, frame) if skipping.accepts_start(match.start) else frame
+    return lambda match, frame: emit(match, frame) if skip_state.accepts_start(match.start) else frame

@@ -54,13 +54,13 @@ def smaller_bound(first: Optional[int], second: Optional[int]) -> Optional[int]:
     return first if second is None else min(first, second)
 
 
-def retention_for_late(span: Optional[int], limit: Optional[int]) -> Optional[int]:
+def retention_for_late(span: Optional[int], retention: Optional[int]) -> Optional[int]:
     """Return the retention of a negated match if the first operand may arrive late; None means forever.
 
     Args:
         span: the longest time in ns that the two operands can span together; None if unbounded.
-        limit: retention time of the second operand in ns; None if unbounded.
+        retention: retention time of the second operand in ns; None if unbounded.
     """
-    # The second operand may be stored for `limit` until the late first operand arrives and opens the gap. The gap
+    # The second operand may be stored for `retention` until the late first operand arrives and opens the gap. The gap
     # then reaches back up to `span` from the end of the second operand.
-    return None if span is None or limit is None else span + limit
+    return None if span is None or retention is None else span + retention

@@ -133,20 +133,20 @@ class RuleCompiler(StreamCompiler):
             node = node.child
         return root
 
-    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build(self, pattern: Pattern, context: VarSet, retention: Retention) -> BuiltPattern:
         """Build a pattern.
 
         Args:
             pattern: the pattern.
             context: variables of the patterns to its left.
-            limit: smallest interval bounds above it; None for none.
+            retention: smallest interval bounds above it; None for none.
         """
         pairs: List[Tuple[PairPattern, Wrapping, Retention]] = []
         first_left_stream = len(self.stream_nodes)
         while True:
             wrapping = unwrap(pattern)
             span = wrapping.span
-            limit = inner = limit.within(span)
+            retention = inner = retention.within(span)
             core = wrapping.core
             if not isinstance(core, PairPattern):
                 break
@@ -191,22 +191,22 @@ class RuleCompiler(StreamCompiler):
             built = below._replace(node=self._add(node, None, inner))
         return self._add_filter(built, wrapping, context)
 
-    def _build_repeat(self, core: RepeatedPattern, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build_repeat(self, core: RepeatedPattern, context: VarSet, retention: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
         if core.repeats_single_events():
             # If the pattern has deferred conditions, the nodes built so far are discarded, and the sequence is
             # built instead.
             before = len(self.nodes)
-            built = self._build(core.pattern, context | self._bound(core.pattern), limit)
+            built = self._build(core.pattern, context | self._bound(core.pattern), retention)
             if not built.deferred:
                 identity_functions = partial(self._match_keys.identity_function, pattern=core.pattern)
                 repeating = RepeatNode(
                     self.rule, built.node, core.times, self.shared_vars, identity_functions
                 )
-                node = self._add(repeating, None, limit)
+                node = self._add(repeating, None, retention)
                 return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[before:]
-        return self._build(core.as_sequence(), context, limit)
+        return self._build(core.as_sequence(), context, retention)
 
     def _bound(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
@@ -222,10 +222,10 @@ class RuleCompiler(StreamCompiler):
     def _identity_function(self, built: BuiltPattern, pattern: Pattern) -> IdentityFunction:
         return self._match_keys.identity_function(built.node.vars, pattern)
 
-    def _add(self, node: N, span: Optional[int], limit: Retention) -> N:
+    def _add(self, node: N, span: Optional[int], retention: Retention) -> N:
         if isinstance(node, StreamNode):
             self.stream_nodes.append(node)
-        self.nodes.append((node, span, limit))
+        self.nodes.append((node, span, retention))
         return node
 
     def _add_filter(self, built: BuiltPattern, wrapping: Wrapping, context: VarSet) -> BuiltPattern:
@@ -302,14 +302,14 @@ class RuleCompiler(StreamCompiler):
         return self._add(BindNode(node, deferred.start, deferred.end), None, UNLIMITED)
 
     def _build_right(
-        self, pattern: Pattern, context: VarSet, limit: Retention, first_left_stream: int
+        self, pattern: Pattern, context: VarSet, retention: Retention, first_left_stream: int
     ) -> BuiltPattern:
         """Build the right operand of a pair; the streams of the left one begin at ``first_left_stream``."""
         # The clock wakes the operators of the right operand first, see `stream_nodes`; the left ones were built
         # before.
         left_streams = self.stream_nodes[first_left_stream:]
         del self.stream_nodes[first_left_stream:]
-        built = self._build(pattern, context, limit)
+        built = self._build(pattern, context, retention)
         self.stream_nodes += left_streams
         return built
 
@@ -318,12 +318,12 @@ class RuleCompiler(StreamCompiler):
         core: PairPattern,
         wrapping: Wrapping,
         context: VarSet,
-        limit: Retention,
+        retention: Retention,
         left: BuiltPattern,
         first_left_stream: int,
     ) -> BuiltPattern:
         inner_context = context | self._bound(core.left)
-        right = self._build_right(core.right, inner_context, limit, first_left_stream)
+        right = self._build_right(core.right, inner_context, retention, first_left_stream)
         below = [*left.deferred, *right.deferred]
         always_bound: Set[Var] = set()
         # Only then: the analysis visits the whole left operand.
@@ -335,7 +335,7 @@ class RuleCompiler(StreamCompiler):
         needs: Set[Var] = set()
         if wrapping.absent is not None:
             inner = inner_context | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
-            negated = self._negated(wrapping.absent, inner, limit.of_negated(wrapping.span))
+            negated = self._negated(wrapping.absent, inner, retention.of_negated(wrapping.span))
             known_vars = set(left.node.vars) | set(right.node.vars)
             needs = negated.needs(inner, known_vars) | negated.needs(context, always_bound)
         gap = (Var(), Var()) if needs else None
@@ -352,7 +352,7 @@ class RuleCompiler(StreamCompiler):
             (self._identity_function(left, core.left), self._identity_function(right, core.right)),
         )
         node.can_be_revived = (may_be_revived(core.left), may_be_revived(core.right))
-        self._add(node, wrapping.span, limit)
+        self._add(node, wrapping.span, retention)
         if negated is not None and gap is None:
             built = negated.make()
             node.absent(negation_buffer_for(self.rule, built, node.vars, False), built.node)
@@ -368,9 +368,11 @@ class RuleCompiler(StreamCompiler):
         return BuiltPattern(node, deferred, joined, [])
 
     def _negated(
-        self, absent: Union[NotPattern, AbsencePattern], context: VarSet, limit: Retention
+        self, absent: Union[NotPattern, AbsencePattern], context: VarSet, retention: Retention
     ) -> NegatedPattern:
-        return NegatedPattern(lambda: self._build(absent.negated, context, limit), self.copies, self.nodes)
+        return NegatedPattern(
+            lambda: self._build(absent.negated, context, retention), self.copies, self.nodes
+        )
 
     def _test_joined(
         self,
@@ -404,8 +406,8 @@ class RuleCompiler(StreamCompiler):
             node.test(*early_test(self.rule, node, gap_condition, node.vars))
         return [gap_condition]
 
-    def _build_not(self, core: NotPattern, context: VarSet, limit: Retention) -> BuiltPattern:
-        below = self._build(core.pattern, context, limit)
+    def _build_not(self, core: NotPattern, context: VarSet, retention: Retention) -> BuiltPattern:
+        below = self._build(core.pattern, context, retention)
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
         always_bound = always_bound_by(core.pattern, False, True)
@@ -430,13 +432,13 @@ class RuleCompiler(StreamCompiler):
         core: Union[KleenePattern, AggregatePattern],
         wrapping: Wrapping,
         context: VarSet,
-        limit: Retention,
+        retention: Retention,
     ) -> BuiltPattern:
         inner_context = context | frozenset(bound_by(core.first))
         pattern = core.repeated if isinstance(core, KleenePattern) else core.collected
         first_left_stream = len(self.stream_nodes)
-        first = self._build(core.first, context, limit)
-        repeated = self._build_right(pattern, inner_context, limit, first_left_stream)
+        first = self._build(core.first, context, retention)
+        repeated = self._build_right(pattern, inner_context, retention, first_left_stream)
         identity_functions = (
             self._identity_function(first, core.first),
             self._identity_function(repeated, pattern),
@@ -450,7 +452,7 @@ class RuleCompiler(StreamCompiler):
             self.shared_vars,
         )
         node.can_be_revived = (may_be_revived(core.first), may_be_revived(pattern))
-        self._add(node, wrapping.span, limit)
+        self._add(node, wrapping.span, retention)
         measured = [core.value] if isinstance(core, AggregatePattern) and core.value is not None else []
         outside = self._outside(pattern, measured)
         for value in measured:

@@ -169,7 +169,7 @@ def rate_node_spec(part: RatePattern, names: Sequence[Var]) -> StreamNodeSpec:
         return by(values), value(values)
 
     return StreamNodeSpec(
-        lambda mode: rate_operator(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED
+        lambda options: rate_operator(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED
     )
 
 
@@ -232,7 +232,7 @@ def window_node_spec(
     if form.kind == "steps":
         nfa = compile_row_pattern(form, len(measured_terms), evaluators.compile_test)
         return StreamNodeSpec(
-            lambda mode: RowPatternWindow(measures, part.scopes, nfa),
+            lambda options: RowPatternWindow(measures, part.scopes, nfa),
             item,
             result,
             False,
@@ -242,7 +242,7 @@ def window_node_spec(
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
     calls, fused = "fold" in part.kinds, _fused_form(part, position_of, groups)
-    return StreamNodeSpec(lambda mode: make(), item, result, clocked, _LATE, calls, fused)
+    return StreamNodeSpec(lambda options: make(), item, result, clocked, _LATE, calls, fused)
 
 
 def _fused_form(
@@ -342,8 +342,10 @@ def absence_node_spec(
             return False
         return condition is None or condition(sides[1].values, sides[0])
 
-    def stream(mode: NetworkOptions) -> StreamOperator:
-        correlation = Correlation(key, rules_out, condition is None, name if mode.policy.replacing else None)
+    def stream(options: NetworkOptions) -> StreamOperator:
+        correlation = Correlation(
+            key, rules_out, condition is None, name if options.policy.replaces_identical else None
+        )
         return AbsenceTimeout(span, correlation)
 
     return StreamNodeSpec(stream, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None)
@@ -405,16 +407,16 @@ class StreamCompiler:
     def __init__(self, rule: "EventRule"):
         self.rule = rule
 
-    def _build(self, pattern: Pattern, context: VarSet, limit: Retention) -> BuiltPattern:
+    def _build(self, pattern: Pattern, context: VarSet, retention: Retention) -> BuiltPattern:
         raise NotImplementedError
 
-    def _add(self, node: StreamNode, span: Optional[int], limit: Retention) -> StreamNode:
+    def _add(self, node: StreamNode, span: Optional[int], retention: Retention) -> StreamNode:
         raise NotImplementedError
 
     def _outside(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
         raise NotImplementedError
 
-    def _negated(self, absent: AbsencePattern, context: VarSet, limit: Retention) -> NegatedPattern:
+    def _negated(self, absent: AbsencePattern, context: VarSet, retention: Retention) -> NegatedPattern:
         raise NotImplementedError
 
     def _build_stream(

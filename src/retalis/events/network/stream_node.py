@@ -47,7 +47,7 @@ from ..matches.partial_matches import (
     ComputedValues,
     NetworkOptions,
     PartialMatch,
-    TrackedMatch,
+    RepetitionChain,
     arrival_number_of,
     is_retracted,
 )
@@ -132,7 +132,7 @@ class Replay:
         self._create_operator = create_operator
         self._base: OperatorState = _copy_state(operator_state)
         self._elements: List[Tuple[int, StreamElement, int]] = []
-        self._outputs: List[Tuple[StreamOutput, TrackedMatch]] = []
+        self._outputs: List[Tuple[StreamOutput, RepetitionChain]] = []
         self._new: List[StreamOutput] = []
         self._forgotten: Dict[int, PartialMatch] = {}
 
@@ -152,9 +152,9 @@ class Replay:
         """Record an element."""
         self._elements.append((channel, _fresh_element(item), now))
 
-    def record_output(self, output: StreamOutput, tracked_match: TrackedMatch) -> None:
+    def record_output(self, output: StreamOutput, repetition_chain: RepetitionChain) -> None:
         """Record an output, and the object that represents it in the lineage."""
-        self._outputs.append((output, tracked_match))
+        self._outputs.append((output, repetition_chain))
 
     def remove_retracted(self, match: PartialMatch) -> bool:
         """Exclude a match when the operator is run again; return True, because that may change its outputs."""
@@ -163,7 +163,7 @@ class Replay:
 
     def run_again(
         self, now: int, meter: Optional[Meter]
-    ) -> Optional[Tuple[StreamOperator, List[TrackedMatch]]]:
+    ) -> Optional[Tuple[StreamOperator, List[RepetitionChain]]]:
         """Run the operator again over the remaining elements.
 
         Args:
@@ -193,17 +193,17 @@ class Replay:
         # Outputs are compared as multisets: equal outputs may occur several times, and each old one needs its own
         # counterpart.
         counts = Counter(_key(output) for output in outputs)
-        remaining: List[Tuple[StreamOutput, TrackedMatch]] = []
-        missing: List[TrackedMatch] = []
-        for output, tracked_match in self._outputs:
-            if tracked_match.retracted:
+        remaining: List[Tuple[StreamOutput, RepetitionChain]] = []
+        missing: List[RepetitionChain] = []
+        for output, repetition_chain in self._outputs:
+            if repetition_chain.retracted:
                 continue
             key = _key(output)
             if counts[key]:
                 counts[key] -= 1
-                remaining.append((output, tracked_match))
+                remaining.append((output, repetition_chain))
             else:
-                missing.append(tracked_match)
+                missing.append(repetition_chain)
         self._outputs = remaining
         self._new = []
         # Of equal outputs, the last ones are new.
@@ -222,7 +222,8 @@ class Replay:
     def snapshot(self) -> Tuple[Any, ...]:
         """Return the log; see `restore`."""
         outputs_and_matches = [
-            ((list(output.items), *output[1:]), tracked_match) for output, tracked_match in self._outputs
+            ((list(output.items), *output[1:]), repetition_chain)
+            for output, repetition_chain in self._outputs
         ]
         return (self._base, self._elements, outputs_and_matches)
 
@@ -230,8 +231,8 @@ class Replay:
         """Set the log that another one returned."""
         self._base, self._elements, outputs_and_matches = saved
         self._outputs = [
-            (StreamOutput(tuple(items), *other_fields), tracked_match)
-            for (items, *other_fields), tracked_match in outputs_and_matches
+            (StreamOutput(tuple(items), *other_fields), repetition_chain)
+            for (items, *other_fields), repetition_chain in outputs_and_matches
         ]
         # A state that cannot be restored must fail now, not at a retraction.
         if self._base:
@@ -353,39 +354,39 @@ class StreamNode(NetworkNode):
         self._options: Optional[NetworkOptions] = None
         self.stream = self._create_operator(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
-        self.out: Emit = lambda match, frame: frame
+        self.emit: Emit = lambda match, frame: frame
 
-    def _create_operator(self, mode: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
-        stream = self.spec.stream(mode)
+    def _create_operator(self, options: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
+        stream = self.spec.stream(options)
         stream.meter = meter
-        stream.tracked = mode.tracked
+        stream.tracked = options.tracks_events
         stream.latest_allowed_end = self.rule.network.newest_allowed
         stream.set_bounds(self._bounds)
         return stream
 
-    def set_span(self, span: Optional[int], limit: Optional[int]) -> None:
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         rule = self.rule
-        self._bounds = KeyBounds(limit, smaller_bound(limit, rule.idle), rule.network.key_bounds.keys)
+        self._bounds = KeyBounds(retention, smaller_bound(retention, rule.idle), rule.network.key_bounds.keys)
         self.stream.set_bounds(self._bounds)
 
-    def bind(self, out: Emit, mode: NetworkOptions) -> None:
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
-        self._connect(out, mode)
+        self._connect(emit, options)
         for channel, child in enumerate(self.children):
-            child.bind(self._arrival_action(channel, mode), mode)
+            child.bind(self._arrival_action(channel, options), options)
         for absence, node in self.carried:
-            absence.bind(node, mode)
+            absence.bind(node, options)
 
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
         complete = completion.action
         self._connect(
             lambda match, frame: complete(match.term, match.values, match.start, match.end, frame),
-            self.rule.mode,
+            self.rule.options,
         )
-        result, process = self.spec.result, self._operator_input(0, self.rule.mode)
+        result, process = self.spec.result, self._operator_input(0, self.rule.options)
 
         def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             match = PartialMatch(values, start, end, None, term, None) if result is None else None
@@ -407,27 +408,27 @@ class StreamNode(NetworkNode):
         fused = self.spec.fused
         action: EventAction = arrive
         # Without fusion an event takes twice the time.
-        if fused is not None and not self.rule.mode.revised:
+        if fused is not None and not self.rule.options.emits_revisions:
             values_are_arguments = self.children[0].values_are_arguments
             action = fused_window(fused, self.span, self, arrive, complete, too_large, values_are_arguments)
         self.children[0].bind_values(Continuation(action, fused=action is not arrive))
 
-    def _connect(self, out: Emit, mode: NetworkOptions) -> None:
+    def _connect(self, emit: Emit, options: NetworkOptions) -> None:
         """Set the action for results, and the options; the operator's state remains."""
-        self.out = out
-        if mode != self._options:
-            self._set_options(mode)
+        self.emit = emit
+        if options != self._options:
+            self._set_options(options)
         self.wakeup_time = None
         self._wake()
 
-    def _set_options(self, mode: NetworkOptions) -> None:
+    def _set_options(self, options: NetworkOptions) -> None:
         """Run the operator with other options."""
-        if not self._is_deferred(lambda: self._set_options(mode)):
-            self._options = mode
+        if not self._is_deferred(lambda: self._set_options(options)):
+            self._options = options
             self._rebuild()
             self.replay = (
-                Replay(partial(self._create_operator, mode, self.rule.meter), self.stream.snapshot())
-                if mode.revised
+                Replay(partial(self._create_operator, options, self.rule.meter), self.stream.snapshot())
+                if options.emits_revisions
                 else None
             )
 
@@ -455,8 +456,8 @@ class StreamNode(NetworkNode):
         """Repair the operator after an interrupt: its state is counted and indexed again."""
         if self._reentrancy is not None:
             self._reentrancy.clear()
-            if self._options not in (None, self.rule.mode):
-                self._set_options(self.rule.mode)
+            if self._options not in (None, self.rule.options):
+                self._set_options(self.rule.options)
         self._rebuild()
         self.wakeup_time = None
         self._wake()
@@ -465,10 +466,10 @@ class StreamNode(NetworkNode):
         """Return the buffers of the node."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
-    def _arrival_action(self, channel: int, mode: NetworkOptions) -> Emit:
+    def _arrival_action(self, channel: int, options: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""
-        process = self._operator_input(channel, mode)
-        with_match = mode.tracked or self.spec.result is None
+        process = self._operator_input(channel, options)
+        with_match = options.tracks_events or self.spec.result is None
         reentrancy = self._reentrancy
 
         def arrive(match: PartialMatch, frame: Frame) -> Frame:
@@ -485,17 +486,19 @@ class StreamNode(NetworkNode):
                 frame = reentrancy.before(frame)
             if not outputs:
                 return frame
-            return self._emit_outputs(outputs, frame, arrival_number_of(match) if mode.tracked else 0)
+            return self._emit_outputs(
+                outputs, frame, arrival_number_of(match) if options.tracks_events else 0
+            )
 
         self._arrivals[channel] = arrive
         return arrive
 
-    def _operator_input(self, channel: int, mode: NetworkOptions) -> "OperatorInput":
+    def _operator_input(self, channel: int, options: NetworkOptions) -> "OperatorInput":
         """Return a function that passes a match to the operator and returns its outputs.
 
         The match itself is optional; its values and interval are required.
         """
-        make, clocked = self.spec.item, self.spec.clocked or mode.revised
+        make, clocked = self.spec.item, self.spec.clocked or options.emits_revisions
         network = self.rule.network
         meter = self.rule.meter
 
@@ -562,8 +565,8 @@ class StreamNode(NetworkNode):
         """Return the frame that emits the outputs that are due, and continues with ``frame``."""
         self.wakeup_time = None
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
-        if self.rule.skipping is not None:
-            self.rule.skipping.begin_alarm()
+        if self.rule.skip_state is not None:
+            self.rule.skip_state.begin_alarm()
         if self.replay is not None:
             self.replay.begin_step(self.stream)
         reentrancy = self._reentrancy
@@ -579,7 +582,7 @@ class StreamNode(NetworkNode):
         return self._emit_outputs(outputs, frame, arrival_number)
 
     def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:
-        return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.out, frame)
+        return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.emit, frame)
 
     def _matches(self, outputs: Iterable[StreamOutput], arrival_number: int = 0) -> Iterator[PartialMatch]:
         """Yield the matches of outputs, without those that are too long or do not unify.
@@ -607,36 +610,36 @@ class StreamNode(NetworkNode):
             return None
         # Each output has its own lineage object, so it can be retracted without the others that contain the same
         # matches.
-        tracked_match = self._create_tracked_match(output, arrival_number) if self.stream.tracked else ()
+        repetition_chain = self._create_tracked_match(output, arrival_number) if self.stream.tracked else ()
         if result is not None:
             start, end = output.start, output.end
             # Instants that the operator has computed have integer seconds.
             if end is not last.end or end.__class__ is FloatSeconds:
                 start, end = int(start), int(end)
-            return PartialMatch(values, start, end, None, None, (ComputedValues(values), *tracked_match))
+            return PartialMatch(values, start, end, None, None, (ComputedValues(values), *repetition_chain))
         match: PartialMatch = last.match
         if output.end != match.end:
             return PartialMatch(
-                match.values, match.start, int(output.end), None, None, (match, *tracked_match)
+                match.values, match.start, int(output.end), None, None, (match, *repetition_chain)
             )
-        if not tracked_match:
+        if not repetition_chain:
             return match
         return PartialMatch(
-            match.values, match.start, match.end, match.event, match.term, (match, *tracked_match)
+            match.values, match.start, match.end, match.event, match.term, (match, *repetition_chain)
         )
 
-    def _create_tracked_match(self, output: StreamOutput, arrival_number: int) -> Tuple[TrackedMatch, ...]:
+    def _create_tracked_match(self, output: StreamOutput, arrival_number: int) -> Tuple[RepetitionChain, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
             [item.match for item in output.items if item.match is not None]
         )  # untracked elements have no match
-        tracked_match = TrackedMatch(
+        repetition_chain = RepetitionChain(
             PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS
         )
-        tracked_match.number = max(tracked_match.number, arrival_number)
+        repetition_chain.number = max(repetition_chain.number, arrival_number)
         if self.replay is not None:
-            self.replay.record_output(output, tracked_match)
-        return (tracked_match,)
+            self.replay.record_output(output, repetition_chain)
+        return (repetition_chain,)
 
     # ---- retracted events ----------------------------------------------------------------------------
 
@@ -651,7 +654,7 @@ class StreamNode(NetworkNode):
         """Exclude a match whose events were retracted; return whether the outputs may change."""
         return self.replay is not None and self.replay.remove_retracted(match)
 
-    def invalid_results(self) -> List[TrackedMatch]:
+    def invalid_results(self) -> List[RepetitionChain]:
         """Return the lineage objects of outputs that are invalid without the excluded matches."""
         if self.replay is None:
             return []
@@ -673,7 +676,7 @@ class StreamNode(NetworkNode):
 
     def retry(self, match: PartialMatch, frame: Frame) -> Frame:
         """Emit such a match."""
-        return frame if is_retracted(match) else self.out(match, frame)
+        return frame if is_retracted(match) else self.emit(match, frame)
 
     # ---- state ---------------------------------------------------------------------------------------
 
@@ -683,9 +686,13 @@ class StreamNode(NetworkNode):
             self._reset_operator()
 
     def _reset_operator(self) -> None:
-        mode = self._options or NetworkOptions()
-        self.stream = self._create_operator(mode, self.rule.meter)
-        self.replay = Replay(partial(self._create_operator, mode, self.rule.meter)) if mode.revised else None
+        options = self._options or NetworkOptions()
+        self.stream = self._create_operator(options, self.rule.meter)
+        self.replay = (
+            Replay(partial(self._create_operator, options, self.rule.meter))
+            if options.emits_revisions
+            else None
+        )
         self.wakeup_time = None
         self.late = self.evicted_count = 0
 

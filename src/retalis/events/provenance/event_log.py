@@ -5,8 +5,8 @@ and to the occurrences derived from it. These links are the derivation graph (wh
 a third kind: a `Suppressed` match would have fired if a negated event had not occurred; if that event is retracted,
 the match is tried again.
 
-Repetitions of a pattern share their events as linked lists of `TrackedMatch`. These are nodes of the derivation graph
-as well, so an occurrence has one link for all results of a run, not one per result.
+Repetitions of a pattern share their events as linked lists of `RepetitionChain`. These are nodes of the derivation
+graph as well, so an occurrence has one link for all results of a run, not one per result.
 
 `EventLog` stores, writes or logs all events if flags or facts of the program request it.
 """
@@ -39,10 +39,10 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..matches.partial_matches import (
     Dependent,
     PartialMatch,
-    TrackedMatch,
+    RepetitionChain,
     event_tokens,
     is_retracted,
-    lineage_tokens,
+    lineage_sources,
 )
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class Occurrence:
         return [] if self.match is None else occurrences_in(self.match)
 
 
-LineageNode = Union[Occurrence, TrackedMatch]
+LineageNode = Union[Occurrence, RepetitionChain]
 MatchOrPair = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
 """Match, or two matches that are to be joined."""
 
@@ -127,7 +127,7 @@ def unreported_derived(source: LineageNode) -> Iterator[Occurrence]:
         derived = stack.pop()
         if not derived.reported:
             derived.reported = True
-            if isinstance(derived, TrackedMatch):
+            if isinstance(derived, RepetitionChain):
                 stack.extend(reversed(derived.derived))
             elif derived.number:
                 yield derived
@@ -176,10 +176,10 @@ def occurrences_in(match: PartialMatch) -> List[Occurrence]:
 
 
 def lineage_nodes_of(match: PartialMatch) -> List[LineageNode]:
-    """Return the tracked events of a match, with the last `TrackedMatch` for repetitions, after linking it."""
+    """Return the tracked events of a match, with the last `RepetitionChain` for repetitions, after linking it."""
     tracked: List[LineageNode] = []
-    for source in lineage_tokens(match):
-        if isinstance(source, TrackedMatch):
+    for source in lineage_sources(match):
+        if isinstance(source, RepetitionChain):
             _link(source)
             tracked.append(source)
         elif isinstance(source, Occurrence):
@@ -187,7 +187,7 @@ def lineage_nodes_of(match: PartialMatch) -> List[LineageNode]:
     return tracked
 
 
-def _link(last: TrackedMatch) -> None:
+def _link(last: RepetitionChain) -> None:
     """Register repetitions with the events they are made of, and each repetition with its predecessor."""
     new = []
     # A run is linked when its first result fires. Links of earlier repetitions exist already, so the walk stops at

@@ -44,7 +44,7 @@ from ..language.pattern_tree import (
     WithinPattern,
 )
 from ..language.stream_parser import rate_operator_term, window_term
-from ..matches.partial_matches import ComputedValues, PartialMatch, TrackedMatch
+from ..matches.partial_matches import ComputedValues, PartialMatch, RepetitionChain
 from ..matches.shared_run_buffer import repetitions
 from .event_log import Occurrence
 from .lineage import LineageTracker
@@ -246,7 +246,7 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
         return _describe_stream(pattern, parts, show)
     first = describe(pattern.first, parts[0], show)
     # Repetitions are recorded only while lineage is tracked; otherwise the match shows its first event only.
-    tracked_matches = [part for part in parts if part.__class__ is TrackedMatch]
+    tracked_matches = [part for part in parts if part.__class__ is RepetitionChain]
     repetition_parts = list(tracked_matches[0].matches) if tracked_matches else []
     if isinstance(pattern, KleenePattern):
         repeated = [describe(pattern.repeated, repetition, show) for repetition in repetition_parts]
@@ -263,7 +263,7 @@ def _describe_run(pattern: Any, parts: Sequence[Any], show: Show) -> Term:
 
 def _describe_stream(pattern: _Streamed, parts: Sequence[Any], show: Show) -> Term:
     if isinstance(pattern, WindowPattern):
-        tracked_matches: List[Any] = [part for part in parts if part.__class__ is TrackedMatch]
+        tracked_matches: List[Any] = [part for part in parts if part.__class__ is RepetitionChain]
         repetition_parts = tracked_matches[0].match.parts if tracked_matches else ()
         shown = [describe(pattern.collected, part, show) for part in repetition_parts]
         return functor("windowf", 3)(_kinds(pattern), make_list(shown), window_term(pattern.window))

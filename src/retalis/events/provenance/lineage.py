@@ -33,7 +33,7 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..matches.consumption_policy import metered
-from ..matches.partial_matches import PartialMatch, TrackedMatch, lineage_tokens
+from ..matches.partial_matches import PartialMatch, RepetitionChain, lineage_sources
 from ..matches.shared_run_buffer import Run
 from .event_log import (
     LineageNode,
@@ -65,7 +65,7 @@ class _RunNode(RetryNode, Protocol):
     def recompute_results(self, run: Run) -> List[PartialMatch]:
         """Return the later results of a run from which a repetition was removed."""
 
-    def invalid_results(self) -> List[TrackedMatch]:
+    def invalid_results(self) -> List[RepetitionChain]:
         """Return results that do not hold any more although no retracted event is part of them."""
 
 
@@ -97,8 +97,8 @@ class LineageTracker:
         for listener in self.listeners:
             dispatcher.remove(listener)
         self.listeners = []
-        dispatcher.tracked = self._rules.mode.tracked
-        if not self._rules.mode.tracked:
+        dispatcher.tracked = self._rules.options.tracks_events
+        if not self._rules.options.tracks_events:
             dispatcher.create_token = self._untracked_create_token
             self.clear()
             return
@@ -116,7 +116,7 @@ class LineageTracker:
                 # A retraction may have been interrupted after marking and before removal.
                 for match in occurrence.dependents:
                     if isinstance(match, PartialMatch):
-                        match.leave()
+                        match.discard()
 
     def snapshot(self) -> Tuple[List[Occurrence], int, int]:
         """Return the remembered events, and the counters of suppressed matches and of events; see `restore`."""
@@ -128,7 +128,7 @@ class LineageTracker:
     def restore(self, saved: Tuple[List[Occurrence], int, int]) -> None:
         """Set the state that another tracker returned from `snapshot`."""
         recent, numbers, arrivals = saved
-        self._recent = deque(recent if self._rules.mode.tracked else ())
+        self._recent = deque(recent if self._rules.options.tracks_events else ())
         self._numbers, self._arrivals = count(numbers), count(arrivals)
         self.repair()
 
@@ -199,7 +199,7 @@ class LineageTracker:
         """Record that a partial match uses its events."""
         for occurrence in lineage_nodes_of(match):
             if occurrence.retracted:
-                match.leave()
+                match.discard()
                 return
             dependents = occurrence.dependents
             dependents.append(match)
@@ -308,7 +308,7 @@ class LineageTracker:
             dependents, node.dependents = node.dependents, []
             for match in dependents:
                 if isinstance(match, PartialMatch):
-                    match.leave()
+                    match.discard()
                 elif match[0].remove_retracted(*match[1:]):
                     # A run may have lost several repetitions; its results are computed once, after all are removed.
                     runs[match[1]] = match[0]
@@ -390,8 +390,8 @@ def _unlink(oldest: Occurrence) -> None:
     """Remove a dropped occurrence from the repetitions it came from, which live as long as their run."""
     repetition: Any
     if oldest.match is not None:
-        for repetition in lineage_tokens(oldest.match):
-            if repetition.__class__ is TrackedMatch:
+        for repetition in lineage_sources(oldest.match):
+            if repetition.__class__ is RepetitionChain:
                 repetition.derived = [derived for derived in repetition.derived if derived is not oldest]
 
 

@@ -158,7 +158,7 @@ class Flags:
         assert isinstance(value, Atom)
         return value.name
 
-    def mode(self) -> NetworkOptions:
+    def network_options(self) -> NetworkOptions:
         """Return the network options that the flags determine."""
         return NetworkOptions(
             ConsumptionPolicy(self._atom_name("event_consumption_policy")),
@@ -185,11 +185,11 @@ class Flags:
         return (ttl, 0) if ttl is not None and (control is None or ttl < control[0]) else control
 
     def _garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        mode = self.get("garbage_control")
-        if mode is atom("general"):
+        collection_mode = self.get("garbage_control")
+        if collection_mode is atom("general"):
             window = self.number("garbage_window")
             if window > 0:
                 return from_seconds(window), max(0, from_seconds(self.number("garbage_window_step")))
-        elif mode is atom("pattern") and "window" in properties and "window_step" in properties:
+        elif collection_mode is atom("pattern") and "window" in properties and "window_step" in properties:
             return min(properties["window"]), min(properties["window_step"])
         return None

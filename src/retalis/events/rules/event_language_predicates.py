@@ -294,7 +294,9 @@ class _QueryPredicates:
         solutions = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
         return _unify_each(machine, (event,), iter(solutions))
 
-    def enumerate_explanations(self, machine: Machine, event: Term, interval: Term, why: Term) -> Iterator[bool]:
+    def enumerate_explanations(
+        self, machine: Machine, event: Term, interval: Term, why: Term
+    ) -> Iterator[bool]:
         explanations = self.rules.justifier.explanations(resolve(event), resolve(interval))
         return _unify_each(machine, (event, interval, why), explanations)
 

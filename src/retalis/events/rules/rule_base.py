@@ -24,7 +24,7 @@ from ..language.called_predicates import calls_in_goals
 from ..language.event_declarations import UNDECLARED
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import Property, is_absolute, is_rule
-from ..matches.partial_matches import NetworkOptions, with_property
+from ..matches.partial_matches import NetworkOptions, options_with_property
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
 from ..program.event_file_checker import FileChecker, no_place
@@ -128,7 +128,7 @@ class RuleBase:
         warn_singletons: whether to warn of variables that occur only once in a clause.
         flags: the flags of ``set_etalis_flag/2``.
         declared: declared events.
-        mode: network options derived from the flags.
+        options: network options derived from the flags.
         key_bounds: limits for keyed state derived from the flags.
         fired_before: number of complete matches of deleted rules.
     """
@@ -160,7 +160,7 @@ class RuleBase:
         self._table = RuleIndex()
         self.flags = Flags(self._apply_flag)
         self.declared = EventTypes(self, is_external_event)
-        self.mode: NetworkOptions = self.flags.mode()
+        self.options: NetworkOptions = self.flags.network_options()
         self.key_bounds = self.flags.key_bounds()
         self.tracker = LineageTracker(self)
         self.justifier = Justifier(self, self.tracker)
@@ -392,18 +392,18 @@ class RuleBase:
 
     def _configure(self, rule: EventRule) -> None:
         times: Dict[str, List[int]] = {}
-        mode = self.mode
+        options = self.options
         for prop in self.properties(label_of(rule)):
             if prop.word is not None:
-                mode = with_property(mode, prop.name, prop.word)
+                options = options_with_property(options, prop.name, prop.word)
             else:
                 times.setdefault(prop.name, []).append(from_seconds(prop.number))
         windows = times.get("window", []) + times.get("event_rule_window", [])
-        rule.configure(mode, min(windows) if windows else None, self.flags.garbage_control(times))
+        rule.configure(options, min(windows) if windows else None, self.flags.garbage_control(times))
 
     def _apply_flag(self, name: str) -> None:
         if name in _NETWORK_FLAGS:
-            self.mode = self.flags.mode()
+            self.options = self.flags.network_options()
             self.key_bounds = self.flags.key_bounds()
             self.tracker.configure()
             # Options are compiled into the nodes, so a change reconfigures all rules.
@@ -449,7 +449,7 @@ class RuleBase:
         return self.fired_before + sum(rule.firings.number for rule in self.rules)
 
     @property
-    def waiting(self) -> int:
+    def match_count(self) -> int:
         """Number of partial matches."""
         return sum(rule.match_count for rule in self.rules)
 

@@ -8,8 +8,8 @@ in Flink CEP:
 
 One event can complete several matches of a rule. All of them are completed before anything is discarded, because the
 order of the nodes must not decide which of them fires. Stored matches that are skipped are therefore discarded when
-the next event is served. Rules may make events while an event is served, so a stack of events in progress
-(`ServedEvent`) tells a nested event, which continues the same step, from the next event.
+the next event is dispatched. Rules may emit events while an event is dispatched. A stack of events in progress
+(`ServedEvent`) distinguishes a nested event, which belongs to the same step, from the next event.
 """
 
 from typing import TYPE_CHECKING, Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
@@ -25,17 +25,16 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-# Before all instants.
 _BEFORE_ALL_INSTANTS = -(1 << 80)
 # Stale entries that are tolerated in addition to the number of stored matches.
 _STALE_TOLERANCE = 1000
 
 
 class ServedEvent(NamedTuple):
-    """An event that is being served, possibly because of another event that is being served.
+    """An event whose dispatch has not finished; it may be nested in the dispatch of another event.
 
     Attributes:
-        depth: number of events that it was derived from, plus one.
+        depth: nesting depth of its dispatch, starting with 1; 0 for an alarm.
         token: its identity.
         starts: starts of the matches that it has completed.
     """
@@ -46,7 +45,7 @@ class ServedEvent(NamedTuple):
 
 
 class AfterMatchSkip:
-    """Partial matches of a rule to discard, and starts and ends of its matches.
+    """Skip state of a rule: an index of its partial matches by start, and the starts and ends of recent matches.
 
     Args:
         rule: the rule.
@@ -54,8 +53,8 @@ class AfterMatchSkip:
 
     Attributes:
         last_match_end: largest end of the matches that have fired.
-        skipped_until: value of ``last_match_end`` when the current event was first served; events that start at or
-            before it cannot be part of a match any more.
+        skipped_until: value of ``last_match_end`` when the dispatch of the current event began; events that start at
+            or before it cannot be part of a match.
     """
 
     def __init__(self, rule: "EventRule", strategy: AfterMatchSkipStrategy):
@@ -69,8 +68,8 @@ class AfterMatchSkip:
 
     def clear_entries(self) -> None:
         """Remove all entries of stored matches."""
-        self._by_start_queue = ExpirationQueue()
-        self._by_start: Dict[int, List[PartialMatch]] = {}
+        self._expiration_queue = ExpirationQueue()
+        self._matches_by_start: Dict[int, List[PartialMatch]] = {}
         self._start_entry_count = 0
 
     def clear(self) -> None:
@@ -84,14 +83,14 @@ class AfterMatchSkip:
         return self.last_match_end, tuple(sorted(self._skipped_starts))
 
     def restore(self, saved: Tuple[Any, ...]) -> None:
-        """Set the state; skipped matches are discarded when the next event is served."""
-        self.last_match_end, due = saved
-        self._skipped_starts = set(due)
+        """Restore the state; skipped matches are discarded when the next event is dispatched."""
+        self.last_match_end, skipped_starts = saved
+        self._skipped_starts = set(skipped_starts)
 
     @property
     def entry_count(self) -> int:
         """Number of entries for matches and events, including stale ones."""
-        return len(self._by_start_queue) + self._start_entry_count + len(self._served)
+        return len(self._expiration_queue) + self._start_entry_count + len(self._served)
 
     def rebuild_entries(self, stored_matches: Iterable[PartialMatch]) -> None:
         """Replace all entries by those of the given matches."""
@@ -105,46 +104,46 @@ class AfterMatchSkip:
         # A negated match is not skipped: it must prevent later matches, too.
         if buffer is None or buffer.is_negated:
             return
-        stored_count = self._rule.waiting
+        stored_count = self._rule.stored_match_count
         if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
-            self._by_start_queue.add(match.start, match, stored_count)
+            self._expiration_queue.add(match.start, match, stored_count)
             return
-        self._by_start.setdefault(match.start, []).append(match)
+        self._matches_by_start.setdefault(match.start, []).append(match)
         self._start_entry_count += 1
         if self._start_entry_count > 2 * stored_count + _STALE_TOLERANCE:
             self.rebuild_entries(
-                [stored_match for matches in self._by_start.values() for stored_match in matches]
+                [stored_match for matches in self._matches_by_start.values() for stored_match in matches]
             )
 
-    def begin_event(self, event: Hashable) -> None:
-        """Discard the skipped matches if a new event is being served."""
+    def begin_event(self, token: Hashable) -> None:
+        """Discard the skipped matches if the dispatch of a new event begins."""
         served = self._served
-        if served and served[-1].token == event:
+        if served and served[-1].token == token:
             return
         depth = self._rule.network.dispatcher.current[DEPTH]
         # Events that are as deep as this one or deeper are complete: dispatch is depth-first.
-        while served and served[-1].token != event and served[-1].depth >= depth:
+        while served and served[-1].token != token and served[-1].depth >= depth:
             served.pop()
-        if not served or served[-1].token != event:
-            served.append(ServedEvent(depth, event, set()))
+        if not served or served[-1].token != token:
+            served.append(ServedEvent(depth, token, set()))
         self._discard_skipped()
 
     def _discard_skipped(self) -> None:
         if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
             self.skipped_until = self.last_match_end
-            self._by_start_queue.expire(self.last_match_end + 1)
+            self._expiration_queue.expire(self.last_match_end + 1)
         for start in self._skipped_starts:
-            for match in self._by_start.pop(start, ()):
+            for match in self._matches_by_start.pop(start, ()):
                 self._start_entry_count -= 1
-                match.leave()
+                match.discard()
         self._skipped_starts.clear()
 
     def accepts_start(self, start: int) -> bool:
-        """Return whether an event that starts then may be part of a match."""
+        """Return whether an event with this start may be part of a match."""
         return start > self.skipped_until
 
     def may_fire(self, start: int) -> bool:
-        """Return whether a match that starts then may fire."""
+        """Return whether a match with this start may fire."""
         if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
             return start > self.last_match_end
         return start not in self._current_event().starts
@@ -160,7 +159,7 @@ class AfterMatchSkip:
             self._skipped_starts.add(start)
 
     def begin_alarm(self) -> None:
-        """Discard the skipped matches when the clock wakes a node; all of its results count as one step."""
+        """Discard the skipped matches when an alarm of a node is due; all results of the alarm belong to one step."""
         self._served = [ServedEvent(0, self, set())]
         self._discard_skipped()
 
@@ -172,11 +171,11 @@ class AfterMatchSkip:
             del self._served[1:]
         return self._served[-1]
 
-    def connect(self, root: NetworkNode, complete: Emit, mode: NetworkOptions) -> None:
+    def connect(self, root: NetworkNode, complete: Emit, options: NetworkOptions) -> None:
         """Connect the nodes of the rule, so that only matches that may fire reach ``complete``.
 
-        A goal that is called for the whole match is called only for those matches. All results that
-        ``event_multiply`` makes of a match count as one match.
+        The goal of the whole pattern is called only for matches that may fire. All results of ``event_multiply`` for
+        a match count as one match.
         """
         self._action = action = first_action_node(root)
         may_fire = self.may_fire
@@ -184,7 +183,7 @@ class AfterMatchSkip:
             action.may_fire = may_fire
         rule = self._rule
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             if rule.window is not None and match.end - match.start > rule.window:
                 return frame
             if action is None and not may_fire(match.start):
@@ -192,10 +191,10 @@ class AfterMatchSkip:
             self.record_match(match.start, match.end)
             return complete(match, frame)
 
-        root.bind(arrive, mode)
+        root.bind(on_match, options)
 
     def disconnect(self) -> None:
-        """Let the goal of the whole match be called for all matches again."""
+        """Remove the filter, so that the goal of the whole pattern is called for every match."""
         if self._action is not None:
             self._action.may_fire = None
 
@@ -209,14 +208,18 @@ def first_action_node(root: NetworkNode) -> Optional[ActionNode]:
     return action
 
 
-def skip_state_for(rule: "EventRule", mode: NetworkOptions) -> Optional[AfterMatchSkip]:
+def skip_state_for(rule: "EventRule", options: NetworkOptions) -> Optional[AfterMatchSkip]:
     """Return the skip state of a rule for the given options; None if it skips nothing.
 
-    The previous state is kept if the strategy does not change.
+    If the strategy does not change, the previous state is returned.
     """
-    previous: Optional[AfterMatchSkip] = rule.skipping
+    previous: Optional[AfterMatchSkip] = rule.skip_state
     if previous is not None:
-        if previous.strategy is mode.after_match:
+        if previous.strategy is options.after_match:
             return previous
         previous.disconnect()
-    return None if mode.after_match is AfterMatchSkipStrategy.KEEP else AfterMatchSkip(rule, mode.after_match)
+    return (
+        None
+        if options.after_match is AfterMatchSkipStrategy.KEEP
+        else AfterMatchSkip(rule, options.after_match)
+    )

@@ -129,7 +129,7 @@ def test_what_waits_and_is_noted_stays_in_bounds():
         for number in range(3000):
             program.engine.event(f"a({number})", 5000 - number, 5000 - number)
             program.engine.event(f"b({number})", 5000 + number, 5000 + number)
-        assert one.skipping.entry_count <= 2 * one.waiting + 1002
+        assert one.skip_state.entry_count <= 2 * one.stored_match_count + 1002
 
 
 def test_time_that_goes_back_begins_anew():
