@@ -151,7 +151,9 @@ def measure_parts(pattern: str, number: int) -> Tuple[float, Dict[str, float]]:
     sizes["arrivals"] = sys.getsizeof(rule.arrivals)
     sizes["expiration"] = sys.getsizeof(rule.expiries.queue)
     sizes["rest"] = total - sum(sizes.values())
-    return total / rule.stored_match_count, {purpose: size / rule.stored_match_count for purpose, size in sizes.items()}
+    return total / rule.stored_match_count, {
+        purpose: size / rule.stored_match_count for purpose, size in sizes.items()
+    }
 
 
 def print_parts(number: int) -> None:
