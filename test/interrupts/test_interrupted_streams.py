@@ -10,8 +10,8 @@ from retalis.events.streams import stream_operator
 from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternVariable, RowPatternWindow, StepTest
 from retalis.events.streams.windows import (
+    AlignedTumblingWindow,
     AnchoredTumblingWindow,
-    EagerTumblingWindow,
     SlidingCountWindow,
     SlidingTimeWindow,
     TumblingCountWindow,
@@ -57,7 +57,7 @@ OPERATORS = {
     "last items": lambda: SlidingCountWindow(listing, 2),
     "batches": lambda: TumblingCountWindow(listing, 3, False),
     "from the first": lambda: AnchoredTumblingWindow(listing, 4, False),
-    "present": lambda: EagerTumblingWindow(listing, 6),
+    "present": lambda: AlignedTumblingWindow(listing, 6),
     "throttle": lambda: Throttle(4, False),
     "burst": lambda: Throttle(2, True),
     "debounce": lambda: Debounce(4),
@@ -106,7 +106,7 @@ def test_what_was_interrupted_is_taken_whole_or_not_at_all(kind):
         mended = make()
         mended.restore(stream.snapshot())
         groups = [group for group in mended.states.values() if hasattr(group, "members")]
-        members = [item for group in groups for item in group.members]
+        members = [item for group in groups for item in group.elements]
         assert getattr(mended, "number", len(members)) == len(members)
         assert taken(mended, AFTER) in allowed, at
         if injected.left > 0:

@@ -324,7 +324,9 @@ MECHANISMS: Dict[str, Mechanism] = {
         method(AnchoredTumblingWindow, "_close", never_over), windows("first", "running_first")
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
-    "stamps too far ahead": Mechanism(method(RuleBase, "newest_allowed", lambda rules: 1 << 64), ahead),
+    "stamps too far ahead": Mechanism(
+        method(RuleBase, "compute_max_timestamp", lambda rules: 1 << 64), ahead
+    ),
     "the clock rings": Mechanism(method(NodeTimers, "_on_alarm", nothing), oracle_about(is_clocked)),
     "older rules and lower patterns ring first": Mechanism(
         method(NodeTimers, "add", younger_first), oracle_about(is_clocked, 2)

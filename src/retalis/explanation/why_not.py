@@ -324,7 +324,7 @@ class WhyNot:
 
         problem = ""
         for match in first_part.matches:
-            state = aggregate.start
+            state = aggregate.initial_state
             if aggregate.empty_result is not None:
                 add(match, match.end, aggregate.empty_result)
             for _, last, values in self._find_ordered_pairs(
@@ -418,7 +418,7 @@ class WhyNot:
         for output in outputs:
             values = None
             if node.spec.result is not None:
-                values = node.spec.result(output.items[-1].by, output.results)
+                values = node.spec.result(output.elements[-1].by, output.results)
             extended = (
                 None if values is None else self._extend(self._rule_variables, list(zip(node.vars, values)))
             )
@@ -470,7 +470,7 @@ class WhyNot:
             outputs += stream.process(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
         # Operators with deadlines emit at the current time, even without a further event.
         outputs += stream.advance_to(self._current_time)
-        matches = [output.items[-1].match._replace(end=output.end, event=None) for output in outputs]
+        matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
         reason = _SHAPE_REASONS[pattern.shape].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
         text = (

@@ -268,7 +268,7 @@ def _check_next_window(stream: HoppingWindow, state: Decoded) -> None:
         is_valid = all(element.end < next_end for element in elements)
     else:
         is_valid = not future_elements or min(element.end for element in future_elements) < next_end
-    if not is_valid or (next_end is not None and next_end % stream.every):
+    if not is_valid or (next_end is not None and next_end % stream.slide):
         raise invalid_value(next_end, "the end of the next window")
 
 

@@ -144,5 +144,5 @@ def test_the_first_event_of_a_key_is_processed_outside_of_exception_handlers():
 
 def test_a_power_of_two_beyond_floats_is_no_factor():
     found = ExactSum()
-    found.add_times(5e-324, 1)
+    found.add_multiple(5e-324, 1)
     assert found.scale == 1074 and found.factor != found.factor

@@ -99,7 +99,7 @@ def entries(one):
 
 
 def _shown(output):
-    return tuple([item.match for item in output.items]), output.start, output.end
+    return tuple([item.match for item in output.elements]), output.start, output.end
 
 
 def spanning(found):

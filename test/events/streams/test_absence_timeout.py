@@ -129,9 +129,9 @@ def test_many_that_are_not_superfluous_are_held_no_longer_either():
         operator.process(item_of(came), came.now, came.channel)
         assert len(operator) == min(came.at + 1, 300)
     (border,) = operator._forbidden.values()  # noqa: SLF001
-    assert border.number == 300 and len(border.items) <= 600
+    assert border.element_count == 300 and len(border.elements) <= 600
     operator.process(item_of(arrivals[0]), 2270, 0)
-    assert len(operator) == len(border.items) == 29
+    assert len(operator) == len(border.elements) == 29
     operator.process(item_of(arrivals[0]), 9000, 0)
     assert len(operator) == 0 and not operator._forbidden  # noqa: SLF001
 

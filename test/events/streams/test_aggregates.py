@@ -57,7 +57,7 @@ def measured(arrivals, makers, span=SPAN):
         for output in window.process(
             StreamElement(came, came.start, came.end, (came.key,), (came.value,)), 0, 0
         ):
-            yield [item.match for item in output.items], output.results
+            yield [item.match for item in output.elements], output.results
 
 
 @example_settings(max_examples=50)

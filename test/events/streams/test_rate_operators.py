@@ -145,7 +145,7 @@ def test_nothing_grows_with_what_came():
 
 def test_a_stamp_of_a_wrong_clock_forgets_nobody():
     shape = Throttle(5, False)
-    shape.latest_allowed_end = lambda: 100
+    shape.compute_max_timestamp = lambda: 100
     assert shape.process(item_of(Came(0, "a", 50, 50, 1, 0, 50)), 50, 0)
     assert shape.process(item_of(Came(1, "b", 9000, 9000, 1, 0, 51)), 51, 0)
     assert not shape.process(item_of(Came(2, "a", 52, 52, 1, 0, 52)), 52, 0)

@@ -23,12 +23,12 @@ some = example_settings(max_examples=30)
 def test_a_sum_is_exact_however_many_have_gone(steps, number):
     total, inside = ExactSum(), []
     for value, goes, which in steps:
-        total.add_times(value, 1)
+        total.add_multiple(value, 1)
         inside.append(value)
         if goes:
-            total.add_times(inside.pop(which % len(inside)), -1)
+            total.add_multiple(inside.pop(which % len(inside)), -1)
         expected = Fraction(sum(map(Fraction, inside))) / number
-        found = total.divided_by(number, len(inside))
+        found = total.quotient(number, len(inside))
         assert found == (expected if isinstance(found, int) else float(expected))
         whole = all(isinstance(one, int) for one in inside) and expected.denominator == 1
         assert isinstance(found, int) == whole
@@ -37,8 +37,8 @@ def test_a_sum_is_exact_however_many_have_gone(steps, number):
 def test_floats_that_have_gone_leave_an_integer():
     total = ExactSum()
     for value, by in ((3, 1), (0.1, 1), (1e300, 1), (0.1, -1), (1e300, -1)):
-        total.add_times(value, by)
-    assert repr(total.divided_by(1, 1)) == "3"
+        total.add_multiple(value, by)
+    assert repr(total.quotient(1, 1)) == "3"
 
 
 @some
@@ -47,7 +47,7 @@ def test_the_deviation_does_not_suffer_from_a_large_mean(values, mean):
     total, squares = ExactSum(), ExactSum()
     exact = [Fraction(value + mean) for value in values]
     for value in exact:
-        total.add_times(float(value), 1)
+        total.add_multiple(float(value), 1)
         over, under = float(value).as_integer_ratio()
         squares.add_fraction(over * over, 2 * (under.bit_length() - 1), 1)
     middle = sum(exact) / len(exact)
@@ -62,7 +62,7 @@ def test_the_deviation_of_very_small_and_very_large_numbers(size):
     """The squares of these are beyond what a float can be."""
     total, squares = ExactSum(), ExactSum()
     for value in (size, -size, size, -size):
-        total.add_times(value, 1)
+        total.add_multiple(value, 1)
         over, under = value.as_integer_ratio()
         squares.add_fraction(over * over, 2 * (under.bit_length() - 1), 1)
     assert standard_deviation(total, squares, 4) == pytest.approx(

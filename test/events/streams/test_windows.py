@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from retalis import RuleError
 from retalis.events.streams.aggregates import AGGREGATES
 from retalis.events.streams.windows import (
+    AlignedTumblingWindow,
     AnchoredTumblingWindow,
-    EagerTumblingWindow,
     HoppingWindow,
     SlidingCountWindow,
     SlidingTimeWindow,
@@ -128,7 +128,7 @@ def test_of_the_present_window(arrivals, cut, span):
         here = [one for one in same_group(came) if one.end // span == newest(came) // span]
         if came[-1] in here:
             expected.append(spanning(here))
-    assert Fed(lambda: EagerTumblingWindow(listing, span), cut).feed(arrivals) == expected
+    assert Fed(lambda: AlignedTumblingWindow(listing, span), cut).feed(arrivals) == expected
 
 
 WINDOWS = {
@@ -136,7 +136,7 @@ WINDOWS = {
     "last items": lambda: SlidingCountWindow(listing, 100),
     "batches": lambda: TumblingCountWindow(listing, 100, False),
     "from the first": lambda: AnchoredTumblingWindow(listing, 100, False),
-    "present": lambda: EagerTumblingWindow(listing, 1000),
+    "present": lambda: AlignedTumblingWindow(listing, 1000),
     "instants": lambda: HoppingWindow(listing, 100, 50),
 }
 
@@ -171,7 +171,7 @@ def test_what_was_dropped_is_held_nowhere(kind):
 def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
     """One stamp of a wrong clock neither empties a window nor makes what comes after it late."""
     window = WINDOWS[kind]()
-    window.tracked, window.latest_allowed_end = True, lambda: 1000
+    window.tracked, window.compute_max_timestamp = True, lambda: 1000
     for at in range(3):
         window.process(item_of(Came(at, "a", 900 + at, 900 + at, at, 0, 900)), 900, 0)
     window.process(item_of(Came(3, "b", 9000, 9000, 3, 0, 903)), 903, 0)
@@ -180,7 +180,7 @@ def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
     assert window.late_count == late
     said = said or window.advance_to(1010)
     if kind != "batches":
-        assert [tuple([one.match for one in output.items]) for output in said][-1] == (0, 1, 2, 4)
+        assert [tuple([one.match for one in output.elements]) for output in said][-1] == (0, 1, 2, 4)
 
 
 def test_a_refused_value_leaves_no_group():
@@ -221,4 +221,4 @@ def test_what_has_left_costs_nothing():
     for window in (sliding, hopping):
         assert len(window) <= 5
         assert entries(window) <= 80
-        assert all(len(group.members) <= 80 for group in window.states.values())
+        assert all(len(group.elements) <= 80 for group in window.states.values())

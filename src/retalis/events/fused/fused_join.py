@@ -232,7 +232,7 @@ class _ActionGenerator:
         """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
             # `tick` rejects timestamps too far in the future; ``allowed`` is its last limit.
-            Block("if event_end > rule.allowed:", ["rule.tick(event_end)"]),
+            Block("if event_end > rule.max_timestamp:", ["rule.tick(event_end)"]),
             Block(
                 "else:",
                 [

@@ -30,25 +30,25 @@ class FusedWindow(NamedTuple):
 
     Attributes:
         span: length of the window in ns.
-        groups: indices of the values that are the key.
-        kinds: names of the measures.
-        values: index of the value of each measure; None for a measure without one.
+        key_positions: positions of the values that are the key.
+        measure_names: names of the measures.
+        value_positions: position of the value of each measure; None for a measure without one.
     """
 
     span: int
-    groups: Sequence[int]
-    kinds: Sequence[str]
-    values: Sequence[Optional[int]]
+    key_positions: Sequence[int]
+    measure_names: Sequence[str]
+    value_positions: Sequence[Optional[int]]
 
 
 class _MeasureSource(NamedTuple):
     """Source of one measure; ``x`` with its number is the value of the new element.
 
     Attributes:
-        check: tests the value; unusual ones take the general path.
-        add: adds the value of ``item`` to the accumulator of ``group``.
-        remove: removes the value of ``old`` from the accumulator of the keyed window ``left``.
-        result: expression for the result of ``number`` elements.
+        check: tests the value; unusual values use the general path.
+        add: adds the value of ``element`` to the accumulator of ``keyed_window``.
+        remove: removes the value of ``old`` from the accumulator of ``old_window``.
+        result: expression for the result of ``element_count`` elements.
         keeps_elements: whether the accumulator refers to elements, also to some that were removed.
     """
 
@@ -60,19 +60,19 @@ class _MeasureSource(NamedTuple):
 
 
 def _count_source(number: int, position: int) -> _MeasureSource:
-    return _MeasureSource([], [], [], "number")
+    return _MeasureSource([], [], [], "element_count")
 
 
 def _sum_source(number: int, position: int) -> _MeasureSource:
     x, total, scaled, is_integer = f"x{number}", f"s{number}", f"y{number}", f"i{number}"
     return _MeasureSource(
         [
-            f"{total} = group.measures[{number}].sum",
+            f"{total} = keyed_window.measures[{number}].sum",
             Block(
                 f"if {x}.__class__ is float:",
                 [
                     # See `ExactSum.factor`: the product is exact if it is an integer. Otherwise the scale must grow
-                    # first, which is left to `ExactSum.add_times`.
+                    # first, which is left to `ExactSum.add_multiple`.
                     f"{scaled} = {x} * {total}.factor",
                     Block(f"if not {scaled}.is_integer():", [_GENERAL_PATH]),
                     f"{scaled} = {scaled}.__trunc__()",
@@ -87,30 +87,30 @@ def _sum_source(number: int, position: int) -> _MeasureSource:
         [f"{total}.total += {scaled}", Block(f"if {is_integer}:", [f"{total}.integers += 1"])],
         [
             f"value = old.values[{position}]",
-            f"total = left.measures[{number}].sum",
+            f"total = old_window.measures[{number}].sum",
             Block(
                 "if value.__class__ is float and (scaled := value * total.factor).is_integer():",
                 ["total.total -= scaled.__trunc__()"],
             ),
-            Block("else:", ["total.add_times(value, -1)"]),
+            Block("else:", ["total.add_multiple(value, -1)"]),
         ],
-        f"{total}.divided_by(1, number)",
+        f"{total}.quotient(1, element_count)",
     )
 
 
 def _mean_source(number: int, position: int) -> _MeasureSource:
     total = f"s{number}"
-    # `ExactSum.divided_by` without the call, for floats only, whose average is a float in any case.
+    # `ExactSum.quotient` without the call, for floats only, whose average is a float in any case.
     return _sum_source(number, position)._replace(
         result=(
-            f"{total}.divided_by(number, number) if {total}.integers "
-            f"else {total}.total / (number << {total}.scale)"
+            f"{total}.quotient(element_count, element_count) if {total}.integers "
+            f"else {total}.total / (element_count << {total}.scale)"
         )
     )
 
 
 def _min_source(number: int, position: int, sign: str = "") -> _MeasureSource:
-    x, heap = f"x{number}", f"lowest{number}"
+    x, heap = f"x{number}", f"heap{number}"
     return _MeasureSource(
         [
             Block(
@@ -118,11 +118,11 @@ def _min_source(number: int, position: int, sign: str = "") -> _MeasureSource:
             )
         ],
         [
-            f"{heap} = group.measures[{number}].lowest",
+            f"{heap} = keyed_window.measures[{number}].heap",
             f"{heap}.count += 1",
-            f"heappush({heap}.heap, ({sign}{x}, order, item))",
+            f"heappush({heap}.entries, ({sign}{x}, order, element))",
         ],
-        [f"left.measures[{number}].lowest.remove()"],
+        [f"old_window.measures[{number}].heap.remove()"],
         f"{heap}.top()[2].values[{position}]",
         keeps_elements=True,
     )
@@ -141,9 +141,9 @@ _MEASURE_SOURCES: Dict[str, Callable[[int, int], _MeasureSource]] = {
 }
 
 
-def has_fused_measures(kinds: Sequence[str]) -> bool:
+def has_fused_measures(measure_names: Sequence[str]) -> bool:
     """Return whether all measures can be fused."""
-    return all(kind in _MEASURE_SOURCES for kind in kinds)
+    return all(kind in _MEASURE_SOURCES for kind in measure_names)
 
 
 def fused_window(
@@ -195,74 +195,74 @@ def fused_window(
 def _window_source(window: FusedWindow, values_are_arguments: bool, limited: bool, metered: bool) -> str:
     """Return the source; of the program, it contains only numbers and indices."""
     measures = []
-    for number, measure_kind in enumerate(window.kinds):
+    for number, measure_kind in enumerate(window.measure_names):
         # `StreamElement.values` contains the values of those measures that have one.
-        position = sum(index is not None for index in window.values[:number])
+        position = sum(index is not None for index in window.value_positions[:number])
         measures.append(_MEASURE_SOURCES[measure_kind](number, position))
     results = [
-        *(f"k{number}" for number in range(len(window.groups))),
+        *(f"k{number}" for number in range(len(window.key_positions))),
         *(measure.result for measure in measures),
     ]
     body: List[Statement] = [
         *_value_statements(window, values_are_arguments),
         "stream = node.stream",
         "queue = stream.queue",
-        "groups = stream.states",
-        Block("try:", ["group = groups[key]"]),
+        "keyed_windows = stream.states",
+        Block("try:", ["keyed_window = keyed_windows[key]"]),
         # The general path must not run in the handler: errors of listeners would be logged with this one.
-        Block("except KeyError:", ["group = NO_WINDOW"]),
+        Block("except KeyError:", ["keyed_window = NO_WINDOW"]),
         Block(f"if {_NEEDS_GENERAL_PATH}:", [_GENERAL_PATH]),
         *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if metered else []),
         *(statement for measure in measures for statement in measure.check),
         *([f"pattern_steps[0] -= {_METERED_STEPS}"] if metered else []),
         # All checks are done: from here on nothing calls the general path.
         "stream.clock = end",
-        "members = group.members",
-        "by = members[-1].by",
-        "before = end - span",
-        "item = None",
+        "elements = keyed_window.elements",
+        "by = elements[-1].by",
+        "min_start = end - span",
+        "element = None",
         Block(
-            "while queue and queue[0].start <= before:",
+            "while queue and queue[0].start <= min_start:",
             [
                 "old = queue.popleft()",
                 Block("if old.is_removed:", ["continue"]),
-                "left = groups[old.key]",
-                # A window with elements out of order keeps heaps; removing from them is rare and left to the general
+                "old_window = keyed_windows[old.key]",
+                # A window with elements out of order has heaps; removing from them is rare and left to the general
                 # method.
-                Block("if left.starts is not None:", ["stream.remove(old)", "continue"]),
-                "left.members.popleft()",
+                Block("if old_window.starts is not None:", ["stream.remove(old)", "continue"]),
+                "old_window.elements.popleft()",
                 *(statement for measure in measures for statement in measure.remove),
-                Block("if not left.members:", ["del groups[old.key]"]),
+                Block("if not old_window.elements:", ["del keyed_windows[old.key]"]),
                 *_release_statements(measures),
             ],
         ),
         Block(
-            "if item is None:",
+            "if element is None:",
             [
-                "item = new(StreamElement)",
-                "item.is_removed = False",
-                "stream.number += 1",
+                "element = new(StreamElement)",
+                "element.is_removed = False",
+                "stream.element_count += 1",
             ],
         ),
-        # The element that left has a match if it entered while events were tracked.
-        "item.match = None",
-        "item.start = start",
-        "item.end = end",
-        "item.by = by",
-        "item.key = key",
-        f"item.values = {tuple_source(_value_names(window))}",
-        "item.order = stream.last_order = order = stream.last_order + 1",
-        Block("if members:", ["groups.move_to_end(key)"]),
-        Block("else:", ["groups[key] = group"]),
-        "members.append(item)",
+        # A reused element has a match if it entered while events were tracked.
+        "element.match = None",
+        "element.start = start",
+        "element.end = end",
+        "element.by = by",
+        "element.key = key",
+        f"element.values = {tuple_source(_value_names(window))}",
+        "element.order = stream.last_order = order = stream.last_order + 1",
+        Block("if elements:", ["keyed_windows.move_to_end(key)"]),
+        Block("else:", ["keyed_windows[key] = keyed_window"]),
+        "elements.append(element)",
         # The element is complete before results are computed, which may raise an error.
-        "queue.append(item)",
-        "number = len(members)",
+        "queue.append(element)",
+        "element_count = len(elements)",
         *(statement for measure in measures for statement in measure.add),
         Block("try:", [f"results = {tuple_source(results)}"]),
-        Block("except OverflowError:", ["return too_large(group, frame)"]),
-        *([Block("if end - members[0].start > limit:", ["return frame"])] if limited else []),
-        "return complete(None, results, members[0].start, end, frame)",
+        Block("except OverflowError:", ["return too_large(keyed_window, frame)"]),
+        *([Block("if end - elements[0].start > limit:", ["return frame"])] if limited else []),
+        "return complete(None, results, elements[0].start, end, frame)",
     ]
     source = source_of([Block("def generated(term, values, start, end, frame):", body)])
     # The general path expects the values also if they are the arguments of the event.
@@ -275,11 +275,11 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
 
 _NEEDS_GENERAL_PATH = " or ".join(
     [
-        # No window without elements out of order has holes, so the number of its elements is that of its members.
-        "group.starts is not None",
-        "stream.disordered",
+        # A window without elements out of order contains no removed elements, so its deque has the element count.
+        "keyed_window.starts is not None",
+        "stream.out_of_order",
         # All elements of the queue started by the clock, so this one is the newest if it is an instant.
-        "not stream.clock <= end <= stream.newest_allowed",
+        "not stream.clock <= end <= stream.max_timestamp",
         "(start is not end and (end - start >= span or start < queue[-1].start))",
         # The queue contains at least all elements that are counted.
         "len(queue) >= network.cap",
@@ -288,16 +288,16 @@ _NEEDS_GENERAL_PATH = " or ".join(
 
 
 def _release_statements(measures: Sequence[_MeasureSource]) -> List[Statement]:
-    """Return statements for an element ``old`` that has left; ``item`` is the one that left before, or None."""
+    """Return statements for a removed element ``old``; ``element`` is the one removed before it, or None."""
     if any(measure.keeps_elements for measure in measures):
-        return ["old.is_removed = True", "stream.number -= 1"]
+        return ["old.is_removed = True", "stream.element_count -= 1"]
     # Nothing refers to the element, so it becomes the new one: creating an object takes a twentieth of an event.
-    return [Block("if item is not None:", ["stream.number -= 1"]), "item = old"]
+    return [Block("if element is not None:", ["stream.element_count -= 1"]), "element = old"]
 
 
 def _value_names(window: FusedWindow) -> List[str]:
     """Return the names of the values of those measures that have one."""
-    return [f"x{number}" for number, position in enumerate(window.values) if position is not None]
+    return [f"x{number}" for number, position in enumerate(window.value_positions) if position is not None]
 
 
 def _value_statements(window: FusedWindow, values_are_arguments: bool) -> List[Statement]:
@@ -306,9 +306,13 @@ def _value_statements(window: FusedWindow, values_are_arguments: bool) -> List[S
     def value(position: int) -> str:
         return f"term[{position + 1}]" if values_are_arguments else f"values[{position}]"
 
-    keys = ["key"] if len(window.groups) == 1 else [f"key{number}" for number in range(len(window.groups))]
+    keys = (
+        ["key"]
+        if len(window.key_positions) == 1
+        else [f"key{number}" for number in range(len(window.key_positions))]
+    )
     statements: List[Statement] = []
-    for number, (key, position) in enumerate(zip(keys, window.groups)):
+    for number, (key, position) in enumerate(zip(keys, window.key_positions)):
         statements += [
             f"k{number} = {key} = {value(position)}",
             Block(f"if k{number}.__class__ not in SELF_KEYED:", [f"{key} = term_key(k{number})"]),
@@ -319,7 +323,7 @@ def _value_statements(window: FusedWindow, values_are_arguments: bool) -> List[S
         *statements,
         *(
             f"x{number} = {value(position)}"
-            for number, position in enumerate(window.values)
+            for number, position in enumerate(window.value_positions)
             if position is not None
         ),
     ]

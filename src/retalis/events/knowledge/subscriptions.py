@@ -91,7 +91,7 @@ class OutputRateLimiter:
 
     def _create_stream(self) -> StreamOperator:
         stream = self._spec.stream(NetworkOptions())
-        stream.latest_allowed_end = self._clock.newest_allowed
+        stream.compute_max_timestamp = self._clock.compute_max_timestamp
         stream.set_bounds(self._clock.key_bounds)
         self._evicted_count = 0
         return stream
@@ -155,7 +155,7 @@ class OutputRateLimiter:
 
     def _send(self, outputs: List[StreamOutput]) -> None:
         for output in outputs:
-            self.send(output.items[-1].match)
+            self.send(output.elements[-1].match)
 
     def _set_alarm(self) -> None:
         instant = self._stream.next_deadline

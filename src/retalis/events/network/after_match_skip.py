@@ -153,7 +153,9 @@ class AfterMatchSkip:
         if self.strategy is AfterMatchSkipStrategy.SKIP_PAST_LAST:
             # A match may end in the far future because of a wrong time stamp; it must not skip all matches until
             # then.
-            self.last_match_end = max(self.last_match_end, min(end, self._rule.network.newest_allowed()))
+            self.last_match_end = max(
+                self.last_match_end, min(end, self._rule.network.compute_max_timestamp())
+            )
         else:
             self._current_event().starts.add(start)
             self._skipped_starts.add(start)

@@ -126,7 +126,7 @@ class EventRule:
             end is larger. Then both are one object.
         timed: whether its clock is maintained.
         clock: largest end of the events that its patterns matched.
-        allowed: largest time stamp that is known to be allowed to advance its clock.
+        max_timestamp: largest time stamp that is known to be allowed to advance its clock.
         completion: receives the values of complete matches, if nothing is tracked.
         expiries: stored matches by expiration.
         sweep_threshold: number of stored matches above which `remove_excess` continues to remove matches that are
@@ -156,7 +156,7 @@ class EventRule:
         self.timed = False
         self._tracks_stored = False
         self.clock: int = _BEFORE_ALL_INSTANTS
-        self.allowed: int = _BEFORE_ALL_INSTANTS
+        self.max_timestamp: int = _BEFORE_ALL_INSTANTS
         self.completion: Optional[Continuation] = None
         self.order = 0
         self.arrivals: Deque[PartialMatch] = deque()
@@ -421,7 +421,7 @@ class EventRule:
         self.clear_matches()
         if self.skip_state is not None:
             self.skip_state.clear()
-        self.clock = self.allowed = _BEFORE_ALL_INSTANTS
+        self.clock = self.max_timestamp = _BEFORE_ALL_INSTANTS
         self._last_collection = None
 
     def clear_matches(self) -> None:
@@ -465,9 +465,9 @@ class EventRule:
         if end <= self.clock:
             return
         # Reading the clock costs much more than this comparison, and most events lie below the last limit.
-        if end > self.allowed:
-            self.allowed = self.network.newest_allowed()
-            if end > self.allowed:
+        if end > self.max_timestamp:
+            self.max_timestamp = self.network.compute_max_timestamp()
+            if end > self.max_timestamp:
                 return
         self.clock = end
         self.expiries.expire(end)

@@ -29,7 +29,7 @@ from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, d
 from ..fused.fused_single_event import Continuation, goal_action
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
-from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, unsuitable_value
+from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, value_error
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -370,7 +370,7 @@ class Evaluators:
                 return term
             for position in inputs:
                 if not is_suitable(values[position]):
-                    raise unsuitable_value(aggregate, values[position])
+                    raise value_error(aggregate, values[position])
             # Compiled at the first use: most expressions are variables whose values are numbers already.
             if not goal:
                 logic = self._rule.network.logic
@@ -379,9 +379,9 @@ class Evaluators:
                 solution = goal[0].first_solution((term,))
             except PrologError as error:
                 record_caught_error(error)
-                raise RuleError(f"{unsuitable_value(aggregate, term).message}: {error.message}") from error
+                raise RuleError(f"{value_error(aggregate, term).message}: {error.message}") from error
             if solution is None:
-                raise unsuitable_value(aggregate, term)
+                raise value_error(aggregate, term)
             return solution[0]
 
         return evaluate

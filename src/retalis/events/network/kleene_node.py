@@ -119,7 +119,7 @@ class KleeneValues(NetworkNode):
         first_var_set = set(first_vars)
         of_step = positions(self.step_vars)
         self.aggregate = aggregate
-        self.empty = None if aggregate is None else aggregate.start
+        self.initial_state = None if aggregate is None else aggregate.initial_state
         self.fixed = [var for var in self.step_vars if var in outside and var not in first_var_set]
         self.fixed_positions = [of_step[var] for var in self.fixed]
         self.items = items
@@ -331,7 +331,7 @@ class KleeneNode(KleeneValues):
         fires = aggregate is None or aggregate.empty_result is not None
 
         def arrive(match: PartialMatch, frame: Frame) -> Frame:
-            run = Run(match, self.empty, len(self.open_vars))
+            run = Run(match, self.initial_state, len(self.open_vars))
             key = buffer.key_of(run)
             older = buffer.find_identical(run, key)
             # The same occurrence may arrive twice, for example by two branches of an `or`; it must not reset its
@@ -526,7 +526,7 @@ class KleeneNode(KleeneValues):
         # Results before the first retracted repetition remain valid and are not emitted again.
         sound = next(index for index, match in enumerate(run.repetitions) if not is_valid(match))
         # Accumulators cannot remove a value, so the run is computed from the start.
-        run.restart(self.empty)
+        run.restart(self.initial_state)
         results = []
         for number, (match, (values, step)) in enumerate(metered(repetitions, self.rule.meter)):
             _, result = self._take(run, match, values, step, max(run.last, match.end))

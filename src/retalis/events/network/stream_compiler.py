@@ -49,8 +49,8 @@ from ..streams.row_pattern import (
 )
 from ..streams.stream_operator import StreamElement, StreamOperator
 from ..streams.windows import (
+    AlignedTumblingWindow,
     AnchoredTumblingWindow,
-    EagerTumblingWindow,
     HoppingWindow,
     SlidingCountWindow,
     SlidingTimeWindow,
@@ -140,7 +140,7 @@ _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
     "batch": lambda make, form: TumblingCountWindow(make, form.max_count, form.running),
     "first": lambda make, form: AnchoredTumblingWindow(make, form.span, form.running),
     "every": lambda make, form: (
-        EagerTumblingWindow(make, form.span) if form.running else HoppingWindow(make, form.span, form.step)
+        AlignedTumblingWindow(make, form.span) if form.running else HoppingWindow(make, form.span, form.step)
     ),
 }
 _SHAPES: Dict[str, Callable[[int], StreamOperator]] = {

@@ -222,7 +222,7 @@ class Replay:
     def snapshot(self) -> Tuple[Any, ...]:
         """Return the log; see `restore`."""
         outputs_and_matches = [
-            ((list(output.items), *output[1:]), repetition_chain)
+            ((list(output.elements), *output[1:]), repetition_chain)
             for output, repetition_chain in self._outputs
         ]
         return (self._base, self._elements, outputs_and_matches)
@@ -276,7 +276,7 @@ def _without_retracted(data: Any) -> Any:
 
 def _key(output: StreamOutput) -> Hashable:
     """Return the identity of an output: its last element, its interval, and its results."""
-    last = output.items[-1]
+    last = output.elements[-1]
     named = last.by if output.results else ()
     results = tuple([term_key(term) for term in (*named, *output.results)])
     return (id(last.match) if not output.results else None, output.start, output.end, results)
@@ -360,7 +360,7 @@ class StreamNode(NetworkNode):
         stream = self.spec.stream(options)
         stream.meter = meter
         stream.tracked = options.tracks_events
-        stream.latest_allowed_end = self.rule.network.newest_allowed
+        stream.compute_max_timestamp = self.rule.network.compute_max_timestamp
         stream.set_bounds(self._bounds)
         return stream
 
@@ -396,13 +396,13 @@ class StreamNode(NetworkNode):
             if result is None or len(outputs) > 1 or outputs[0].error is not None:
                 return self._emit_outputs(outputs, frame)
             output = outputs[0]
-            result_values = result(output.items[-1].by, output.results)
+            result_values = result(output.elements[-1].by, output.results)
             if result_values is None or (self.span is not None and output.end - output.start > self.span):
                 return frame
             return complete(None, result_values, output.start, output.end, frame)  # type: ignore[arg-type]
 
-        def too_large(group: KeyedWindow, frame: Frame) -> Frame:
-            output = group.output(False)
+        def too_large(keyed_window: KeyedWindow, frame: Frame) -> Frame:
+            output = keyed_window.output(False)
             return frame if output is None else self._emit_outputs([output], frame)
 
         fused = self.spec.fused
@@ -603,7 +603,7 @@ class StreamNode(NetworkNode):
         if output.error is not None:
             self.rule.network.rule_failed(self.rule, output.error)
             return None
-        last = output.items[-1]
+        last = output.elements[-1]
         result = self.spec.result
         values = () if result is None else result(last.by, output.results)
         if values is None:
@@ -631,7 +631,7 @@ class StreamNode(NetworkNode):
     def _create_tracked_match(self, output: StreamOutput, arrival_number: int) -> Tuple[RepetitionChain, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
-            [item.match for item in output.items if item.match is not None]
+            [item.match for item in output.elements if item.match is not None]
         )  # untracked elements have no match
         repetition_chain = RepetitionChain(
             PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS

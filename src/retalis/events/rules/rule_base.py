@@ -415,7 +415,7 @@ class RuleBase:
             # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
             self.declared.in_use = True
 
-    def newest_allowed(self) -> int:
+    def compute_max_timestamp(self) -> int:
         """Return the latest timestamp that may advance the clock of a rule: `future` after the time of due alarms.
 
         A pinned clock always returns the same time, while the time of its stream advances, so the later one applies.

@@ -40,36 +40,36 @@ class Correlation(NamedTuple):
 class _ForbiddenElements:
     """Forbidden elements of one key, without those that are made redundant by their neighbours."""
 
-    __slots__ = ("items", "number", "newest")
+    __slots__ = ("elements", "element_count", "newest")
 
     def __init__(self) -> None:
         # The list may contain dropped elements, see `count_removal`.
-        self.items: List[StreamElement] = []
-        self.number = 0
+        self.elements: List[StreamElement] = []
+        self.element_count = 0
         self.newest = NEVER
 
-    def add(self, item: StreamElement, span: int, may_thin: bool) -> List[StreamElement]:
+    def add(self, element: StreamElement, span: int, may_thin: bool) -> List[StreamElement]:
         """Add an element, and return the elements that it makes redundant."""
-        items = self.items
+        elements = self.elements
         # A bound for quick rejection; it need not shrink when elements are dropped.
-        self.newest = max(self.newest, item.start)
-        if may_thin and len(items) > 1:
-            first, middle = items[-2], items[-1]
-            rising = first.start <= middle.start <= item.start and first.end <= middle.end <= item.end
+        self.newest = max(self.newest, element.start)
+        if may_thin and len(elements) > 1:
+            first, middle = elements[-2], elements[-1]
+            rising = first.start <= middle.start <= element.start and first.end <= middle.end <= element.end
             # Three elements with rising starts and ends, within one span: every pending element that the middle one
             # cancels is also cancelled by the first or the last one.
-            if rising and item.end - first.start < span and not (first.is_removed or middle.is_removed):
-                items[-1] = item
+            if rising and element.end - first.start < span and not (first.is_removed or middle.is_removed):
+                elements[-1] = element
                 return [middle]
-        items.append(item)
-        self.number += 1
+        elements.append(element)
+        self.element_count += 1
         return []
 
     def count_removal(self) -> None:
         """Count an element that was dropped; long lists are compacted only if half of them was dropped."""
-        self.number -= 1
-        if self.number < _SMALL_QUEUE or len(self.items) > 2 * self.number:
-            self.items = [item for item in self.items if not item.is_removed]
+        self.element_count -= 1
+        if self.element_count < _SMALL_QUEUE or len(self.elements) > 2 * self.element_count:
+            self.elements = [element for element in self.elements if not element.is_removed]
 
 
 class AbsenceTimeout(KeyedOperator):
@@ -89,16 +89,16 @@ class AbsenceTimeout(KeyedOperator):
         self.correlation = correlation
         self._pending: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
         self._forbidden: Dict[Hashable, _ForbiddenElements] = {}
-        self._number = 0
+        self._stored_count = 0
         self._latest_now = NEVER
         self._deadlines: List[Tuple[int, int, StreamElement]] = []
         self._by_start: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
 
-    KEY_BYTES, ITEM_BYTES = 300, 1100
+    KEY_BYTES, ELEMENT_BYTES = 300, 1100
 
     def __len__(self) -> int:
-        return self._number
+        return self._stored_count
 
     @property
     def keys(self) -> int:
@@ -117,7 +117,7 @@ class AbsenceTimeout(KeyedOperator):
             self._drop_forbidden_before(self._by_start[0][0])
         return []
 
-    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         if now > self._latest_now:
             # The maximum, because an alarm may raise an event in the past, after elements of that time were dropped.
@@ -126,18 +126,18 @@ class AbsenceTimeout(KeyedOperator):
         # after that end, so older ones are useless.
         self._drop_forbidden_before(self._latest_now - self.span)
         self._order += 1
-        item.order = self._order
-        key = self.correlation.key(item.match, channel)
+        element.order = self._order
+        key = self.correlation.key(element.match, channel)
         if channel:
-            self._cancel_pending(item, key)
-            self._store_forbidden(item, key)
+            self._cancel_pending(element, key)
+            self._store_forbidden(element, key)
         # The deadline has passed: forbidden elements that would cancel this element may have been dropped already.
-        elif item.end + self.span <= self._latest_now:
+        elif element.end + self.span <= self._latest_now:
             self.late_count += 1
         else:
-            self._replace(item, key)
-            if not self._is_cancelled(item, key):
-                self._add_pending(item)
+            self._replace(element, key)
+            if not self._is_cancelled(element, key):
+                self._add_pending(element)
         self._update_deadline()
         return []
 
@@ -145,55 +145,61 @@ class AbsenceTimeout(KeyedOperator):
         """See `StreamOperator.advance_to`."""
         outputs = []
         while self.next_deadline is not None and self.next_deadline <= instant:
-            due, _, item = self._deadlines[0]
-            self._drop_pending(item)
-            outputs.append(StreamOutput((item,), item.start, due))
+            due, _, element = self._deadlines[0]
+            self._drop_pending(element)
+            outputs.append(StreamOutput((element,), element.start, due))
             self._update_deadline()
         return outputs
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
-        pending = [item for _, _, item in self._deadlines if not item.is_removed]
-        forbidden = [item for _, _, item in self._by_start if not item.is_removed]
+        pending = [element for _, _, element in self._deadlines if not element.is_removed]
+        forbidden = [element for _, _, element in self._by_start if not element.is_removed]
         return (self._order, self._latest_now, sorted(pending, key=_order), sorted(forbidden, key=_order))
 
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         self._order, self._latest_now, pending, forbidden = saved
-        self._pending, self._forbidden, self._deadlines, self._by_start, self._number = {}, {}, [], [], 0
-        for item in [*pending, *forbidden]:
+        self._pending, self._forbidden, self._deadlines, self._by_start, self._stored_count = (
+            {},
+            {},
+            [],
+            [],
+            0,
+        )
+        for element in [*pending, *forbidden]:
             # Keys are not part of the saved state: they follow from the values.
-            item.restore_key()
-        for item in pending:
-            self._replace(item, self.correlation.key(item.match, 0))
-            self._add_pending(item)
-        for item in forbidden:
-            self._store_forbidden(item, self.correlation.key(item.match, 1))
+            element.restore_key()
+        for element in pending:
+            self._replace(element, self.correlation.key(element.match, 0))
+            self._add_pending(element)
+        for element in forbidden:
+            self._store_forbidden(element, self.correlation.key(element.match, 1))
         self._update_deadline()
 
-    def _replace(self, item: StreamElement, key: Hashable) -> None:
+    def _replace(self, element: StreamElement, key: Hashable) -> None:
         """Set the key of an element, and drop the pending element that it replaces."""
         make_key = self.correlation.replacement_key
-        replacement_key = item.order if make_key is None else make_key(item.match)
-        item.key = (key, replacement_key)
+        replacement_key = element.order if make_key is None else make_key(element.match)
+        element.key = (key, replacement_key)
         replaced = self._pending.get(key, {}).get(replacement_key)
         if replaced is not None:
             self._drop_pending(replaced)
 
-    def _add_pending(self, item: StreamElement) -> None:
-        key: Any = item.key
-        self._pending.setdefault(key[0], {})[key[1]] = item
-        self._number += 1
-        _push(self._deadlines, item.end + self.span, item, self._number)
+    def _add_pending(self, element: StreamElement) -> None:
+        key: Any = element.key
+        self._pending.setdefault(key[0], {})[key[1]] = element
+        self._stored_count += 1
+        _push(self._deadlines, element.end + self.span, element, self._stored_count)
 
-    def _drop_pending(self, item: StreamElement) -> None:
-        item.is_removed = True
-        key: Any = item.key
+    def _drop_pending(self, element: StreamElement) -> None:
+        element.is_removed = True
+        key: Any = element.key
         pending = self._pending[key[0]]
         del pending[key[1]]
         if not pending:
             del self._pending[key[0]]
-        self._number -= 1
+        self._stored_count -= 1
 
     def _update_deadline(self) -> None:
         """Remove dropped elements from the top of the heap, and set the next deadline."""
@@ -207,71 +213,73 @@ class AbsenceTimeout(KeyedOperator):
         if self.meter is not None:
             # The work is counted before the loop: an interrupt within it would leave cancelled elements pending.
             self.meter(len(pending))
-        for item in pending:
-            if self._lies_after(forbidden, item):
-                self._drop_pending(item)
+        for element in pending:
+            if self._lies_after(forbidden, element):
+                self._drop_pending(element)
 
     def _candidates(self, key: Hashable) -> Iterator[StreamElement]:
         # A key of None may correlate with every key, so elements without a key are candidates for each search.
         for candidate_key in list(self._pending) if key is None else [key, None]:
             yield from self._pending.get(candidate_key, {}).values()
 
-    def _is_cancelled(self, item: StreamElement, key: Hashable) -> bool:
+    def _is_cancelled(self, element: StreamElement, key: Hashable) -> bool:
         """Return whether a forbidden element that has arrived earlier cancels an element."""
         keys = list(self._forbidden) if key is None else [key, None]
         forbidden_groups = [
             self._forbidden[candidate_key] for candidate_key in keys if candidate_key in self._forbidden
         ]
         if self.meter is not None:
-            self.meter(sum(len(group.items) for group in forbidden_groups))
+            self.meter(sum(len(forbidden_elements.elements) for forbidden_elements in forbidden_groups))
         return any(
-            self._lies_after(forbidden, item)
-            for group in forbidden_groups
-            if group.newest > item.end
-            for forbidden in group.items
+            self._lies_after(forbidden, element)
+            for forbidden_elements in forbidden_groups
+            if forbidden_elements.newest > element.end
+            for forbidden in forbidden_elements.elements
             if not forbidden.is_removed
         )
 
-    def _lies_after(self, forbidden: StreamElement, item: StreamElement) -> bool:
-        if not (item.end < forbidden.start and forbidden.end < item.end + self.span):
+    def _lies_after(self, forbidden: StreamElement, element: StreamElement) -> bool:
+        if not (element.end < forbidden.start and forbidden.end < element.end + self.span):
             return False
         correlation = self.correlation
-        key: Any = item.key
+        key: Any = element.key
         # The candidates were found by their key, so equality needs no further test.
         if correlation.key_is_sufficient and key is not None and forbidden.key is not None:
             return True
-        return correlation.cancels(item.match, forbidden.match)
+        return correlation.cancels(element.match, forbidden.match)
 
-    def _store_forbidden(self, item: StreamElement, key: Hashable) -> None:
-        item.key = key
-        group = self._forbidden.setdefault(key, _ForbiddenElements())
+    def _store_forbidden(self, element: StreamElement, key: Hashable) -> None:
+        element.key = key
+        forbidden_elements = self._forbidden.setdefault(key, _ForbiddenElements())
         may_thin = self.correlation.key_is_sufficient and key is not None
-        self._number += 1
-        for redundant in group.add(item, self.span, may_thin):
+        self._stored_count += 1
+        for redundant in forbidden_elements.add(element, self.span, may_thin):
             redundant.is_removed = True
-            self._number -= 1
-        _push(self._by_start, item.start, item, self._number)
+            self._stored_count -= 1
+        _push(self._by_start, element.start, element, self._stored_count)
 
-    def _drop_forbidden_before(self, limit: int) -> None:
+    def _drop_forbidden_before(self, min_start: int) -> None:
         """Drop the forbidden elements that started too long ago to cancel a pending one."""
-        while self._by_start and self._by_start[0][0] <= limit:
-            item = heapq.heappop(self._by_start)[2]
-            if not item.is_removed:
-                item.is_removed = True
-                self._number -= 1
-                group = self._forbidden[item.key]
-                group.count_removal()
-                if not group.number:
-                    del self._forbidden[item.key]
+        while self._by_start and self._by_start[0][0] <= min_start:
+            element = heapq.heappop(self._by_start)[2]
+            if not element.is_removed:
+                element.is_removed = True
+                self._stored_count -= 1
+                forbidden_elements = self._forbidden[element.key]
+                forbidden_elements.count_removal()
+                if not forbidden_elements.element_count:
+                    del self._forbidden[element.key]
 
 
-def _order(item: StreamElement) -> int:
-    return item.order
+def _order(element: StreamElement) -> int:
+    return element.order
 
 
-def _push(heap: List[Tuple[int, int, StreamElement]], instant: int, item: StreamElement, number: int) -> None:
+def _push(
+    heap: List[Tuple[int, int, StreamElement]], instant: int, element: StreamElement, element_count: int
+) -> None:
     """Push an element on a heap, and compact the heap if more than half of it was dropped."""
-    heapq.heappush(heap, (instant, item.order, item))
-    if len(heap) > 2 * number + 64:
+    heapq.heappush(heap, (instant, element.order, element))
+    if len(heap) > 2 * element_count + 64:
         heap[:] = [entry for entry in heap if not entry[2].is_removed]
         heapq.heapify(heap)

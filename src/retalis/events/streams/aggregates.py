@@ -53,7 +53,7 @@ _MAX_INTEGER = (1 << 63) - 1
 _NUMBER_CLASSES = (int, float)
 
 
-def unsuitable_value(name: str, value: Term, expected: str = "a number") -> RuleError:
+def value_error(name: str, value: Term, expected: str = "a number") -> RuleError:
     """Return the error for a value that an aggregate cannot process."""
     return RuleError(f"aggregate {name}: the value is '{beginning(write_term(value))}': expected {expected}")
 
@@ -65,9 +65,9 @@ def check_finite(value: Any, name: str) -> None:
         RuleError: if the value is not a finite number.
     """
     if not isinstance(value, (int, float)):
-        raise unsuitable_value(name, value)
+        raise value_error(name, value)
     if value.__class__ is float and not isfinite(value):
-        raise unsuitable_value(name, value, "a finite number")
+        raise value_error(name, value, "a finite number")
 
 
 def check_ordered(value: Any, name: str) -> None:
@@ -77,7 +77,7 @@ def check_ordered(value: Any, name: str) -> None:
         RuleError: if the value is not a number, or is nan.
     """
     if not isinstance(value, (int, float)) or value != value:
-        raise unsuitable_value(name, value)
+        raise value_error(name, value)
 
 
 def is_number(value: Term) -> bool:
@@ -151,13 +151,13 @@ COMPARABLE_NUMBER = ValueRule(check_ordered)
 
 Setting = Any
 """Setting of an aggregate: a number, or a function that calls predicates of the program; None for most of them."""
-Members = Deque[StreamElement]
+WindowElements = Deque[StreamElement]
 """Elements of a window in order of arrival; elements marked as removed may remain for a while."""
 
 
-def present_elements(members: Members) -> Iterator[StreamElement]:
+def present_elements(elements: WindowElements) -> Iterator[StreamElement]:
     """Yield the elements that are in the window, the oldest first."""
-    return (item for item in members if not item.is_removed)
+    return (item for item in elements if not item.is_removed)
 
 
 class Accumulator:
@@ -170,13 +170,13 @@ class Accumulator:
         value_rule: the values that the aggregate accepts.
         accepts_arrays: whether arrays are accepted as well as numbers.
         accepts_empty: whether an empty window has a result.
-        visits_all: whether computing the result visits every element.
+        scans_window: whether the computation of the result visits every element.
     """
 
     value_rule = ANY_TERM
     accepts_arrays = False
     accepts_empty = False
-    visits_all = False
+    scans_window = False
 
     def __init__(self, index: int, name: str, setting: Setting):
         self.index = index
@@ -189,7 +189,7 @@ class Accumulator:
         return self.value_rule.check is not None
 
     def check(self, item: StreamElement) -> Optional[bool]:
-        """Reject the value of an element; return True if it is an array.
+        """Check the value of an element; return True if it is an array.
 
         Raises:
             RuleError: if the aggregate cannot process the value.
@@ -206,11 +206,11 @@ class Accumulator:
     def remove(self, item: StreamElement) -> None:
         """Remove an element that is marked as removed."""
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         """Return the result, or None if there is none.
 
         Args:
-            members: the elements.
+            elements: the elements.
             count: number of elements that were not removed; at least 1 unless `accepts_empty`.
         """
         raise NotImplementedError
@@ -219,7 +219,7 @@ class Accumulator:
 class _CountAccumulator(Accumulator):
     accepts_empty = True
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         return count
 
 
@@ -227,14 +227,14 @@ class _ElementwiseAccumulator(Accumulator):
     """Base class, for aggregates whose values are numbers, or arrays of equal length.
 
     Attributes:
-        arrays: number of elements whose value is an array.
-        length: number of elements of these arrays.
+        array_count: number of elements of the window whose value is an array.
+        array_length: length of these arrays.
     """
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.arrays = 0
-        self.length = 0
+        self.array_count = 0
+        self.array_length = 0
 
     def check_array(self, value: Term) -> bool:
         """Return True if the value of an element is an array like those of the window, if any; else reject it.
@@ -243,32 +243,32 @@ class _ElementwiseAccumulator(Accumulator):
             RuleError: if the aggregate cannot process the value.
         """
         length = array_length(value) if self.accepts_arrays else None
-        if self.arrays and length != self.length:
-            raise unsuitable_value(self.name, value, f"an array of {counted(self.length, 'element')}")
+        if self.array_count and length != self.array_length:
+            raise value_error(self.name, value, f"an array of {counted(self.array_length, 'element')}")
         if length is None:
-            raise unsuitable_value(self.name, value)
+            raise value_error(self.name, value)
         return True
 
     def add_array(self, value: Term) -> bool:
         """Add an array."""
-        self.arrays += 1
-        self.length = array_length(value) or 0
+        self.array_count += 1
+        self.array_length = array_length(value) or 0
         return True
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
-        if not self.arrays:
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        if not self.array_count:
             return self.result_of_numbers(count)
-        values = [item.values[self.index] for item in present_elements(members)]
-        # A row pattern checks its elements one by one, and only here finds those that do not go together.
-        if len(values) > self.arrays:
+        values = [item.values[self.index] for item in present_elements(elements)]
+        # A row pattern checks its elements one by one, so elements that do not fit together are detected here.
+        if len(values) > self.array_count:
             array = next(value for value in values if value.__class__ not in _NUMBER_CLASSES)
-            raise unsuitable_value(self.name, array)
+            raise value_error(self.name, array)
         arrays = list(map(array_of, values))
         if len({len(array) for array in arrays}) > 1:
             raise RuleError(f"aggregate {self.name}: a window has arrays of different lengths")
         import numpy as np  # noqa: PLC0415 - see `array_terms`
 
-        # Elements that are nan or infinite, as in many scans, stay what they are.
+        # nan and infinite values, which many scans contain, are propagated as numpy does, without warnings.
         with np.errstate(all="ignore"):
             return array_term(self.combine(arrays))
 
@@ -286,7 +286,7 @@ def _sum_of_arrays(arrays: "List[Array]") -> "Array":
     Raises:
         OverflowError: if an integer may be too large.
     """
-    # Ends of an array of unsigned integers as Python integers, which do not overflow.
+    # The minimum and maximum are converted to Python integers, because `abs` of a fixed-size integer can overflow.
     bound = 0
     if all(array.dtype.kind != "f" for array in arrays):
         for array in arrays:
@@ -312,7 +312,7 @@ class _SumAccumulator(_ElementwiseAccumulator):
 
     def check(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
-        if self.arrays or value.__class__ not in _NUMBER_CLASSES:
+        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
             return self.check_array(value)
         check_finite(value, self.name)
         return None
@@ -321,18 +321,18 @@ class _SumAccumulator(_ElementwiseAccumulator):
         value = item.values[self.index]
         if value.__class__ not in _NUMBER_CLASSES:
             return self.add_array(value)
-        self.sum.add_times(value, 1)
+        self.sum.add_multiple(value, 1)
         return None
 
     def remove(self, item: StreamElement) -> None:
         value = item.values[self.index]
         if value.__class__ in _NUMBER_CLASSES:
-            self.sum.add_times(value, -1)
+            self.sum.add_multiple(value, -1)
         else:
-            self.arrays -= 1
+            self.array_count -= 1
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        return self.sum.divided_by(1, count)
+        return self.sum.quotient(1, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
         return _sum_of_arrays(arrays)
@@ -342,7 +342,7 @@ class _AverageAccumulator(_SumAccumulator):
     accepts_empty = False
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        return self.sum.divided_by(count, count)
+        return self.sum.quotient(count, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
         return _sum_of_arrays(arrays) / len(arrays)
@@ -356,18 +356,18 @@ class _DeviationAccumulator(_SumAccumulator):
         super().__init__(index, name, setting)
         self.squares = ExactSum()
 
-    def _square(self, item: StreamElement, times: int) -> None:
+    def _add_square(self, item: StreamElement, times: int) -> None:
         numerator, denominator = item.values[self.index].as_integer_ratio()
         self.squares.add_fraction(numerator * numerator, 2 * (denominator.bit_length() - 1), times)
 
     def add(self, item: StreamElement) -> Optional[bool]:
         super().add(item)
-        self._square(item, 1)
+        self._add_square(item, 1)
         return None
 
     def remove(self, item: StreamElement) -> None:
         super().remove(item)
-        self._square(item, -1)
+        self._add_square(item, -1)
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
         return standard_deviation(self.sum, self.squares, count) if count > 1 else None
@@ -380,11 +380,11 @@ class _MinimumAccumulator(_ElementwiseAccumulator):
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.lowest = LazyMinHeap()
+        self.heap = LazyMinHeap()
 
     def check(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
-        if self.arrays or value.__class__ not in _NUMBER_CLASSES:
+        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
             return self.check_array(value)
         check_ordered(value, self.name)
         return None
@@ -393,17 +393,17 @@ class _MinimumAccumulator(_ElementwiseAccumulator):
         value = item.values[self.index]
         if value.__class__ not in _NUMBER_CLASSES:
             return self.add_array(value)
-        self.lowest.add(self.sign * value, item)
+        self.heap.add(self.sign * value, item)
         return None
 
     def remove(self, item: StreamElement) -> None:
         if item.values[self.index].__class__ in _NUMBER_CLASSES:
-            self.lowest.remove()
+            self.heap.remove()
         else:
-            self.arrays -= 1
+            self.array_count -= 1
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        top = self.lowest.top()
+        top = self.heap.top()
         return None if top is None else top[2].values[self.index]
 
     def combine(self, arrays: "List[Array]") -> "Array":
@@ -428,16 +428,16 @@ class _QuantileAccumulator(Accumulator):
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.ranked = QuantileHeaps(setting)
+        self.heaps = QuantileHeaps(setting)
 
     def add(self, item: StreamElement) -> None:
-        self.ranked.add(item.values[self.index], item)
+        self.heaps.add(item.values[self.index], item)
 
     def remove(self, item: StreamElement) -> None:
-        self.ranked.remove(item)
+        self.heaps.remove(item)
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
-        return self.ranked.value()
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        return self.heaps.value()
 
 
 class _MedianAccumulator(_QuantileAccumulator):
@@ -446,23 +446,23 @@ class _MedianAccumulator(_QuantileAccumulator):
 
 
 class _FirstAccumulator(Accumulator):
-    def result(self, members: Members, count: int) -> Optional[Term]:
-        value: Term = next(present_elements(members)).values[self.index]
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        value: Term = next(present_elements(elements)).values[self.index]
         return value
 
 
 class _LastAccumulator(Accumulator):
-    def result(self, members: Members, count: int) -> Optional[Term]:
-        value: Term = next(item for item in reversed(members) if not item.is_removed).values[self.index]
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        value: Term = next(item for item in reversed(elements) if not item.is_removed).values[self.index]
         return value
 
 
 class _ListAccumulator(Accumulator):
     accepts_empty = True
-    visits_all = True
+    scans_window = True
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
-        return make_list([item.values[self.index] for item in present_elements(members)])
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        return make_list([item.values[self.index] for item in present_elements(elements)])
 
 
 class _CountDistinctAccumulator(Accumulator):
@@ -474,7 +474,7 @@ class _CountDistinctAccumulator(Accumulator):
 
     def add(self, item: StreamElement) -> None:
         key = term_key(item.values[self.index])
-        # A count per value: a value leaves when its last element does.
+        # A value is removed when its last element is removed.
         self.counts[key] = self.counts.get(key, 0) + 1
 
     def remove(self, item: StreamElement) -> None:
@@ -483,66 +483,71 @@ class _CountDistinctAccumulator(Accumulator):
         if not self.counts[key]:
             del self.counts[key]
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         return len(self.counts)
 
 
-class _EqualValues:
+class _ElementsWithValue:
     """Elements with one value in order of arrival; the first that was not removed has the index ``first_index``."""
 
-    __slots__ = ("items", "first_index", "count")
+    __slots__ = ("entries", "first_index", "count")
 
     def __init__(self) -> None:
-        self.items: List[Tuple[int, StreamElement]] = []
+        self.entries: List[Tuple[int, StreamElement]] = []
         self.first_index = 0
         self.count = 0
 
     def add(self, order: int, item: StreamElement) -> None:
-        self.items.append((order, item))
+        self.entries.append((order, item))
         self.count += 1
 
     def count_removal(self) -> None:
         """Count an element that was removed."""
         self.count -= 1
-        items = self.items
+        entries = self.entries
         # Elements leave mostly in order, so the index advances; compaction is for those that leave in between.
-        if len(items) > 2 * self.count + 16:
-            self.items = items = [entry for entry in items if not entry[1].is_removed]
+        if len(entries) > 2 * self.count + 16:
+            self.entries = entries = [entry for entry in entries if not entry[1].is_removed]
             self.first_index = 0
-        while self.first_index < len(items) and items[self.first_index][1].is_removed:
+        while self.first_index < len(entries) and entries[self.first_index][1].is_removed:
             self.first_index += 1
 
     def first(self) -> Tuple[int, StreamElement]:
         """Return the oldest element with its order of arrival; there must be one."""
-        return self.items[self.first_index]
+        return self.entries[self.first_index]
 
 
 class _DistinctAccumulator(Accumulator):
     """List of distinct values; each value is visited once, however many elements have it."""
 
     accepts_empty = True
-    visits_all = True
+    scans_window = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
-        self.by_value: Dict[Hashable, _EqualValues] = {}
+        self.by_value: Dict[Hashable, _ElementsWithValue] = {}
         self._order = 0
 
     def add(self, item: StreamElement) -> None:
         self._order += 1
-        self.by_value.setdefault(term_key(item.values[self.index]), _EqualValues()).add(self._order, item)
+        self.by_value.setdefault(term_key(item.values[self.index]), _ElementsWithValue()).add(
+            self._order, item
+        )
 
     def remove(self, item: StreamElement) -> None:
         key = term_key(item.values[self.index])
-        same_value = self.by_value[key]
-        same_value.count_removal()
-        if not same_value.count:
+        elements_with_value = self.by_value[key]
+        elements_with_value.count_removal()
+        if not elements_with_value.count:
             del self.by_value[key]
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         # In the order of first occurrence, as a list of distinct values is expected to be.
-        firsts = sorted([same_value.first() for same_value in self.by_value.values()], key=_arrival_order)
-        return make_list([item.values[self.index] for _, item in firsts])
+        first_elements = sorted(
+            [elements_with_value.first() for elements_with_value in self.by_value.values()],
+            key=_arrival_order,
+        )
+        return make_list([item.values[self.index] for _, item in first_elements])
 
 
 def _arrival_order(entry: Tuple[int, StreamElement]) -> int:
@@ -558,23 +563,23 @@ class _RateAccumulator(Accumulator):
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.seconds = Fraction(setting) if setting else None
-        self.first, self.last = LazyMinHeap(), LazyMinHeap()
+        self.earliest_ends, self.latest_ends = LazyMinHeap(), LazyMinHeap()
 
     def add(self, item: StreamElement) -> None:
         if self.seconds is None:
             # The first and last end are kept in heaps, because elements may arrive out of order.
-            self.first.add(item.end, item)
-            self.last.add(-item.end, item)
+            self.earliest_ends.add(item.end, item)
+            self.latest_ends.add(-item.end, item)
 
     def remove(self, item: StreamElement) -> None:
         if self.seconds is None:
-            self.first.remove()
-            self.last.remove()
+            self.earliest_ends.remove()
+            self.latest_ends.remove()
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         if self.seconds is not None:
             return count * self.seconds.denominator / self.seconds.numerator
-        first_entry, last_entry = self.first.top(), self.last.top()
+        first_entry, last_entry = self.earliest_ends.top(), self.latest_ends.top()
         # The window is not empty.
         assert first_entry is not None and last_entry is not None
         # n elements span n - 1 intervals.
@@ -585,10 +590,12 @@ class _RateAccumulator(Accumulator):
 class _UserFoldAccumulator(Accumulator):
     """Aggregate that the program defines: ``setting`` computes the result from the values, oldest first."""
 
-    visits_all = True
+    scans_window = True
 
-    def result(self, members: Members, count: int) -> Optional[Term]:
-        result: Optional[Term] = self.setting([item.values[self.index] for item in present_elements(members)])
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        result: Optional[Term] = self.setting(
+            [item.values[self.index] for item in present_elements(elements)]
+        )
         return result
 
 
@@ -596,13 +603,13 @@ class Fold(NamedTuple):
     """Aggregate function over a growing sequence of values.
 
     Attributes:
-        start: state without any value.
+        initial_state: state without any value.
         empty_result: result without any value; None if there is none.
         add: returns the state with one more value.
         result: returns the result of a state.
     """
 
-    start: Any
+    initial_state: Any
     empty_result: Optional[Term]
     add: Callable[[Any, Term], Any]
     result: Callable[[Any], Term]
@@ -657,18 +664,18 @@ class AggregateFunction(NamedTuple):
     Attributes:
         name: name in rules.
         notation: notation in rules; the last argument is the aggregated value.
-        setting_count: number of arguments before the aggregated value.
-        has_value: whether it has an aggregated value.
         accumulator: implementation for windows.
         fold: implementation for repeated events; None if it is an aggregate of windows only.
+        has_value: whether it has an aggregated value.
+        setting_count: number of arguments before the aggregated value.
     """
 
     name: str
     notation: str
-    setting_count: int
-    has_value: bool
     accumulator: Type[Accumulator]
     fold: Optional[Fold] = None
+    has_value: bool = True
+    setting_count: int = 0
 
     @property
     def arity(self) -> int:
@@ -701,43 +708,34 @@ AGGREGATES: Dict[str, AggregateFunction] = {
         AggregateFunction(
             "count",
             "count",
-            0,
-            False,
             _CountAccumulator,
             Fold(0, 0, lambda count, value: count + 1, _state_result),
+            has_value=False,
         ),
-        AggregateFunction("sum", "sum(X)", 0, True, _SumAccumulator, Fold(0, 0, _sum, _state_result)),
-        AggregateFunction(
-            "min", "min(X)", 0, True, _MinimumAccumulator, Fold(None, None, _minimum, _state_result)
-        ),
-        AggregateFunction(
-            "max", "max(X)", 0, True, _MaximumAccumulator, Fold(None, None, _maximum, _state_result)
-        ),
+        AggregateFunction("sum", "sum(X)", _SumAccumulator, Fold(0, 0, _sum, _state_result)),
+        AggregateFunction("min", "min(X)", _MinimumAccumulator, Fold(None, None, _minimum, _state_result)),
+        AggregateFunction("max", "max(X)", _MaximumAccumulator, Fold(None, None, _maximum, _state_result)),
         AggregateFunction(
             "avg",
             "avg(X)",
-            0,
-            True,
             _AverageAccumulator,
             Fold((0, 0), None, lambda state, value: (_sum(state[0], value), state[1] + 1), _average),
         ),
-        AggregateFunction("stddev", "stddev(X)", 0, True, _DeviationAccumulator),
-        AggregateFunction("median", "median(X)", 0, True, _MedianAccumulator),
-        AggregateFunction("quantile", "quantile(P, X)", 1, True, _QuantileAccumulator),
-        AggregateFunction("first", "first(X)", 0, True, _FirstAccumulator),
-        AggregateFunction("last", "last(X)", 0, True, _LastAccumulator),
+        AggregateFunction("stddev", "stddev(X)", _DeviationAccumulator),
+        AggregateFunction("median", "median(X)", _MedianAccumulator),
+        AggregateFunction("quantile", "quantile(P, X)", _QuantileAccumulator, setting_count=1),
+        AggregateFunction("first", "first(X)", _FirstAccumulator),
+        AggregateFunction("last", "last(X)", _LastAccumulator),
         AggregateFunction(
             "list",
             "list(X)",
-            0,
-            True,
             _ListAccumulator,
             Fold((), NIL, lambda values, value: (values, value), _list_result),
         ),
-        AggregateFunction("distinct", "distinct(X)", 0, True, _DistinctAccumulator),
-        AggregateFunction("count_distinct", "count_distinct(X)", 0, True, _CountDistinctAccumulator),
-        AggregateFunction("rate", "rate", 0, False, _RateAccumulator),
-        AggregateFunction("fold", "fold(Init, Step, Result, X)", 3, True, _UserFoldAccumulator),
+        AggregateFunction("distinct", "distinct(X)", _DistinctAccumulator),
+        AggregateFunction("count_distinct", "count_distinct(X)", _CountDistinctAccumulator),
+        AggregateFunction("rate", "rate", _RateAccumulator, has_value=False),
+        AggregateFunction("fold", "fold(Init, Step, Result, X)", _UserFoldAccumulator, setting_count=3),
     )
 }
 """All aggregate functions by name."""
@@ -759,7 +757,7 @@ class SequenceAggregate:
         # The table contains only functions with a fold.
         assert function.fold is not None
         self.name = name
-        self.start, self.empty_result, self._add, self.result = function.fold
+        self.initial_state, self.empty_result, self._add, self.result = function.fold
         self._check = function.value_rule.check
         self._value = value
         self._evaluate = evaluate
@@ -775,13 +773,13 @@ class SequenceAggregate:
                     state = state[0]
                 return state == ()  # type: ignore[no-any-return]
             # The state of ``avg`` is the sum and the count.
-            if self.start == (0, 0):
+            if self.initial_state == (0, 0):
                 if state.__class__ is not tuple or len(state) != 2:
                     return False
                 state, count = state
                 if count.__class__ is not int or count < 0:
                     return False
-            if state is not self.start:
+            if state is not self.initial_state:
                 self._check(state, self.name)
         except RuleError:
             return False

@@ -1,8 +1,8 @@
 """Rate operators of streams: throttle, debounce, and distinct-until-changed, each with one state per key.
 
-These correspond to operators of ReactiveX: `Throttle` to throttleFirst, with ``every`` to a debounce on the leading
-edge, `Debounce` to debounce, and `DistinctUntilChanged` to the operator of that name. Time is the time of the events
-(their ends), not the time of their arrival, so the result does not depend on the speed of processing.
+These correspond to operators of ReactiveX: `Throttle` to throttleFirst, with ``is_debounce`` to a debounce on the
+leading edge, `Debounce` to debounce, and `DistinctUntilChanged` to the operator of that name. Time is the time of the
+events (their ends), not the time of their arrival, so the result does not depend on the speed of processing.
 """
 
 import heapq
@@ -18,14 +18,13 @@ class Throttle(KeyedOperator):
 
     Args:
         span: the time in ns.
-        every: whether the previous element is the last one that arrived, so that the first element of each burst
-            passes; otherwise it is the last one that passed.
+        is_debounce: whether blocked elements extend the time, so that only the first element of each burst passes.
     """
 
-    def __init__(self, span: int, every: bool):
+    def __init__(self, span: int, is_debounce: bool):
         super().__init__()
         self.span = span
-        self.every = every
+        self.is_debounce = is_debounce
         self.states: OrderedDict[Hashable, StreamElement] = OrderedDict()
         self._by_end: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
@@ -33,27 +32,27 @@ class Throttle(KeyedOperator):
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`."""
         while True:
-            item = heapq.heappop(self._by_end)[2]
-            if self.states.get(item.key) is item:
-                del self.states[item.key]
+            element = heapq.heappop(self._by_end)[2]
+            if self.states.get(element.key) is element:
+                del self.states[element.key]
                 return []
 
-    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         # A timestamp too far in the future passes, but does not block the elements that follow with a correct one.
-        if self._is_too_far_ahead(item.end):
-            return [StreamOutput((item,), item.start, item.end)]
-        self._advance(item.end)
+        if self._is_too_far_ahead(element.end):
+            return [StreamOutput((element,), element.start, element.end)]
+        self._advance(element.end)
         self._drop_expired()
-        previous = self.states.get(item.key)
+        previous = self.states.get(element.key)
         # States older than ``span`` were dropped, so an element passes exactly if its key has no state.
-        if previous is None or (self.every and item.end > previous.end):
-            self._store(item)
-        return [StreamOutput((item,), item.start, item.end)] if previous is None else []
+        if previous is None or (self.is_debounce and element.end > previous.end):
+            self._store(element)
+        return [StreamOutput((element,), element.start, element.end)] if previous is None else []
 
-    def _store(self, item: StreamElement) -> None:
+    def _store(self, element: StreamElement) -> None:
         # Without the match, which would keep its events alive.
-        stored = StreamElement(None, item.start, item.end, item.by, ())
+        stored = StreamElement(None, element.start, element.end, element.by, ())
         self._order += 1
         stored.order = self._order
         self.states[stored.key] = stored
@@ -61,17 +60,17 @@ class Throttle(KeyedOperator):
             self.drop_oldest()
             self.evicted_count += 1
         heapq.heappush(self._by_end, (stored.end, stored.order, stored))
-        # With ``every``, each element replaces the state of its key and leaves an outdated heap entry.
+        # With ``is_debounce``, each element replaces the state of its key and leaves an outdated heap entry.
         if len(self._by_end) > 2 * len(self.states) + 64:
             self._by_end = [(element.end, element.order, element) for element in self.states.values()]
             heapq.heapify(self._by_end)
 
     def _drop_expired(self) -> None:
-        limit = self.clock - self.span
-        while self._by_end and self._by_end[0][0] <= limit:
-            item = heapq.heappop(self._by_end)[2]
-            if self.states.get(item.key) is item:
-                del self.states[item.key]
+        max_end = self.clock - self.span
+        while self._by_end and self._by_end[0][0] <= max_end:
+            element = heapq.heappop(self._by_end)[2]
+            if self.states.get(element.key) is element:
+                del self.states[element.key]
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
@@ -82,38 +81,38 @@ class Throttle(KeyedOperator):
         self.clock, stored_elements = saved
         self.states.clear()
         self._by_end = []
-        for item in stored_elements:
-            item.restore_key()
-            self._store(item)
+        for element in stored_elements:
+            element.restore_key()
+            self._store(element)
 
 
 class _LastValue:
     """Last value of a key, the element that introduced it, and the clock at the last element."""
 
-    __slots__ = ("value", "item", "reference_time")
+    __slots__ = ("value", "element", "reference_time")
 
-    def __init__(self, value: Hashable, item: StreamElement, reference_time: int):
+    def __init__(self, value: Hashable, element: StreamElement, reference_time: int):
         self.value = value
-        self.item = item
+        self.element = element
         self.reference_time = reference_time
 
 
 class DistinctUntilChanged(KeyedOperator):
     """Operator that passes the first element of a key, and each element whose value differs from the previous one."""
 
-    KEY_BYTES, ITEM_BYTES = 950, 0
+    KEY_BYTES, ELEMENT_BYTES = 950, 0
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; drops the least recently used key."""
         self.states.popitem(last=False)
         return []
 
-    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
-        term = item.values[0]
+        term = element.values[0]
         value: Hashable = term if term.__class__ in SELF_KEYED else term_key(term)
-        end, key, states = item.end, item.key, self.states
-        if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
+        end, key, states = element.end, element.key, self.states
+        if self.clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             self.clock = end
         if self._idle is not None:
             self._drop_idle_keys()
@@ -124,25 +123,25 @@ class DistinctUntilChanged(KeyedOperator):
             state.reference_time = self.clock
             if state.value == value:
                 return []
-        self._store(value, StreamElement(None, item.start, item.end, item.by, item.values))
-        return [StreamOutput((item,), item.start, item.end)]
+        self._store(value, StreamElement(None, element.start, element.end, element.by, element.values))
+        return [StreamOutput((element,), element.start, element.end)]
 
-    def _store(self, value: Hashable, item: StreamElement) -> None:
-        self.states[item.key] = _LastValue(value, item, self.clock)
+    def _store(self, value: Hashable, element: StreamElement) -> None:
+        self.states[element.key] = _LastValue(value, element, self.clock)
         if len(self.states) > self._max_keys:
             self._evict_keys()
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`: clocks of the last uses and elements, the least recently used key first."""
         last_values = self.states.values()
-        return ([state.reference_time for state in last_values], [state.item for state in last_values])
+        return ([state.reference_time for state in last_values], [state.element for state in last_values])
 
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         self.states.clear()
-        for self.clock, item in zip(*saved):
-            item.restore_key()
-            self._store(term_key(item.values[0]), item)
+        for self.clock, element in zip(*saved):
+            element.restore_key()
+            self._store(term_key(element.values[0]), element)
 
 
 class Debounce(KeyedOperator):
@@ -156,12 +155,12 @@ class Debounce(KeyedOperator):
         self.span = span
         self._latest_now = NEVER
         self.pending: Dict[Hashable, List[StreamElement]] = {}
-        self._number = 0
+        self._pending_count = 0
         self._deadlines: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
 
     def __len__(self) -> int:
-        return self._number
+        return self._pending_count
 
     @property
     def keys(self) -> int:
@@ -175,17 +174,17 @@ class Debounce(KeyedOperator):
         self._update_deadline()
         return []
 
-    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         if now > self._latest_now:
             self._latest_now = now
-        end, span = item.end, self.span
+        end, span = element.end, self.span
         # The deadline has passed already, or lies in a future that the stream must not wait for.
         if end + span <= self._latest_now or self._is_too_far_ahead(end):
             self.late_count += 1
             return []
         is_superseded = False
-        for pending in list(self.pending.get(item.key, ())):
+        for pending in list(self.pending.get(element.key, ())):
             # The order of arrival is not the order of ends: a pending element is replaced by a later one, and the new
             # element is dropped if a pending one is later.
             if pending.end <= end < pending.end + span:
@@ -194,8 +193,8 @@ class Debounce(KeyedOperator):
                 is_superseded = True
         if not is_superseded:
             self._order += 1
-            item.order = self._order
-            self._add_pending(item)
+            element.order = self._order
+            self._add_pending(element)
         self._update_deadline()
         return []
 
@@ -203,27 +202,27 @@ class Debounce(KeyedOperator):
         """See `StreamOperator.advance_to`."""
         outputs = []
         while self.next_deadline is not None and self.next_deadline <= instant:
-            due, _, item = self._deadlines[0]
-            self._drop_pending(item)
-            outputs.append(StreamOutput((item,), item.start, due))
+            due, _, element = self._deadlines[0]
+            self._drop_pending(element)
+            outputs.append(StreamOutput((element,), element.start, due))
             self._update_deadline()
         return outputs
 
-    def _add_pending(self, item: StreamElement) -> None:
-        self.pending.setdefault(item.key, []).append(item)
-        self._number += 1
-        heapq.heappush(self._deadlines, (item.end + self.span, item.order, item))
-        if len(self._deadlines) > 2 * self._number + 64:
+    def _add_pending(self, element: StreamElement) -> None:
+        self.pending.setdefault(element.key, []).append(element)
+        self._pending_count += 1
+        heapq.heappush(self._deadlines, (element.end + self.span, element.order, element))
+        if len(self._deadlines) > 2 * self._pending_count + 64:
             self._deadlines = [entry for entry in self._deadlines if not entry[2].is_removed]
             heapq.heapify(self._deadlines)
 
-    def _drop_pending(self, item: StreamElement) -> None:
-        item.is_removed = True
-        self._number -= 1
-        pending = self.pending[item.key]
-        pending.remove(item)
+    def _drop_pending(self, element: StreamElement) -> None:
+        element.is_removed = True
+        self._pending_count -= 1
+        pending = self.pending[element.key]
+        pending.remove(element)
         if not pending:
-            del self.pending[item.key]
+            del self.pending[element.key]
 
     def _update_deadline(self) -> None:
         """Remove dropped elements from the top of the heap, and set the next deadline."""
@@ -233,14 +232,14 @@ class Debounce(KeyedOperator):
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
-        pending = [item for elements in self.pending.values() for item in elements]
+        pending = [element for elements in self.pending.values() for element in elements]
         return (self._order, self._latest_now, sorted(pending, key=lambda element: element.order))
 
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         self._order, self._latest_now, pending = saved
-        self.pending, self._deadlines, self._number = {}, [], 0
-        for item in pending:
-            item.restore_key()
-            self._add_pending(item)
+        self.pending, self._deadlines, self._pending_count = {}, [], 0
+        for element in pending:
+            element.restore_key()
+            self._add_pending(element)
         self._update_deadline()

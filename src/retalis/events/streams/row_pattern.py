@@ -20,7 +20,7 @@ from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optio
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator
 from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
-from .windows import MAX_TRACKED_ITEMS, results_or_error
+from .windows import MAX_TRACKED_ELEMENTS, results_or_error
 
 NavigatedElements = Sequence[StreamElement]
 """Elements that the navigations of a condition refer to."""
@@ -67,14 +67,14 @@ class StepTransitions(NamedTuple):
 
     Attributes:
         steps: steps that may accept the next element, in order of preference.
-        ends: whether the match may end instead.
+        may_end: whether the match may end instead.
         steps_after_skip: the same steps if all of them and of ``blocking`` skip elements that do not fit, else None.
         blocking: steps that are less preferred than the end. They never accept an element, because the match ends
             first, but an element that such a step would accept is not skipped.
     """
 
     steps: Tuple[int, ...]
-    ends: bool
+    may_end: bool
     steps_after_skip: Optional[Tuple[int, ...]]
     blocking: Tuple[int, ...]
 
@@ -101,11 +101,14 @@ class RowPatternNFA:
         self.steps = tuple(steps)
         self.navigations = tuple(navigations)
         self._table = [
-            [[self._transitions(step, enough, more) for more in (False, True)] for enough in (False, True)]
+            [
+                [self._transitions(step, has_reached_min, may_repeat) for may_repeat in (False, True)]
+                for has_reached_min in (False, True)
+            ]
             for step in range(len(steps))
         ]
-        self._begin = self._transitions_into(0)
-        self._may_end_after = [self._transitions_into(step + 1).ends for step in range(len(steps))]
+        self._initial_transitions = self._transitions_into(0)
+        self._may_end_after = [self._transitions_into(step + 1).may_end for step in range(len(steps))]
         self._is_certain_from = [
             all(variable.skips_rows and not variable.until for variable in self.steps[step:])
             for step in range(len(steps))
@@ -114,10 +117,10 @@ class RowPatternNFA:
     def transitions_after(self, step_number: int, count: int) -> StepTransitions:
         """Return the transitions after a step has accepted ``count`` elements."""
         if step_number == SCANNING:
-            return self._begin
+            return self._initial_transitions
         step = self.steps[step_number]
-        more = step.max_count is None or count < step.max_count
-        return self._table[step_number][count >= step.min_count][more]
+        may_repeat = step.max_count is None or count < step.max_count
+        return self._table[step_number][count >= step.min_count][may_repeat]
 
     def capped_count(self, step_number: int, count: int) -> int:
         """Return the count of a step, capped where larger counts make no difference to the transitions."""
@@ -137,29 +140,29 @@ class RowPatternNFA:
         return self.transitions_after(step, count) if self._may_end_after[step] else count
 
     def advance_navigations(
-        self, targets: NavigationTargets, step: int, item: StreamElement
+        self, targets: NavigationTargets, step: int, element: StreamElement
     ) -> NavigationTargets:
         """Return the navigations of a match after a step has accepted an element."""
         targets_after = []
-        for navigation, earlier in zip(self.navigations, targets):
+        for navigation, target in zip(self.navigations, targets):
             is_reached = navigation.kind == "prev" or (
-                navigation.step == step and (navigation.kind == "last" or earlier is None)
+                navigation.step == step and (navigation.kind == "last" or target is None)
             )
-            targets_after.append(item if is_reached else earlier)
+            targets_after.append(element if is_reached else target)
         return tuple(targets_after)
 
-    def _transitions(self, step: int, enough: bool, more: bool) -> StepTransitions:
-        """Return the transitions of a step that has reached its minimum (``enough``) and may go on (``more``)."""
-        further = self._transitions_into(step + 1) if enough else _NO_TRANSITIONS
-        steps, blocking = further.steps, further.blocking
-        if more and not self.steps[step].reluctant:
+    def _transitions(self, step: int, has_reached_min: bool, may_repeat: bool) -> StepTransitions:
+        """Return the transitions of a step: has it reached its minimum, and may it accept another element?"""
+        next_transitions = self._transitions_into(step + 1) if has_reached_min else _NO_TRANSITIONS
+        steps, blocking = next_transitions.steps, next_transitions.blocking
+        if may_repeat and not self.steps[step].reluctant:
             steps = (step, *steps)
         # Reluctant and able to end: the end is preferred, so this step only blocks the skipping of elements.
-        elif more and further.ends:
+        elif may_repeat and next_transitions.may_end:
             blocking = (*blocking, step)
-        elif more:
+        elif may_repeat:
             steps = (*steps, step)
-        return self._make_transitions(steps, further.ends, blocking)
+        return self._make_transitions(steps, next_transitions.may_end, blocking)
 
     def _transitions_into(self, step: int) -> StepTransitions:
         """Return the transitions before a step has accepted an element."""
@@ -168,31 +171,31 @@ class RowPatternNFA:
         return self._transitions(step, self.steps[step].min_count == 0, True)
 
     def _make_transitions(
-        self, steps: Tuple[int, ...], ends: bool, blocking: Tuple[int, ...]
+        self, steps: Tuple[int, ...], may_end: bool, blocking: Tuple[int, ...]
     ) -> StepTransitions:
         # Skipping an element removes the steps that are not `skips_rows`. If there are none, nothing changes, and the
         # state after a skipped element equals the one before it.
         all_skip = all(self.steps[step].skips_rows for step in (*steps, *blocking))
-        return StepTransitions(steps, ends, steps if all_skip else None, blocking)
+        return StepTransitions(steps, may_end, steps if all_skip else None, blocking)
 
 
-def passes(tests: Sequence[StepTest], targets: NavigationTargets, item: StreamElement) -> bool:
+def passes_tests(tests: Sequence[StepTest], targets: NavigationTargets, element: StreamElement) -> bool:
     """Return whether an element satisfies all tests whose navigations have elements."""
     for navigations, is_satisfied in tests:
         elements = [
             element for element in (targets[position] for position in navigations) if element is not None
         ]
-        if len(elements) == len(navigations) and not is_satisfied(item, elements):
+        if len(elements) == len(navigations) and not is_satisfied(element, elements):
             return False
     return True
 
 
-def ends(tests: Sequence[StepTest], targets: NavigationTargets, item: StreamElement) -> bool:
+def ends_step(tests: Sequence[StepTest], targets: NavigationTargets, element: StreamElement) -> bool:
     """Return whether an element ends a step: at least one test is applicable, and all applicable ones hold."""
     applicable = [
         test for test in tests if all(targets[position] is not None for position in test.navigations)
     ]
-    return bool(applicable) and passes(applicable, targets, item)
+    return bool(applicable) and passes_tests(applicable, targets, element)
 
 
 MAX_STATES_PER_START = 100
@@ -207,7 +210,7 @@ _StepAssignments = Tuple[Tuple[StreamElement, int], ...]
 class _MatchedElements(NamedTuple):
     """Elements of a match as a linked list, the newest first; states with a common prefix share it."""
 
-    item: StreamElement
+    element: StreamElement
     step: int
     previous: "Optional[_MatchedElements]"
 
@@ -282,17 +285,17 @@ class PartitionState:
     before it come after, and one queue holds the waiting matches of all states.
 
     Attributes:
-        items: elements that a state or match uses, and all elements since the oldest of them.
+        elements: elements that a state or match uses, and all elements since the oldest of them.
         states: the computation states in order of preference.
         completed: waiting matches, the oldest first: those that the last state comes after, but not the first one.
         counted_states: number of states that the window has counted for this partition.
         reference_time: the clock at its last element.
     """
 
-    __slots__ = ("items", "states", "completed", "counted_states", "reference_time")
+    __slots__ = ("elements", "states", "completed", "counted_states", "reference_time")
 
     def __init__(self, states: List[ComputationState]):
-        self.items: Deque[StreamElement] = deque()
+        self.elements: Deque[StreamElement] = deque()
         self.states = states
         self.counted_states = 0
         self.reference_time = NEVER
@@ -349,10 +352,10 @@ class _Successors:
         self.start_order = 0
         self.alternatives = 0
 
-    def uses(self, item: StreamElement) -> bool:
+    def uses(self, element: StreamElement) -> bool:
         """Return whether a state or match uses the element."""
         return self.completed is not None or any(
-            state.matched is not None and state.matched.item is item for state in self.states
+            state.matched is not None and state.matched.element is element for state in self.states
         )
 
 
@@ -360,84 +363,86 @@ class RowPatternWindow(KeyedOperator):
     """Window of a row pattern; emits matches that do not overlap. See `StreamOperator`.
 
     Args:
-        make: creates the measures of a match.
+        make_accumulators: creates the measures of a match.
         scopes: for each measure the step that it is restricted to, or None.
         nfa: the automaton.
     """
 
-    KEY_BYTES, ITEM_BYTES = 1600, 1100
+    KEY_BYTES, ELEMENT_BYTES = 1600, 1100
 
     def __init__(
         self,
-        make: Callable[[], Sequence[Accumulator]],
+        make_accumulators: Callable[[], Sequence[Accumulator]],
         scopes: Sequence[Optional[int]],
         nfa: RowPatternNFA,
     ):
         super().__init__()
-        self.make = make
+        self.make_accumulators = make_accumulators
         self.scopes = scopes
         self.nfa = nfa
         self._checks: List[_ValueCheck] = []
         self._checks_of: List[List[_ValueCheck]] = [[] for _ in nfa.steps]
-        for measure, scope in zip(make(), scopes):
+        for measure, scope in zip(make_accumulators(), scopes):
             if measure.checks_values:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
         self.states: OrderedDict[Hashable, PartitionState] = OrderedDict()
-        self._number = 0
+        self._element_count = 0
         self._state_count = 0
         self._order = 0
         self._end = NEVER
 
     def __len__(self) -> int:
         """Return the number of elements or of states, whichever is larger."""
-        return max(self._number, self._state_count)
+        return max(self._element_count, self._state_count)
 
-    def _scanning(self, next_end: int = 0) -> ComputationState:
+    def _scanning_state(self, next_end: int = 0) -> ComputationState:
         return ComputationState(SCANNING, 0, None, (None,) * len(self.nfa.navigations), None, 0, 0, next_end)
 
-    def process(self, item: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         for check in self._checks:
-            check(item)
-        clock, end, span, idle = self.clock, item.end, self._max_span, self._idle
-        if clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
+            check(element)
+        clock, end, span, idle = self.clock, element.end, self._max_span, self._idle
+        if clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             clock = end
-        group = self.states.get(item.key)
-        if group is None or (idle is not None and group.reference_time < clock - idle):
-            group = PartitionState([self._scanning()])
-        states = group.states if span is None else self._started_since(group, clock - span)
+        partition = self.states.get(element.key)
+        if partition is None or (idle is not None and partition.reference_time < clock - idle):
+            partition = PartitionState([self._scanning_state()])
+        states = partition.states if span is None else self._states_started_since(partition, clock - span)
         meter = self.meter
         if meter is not None and meter(len(states)):
             return []
-        item.order = self._order + 1
+        element.order = self._order + 1
         # A condition or check may raise an error. The element, the clock and the partition are changed only after
         # this call, so a rejected element leaves no trace.
-        successors = self._successors(states, item)
+        successors = self._successors(states, element)
         self._order += 1
         self.clock, self._end = clock, end
         if idle is not None:
             self._drop_idle_keys()
-        group.reference_time = clock
-        if successors.uses(item):
-            self._number += 1
-            group.items.append(item)
-        decided = group.advance(successors.states, successors.completed)
-        self._store_partition(group, item.key)
-        return self._outputs(decided)
+        partition.reference_time = clock
+        if successors.uses(element):
+            self._element_count += 1
+            partition.elements.append(element)
+        decided_matches = partition.advance(successors.states, successors.completed)
+        self._store_partition(partition, element.key)
+        return self._outputs(decided_matches)
 
-    def _started_since(self, group: PartitionState, limit: int) -> List[ComputationState]:
+    def _states_started_since(self, partition: PartitionState, min_start: int) -> List[ComputationState]:
         """Return the states of a partition, without those that started before an instant."""
-        if all(state.start_time >= limit or state.matched is None for state in group.states):
-            return group.states
-        present_entries = [
-            state for state in group.states if state.start_time >= limit or state.matched is None
+        if all(state.start_time >= min_start or state.matched is None for state in partition.states):
+            return partition.states
+        remaining_states = [
+            state for state in partition.states if state.start_time >= min_start or state.matched is None
         ]
-        return self._with_scanning(present_entries, group)
+        return self._with_scanning(remaining_states, partition)
 
-    def _with_scanning(self, states: List[ComputationState], group: PartitionState) -> List[ComputationState]:
+    def _with_scanning(
+        self, states: List[ComputationState], partition: PartitionState
+    ) -> List[ComputationState]:
         """Return the remaining states of a partition, with the scanning state at the end."""
         if not states or states[-1].step != SCANNING:
-            states.append(self._scanning(group.states[-1].preceding_matches))
+            states.append(self._scanning_state(partition.states[-1].preceding_matches))
         return states
 
     def drop_oldest(self) -> List[StreamOutput]:
@@ -445,50 +450,50 @@ class RowPatternWindow(KeyedOperator):
 
         The states that use its oldest element are dropped, and matches that have waited for them are emitted.
         """
-        key, group = next(iter(self.states.items()))
-        oldest = group.items[0].order
-        present_entries = [
-            state for state in group.states if state.matched is None or state.start_order != oldest
+        key, partition = next(iter(self.states.items()))
+        oldest = partition.elements[0].order
+        remaining_states = [
+            state for state in partition.states if state.matched is None or state.start_order != oldest
         ]
-        decided = group.advance(self._with_scanning(present_entries, group))
-        self._store_partition(group, key)
-        return self._outputs(decided)
+        decided_matches = partition.advance(self._with_scanning(remaining_states, partition))
+        self._store_partition(partition, key)
+        return self._outputs(decided_matches)
 
     def _drop_key(self, key: Hashable) -> None:
         """Drop a partition; matches that wait in it are lost."""
-        group = self.states.pop(key)
-        self._number -= len(group.items)
-        self._state_count -= group.counted_states
+        partition = self.states.pop(key)
+        self._element_count -= len(partition.elements)
+        self._state_count -= partition.counted_states
 
-    def _store_partition(self, group: PartitionState, key: Hashable) -> None:
+    def _store_partition(self, partition: PartitionState, key: Hashable) -> None:
         """Store a partition, count its states, and drop elements that are not used by any state."""
-        oldest = group.oldest()
-        state_count = 0 if oldest is None else len(group.states) - (group.states[-1].step == SCANNING)
-        self._state_count += state_count - group.counted_states
-        group.counted_states = state_count
+        oldest = partition.oldest()
+        state_count = 0 if oldest is None else len(partition.states) - (partition.states[-1].step == SCANNING)
+        self._state_count += state_count - partition.counted_states
+        partition.counted_states = state_count
         if oldest is not None:
             if key in self.states:
                 self.states.move_to_end(key)
             else:
-                self.states[key] = group
+                self.states[key] = partition
                 if len(self.states) > self._max_keys:
                     self._evict_keys()
             # Elements are dropped in order of arrival; those between used ones stay until the oldest use ends.
-            while group.items[0].order < oldest:
-                group.items.popleft()
-                self._number -= 1
+            while partition.elements[0].order < oldest:
+                partition.elements.popleft()
+                self._element_count -= 1
         else:
-            self._number -= len(group.items)
+            self._element_count -= len(partition.elements)
             self.states.pop(key, None)
 
-    def _successors(self, states: Sequence[ComputationState], item: StreamElement) -> _Successors:
+    def _successors(self, states: Sequence[ComputationState], element: StreamElement) -> _Successors:
         """Return the successor states for an element."""
         successors = _Successors()
         for state in states:
-            accepting, skipping = self._accepting_steps(state, item)
+            accepting, skipping = self._accepting_steps(state, element)
             for step in accepting:
                 # A completed match, or one that is certain to complete, makes all less preferred states obsolete.
-                if self._accept(state, step, item, successors):
+                if self._accept(state, step, element, successors):
                     return successors
             if state.step == SCANNING:
                 successors.states.append(state)
@@ -509,7 +514,7 @@ class RowPatternWindow(KeyedOperator):
         return successors
 
     def _accepting_steps(
-        self, state: ComputationState, item: StreamElement
+        self, state: ComputationState, element: StreamElement
     ) -> Tuple[List[int], Tuple[int, ...]]:
         """Return the steps that accept an element, and the steps that remain if the element is skipped."""
         steps = self.nfa.steps
@@ -518,35 +523,35 @@ class RowPatternWindow(KeyedOperator):
         open_steps = [
             step
             for step in candidates
-            if not (steps[step].until and ends(steps[step].until, state.targets, item))
+            if not (steps[step].until and ends_step(steps[step].until, state.targets, element))
         ]
-        accepting = [step for step in open_steps if passes(steps[step].tests, state.targets, item)]
+        accepting = [step for step in open_steps if passes_tests(steps[step].tests, state.targets, element)]
         skipping = tuple([step for step in open_steps if steps[step].skips_rows])
         if not accepting and skipping:
             for step in transitions.blocking:
                 # A reluctant step has no `until`. After a skipped element, only `skips_rows` steps can follow.
-                if (state.remaining_steps is None or steps[step].skips_rows) and passes(
-                    steps[step].tests, state.targets, item
+                if (state.remaining_steps is None or steps[step].skips_rows) and passes_tests(
+                    steps[step].tests, state.targets, element
                 ):
                     return accepting, ()
         return accepting, skipping
 
     def _accept(
-        self, state: ComputationState, step: int, item: StreamElement, successors: _Successors
+        self, state: ComputationState, step: int, element: StreamElement, successors: _Successors
     ) -> bool:
         """Add the state after a step has accepted an element; return whether less preferred states are obsolete."""
         for check in self._checks_of[step]:
-            check(item)
+            check(element)
         nfa = self.nfa
         count = nfa.capped_count(step, state.count + 1 if state.step == step else 1)
-        matched = _MatchedElements(item, step, state.matched)
+        matched = _MatchedElements(element, step, state.matched)
         start_order, start_time = (
-            (item.order, item.start) if state.matched is None else (state.start_order, state.start_time)
+            (element.order, element.start) if state.matched is None else (state.start_order, state.start_time)
         )
         transitions, completed, steps_after_skip, _ = nfa.transitions_after(step, count)
         # `steps_after_skip` is set if all steps skip elements: the state then equals the one after a skip.
         if transitions:
-            targets = nfa.advance_navigations(state.targets, step, item)
+            targets = nfa.advance_navigations(state.targets, step, element)
             added = self._add(
                 ComputationState(
                     step,
@@ -565,7 +570,7 @@ class RowPatternWindow(KeyedOperator):
         if completed:
             successors.completed = _CompletedMatch(matched, start_order)
             # The search for the next match starts after this one: matches do not share elements.
-            successors.states.append(self._scanning(state.preceding_matches + 1))
+            successors.states.append(self._scanning_state(state.preceding_matches + 1))
         return completed
 
     def _add(self, state: ComputationState, successors: _Successors) -> bool:
@@ -587,8 +592,8 @@ class RowPatternWindow(KeyedOperator):
         successors.states.append(state)
         return True
 
-    def _outputs(self, decided: Sequence[_CompletedMatch]) -> List[StreamOutput]:
-        outputs = [self._output(match) for match in decided]
+    def _outputs(self, decided_matches: Sequence[_CompletedMatch]) -> List[StreamOutput]:
+        outputs = [self._output(match) for match in decided_matches]
         return [output for output in outputs if output is not None]
 
     def _output(self, completed: _CompletedMatch) -> Optional[StreamOutput]:
@@ -597,22 +602,22 @@ class RowPatternWindow(KeyedOperator):
         meter = self.meter
         if meter is not None and meter(len(pairs)):
             return None
-        items = [item for item, _ in pairs]
-        start = min(item.start for item in items)
-        end = max(self._end, *(item.end for item in items))
-        contributors = tuple(items[-MAX_TRACKED_ITEMS:]) if self.tracked else (items[-1],)
+        elements = [element for element, _ in pairs]
+        start = min(element.start for element in elements)
+        end = max(self._end, *(element.end for element in elements))
+        contributors = tuple(elements[-MAX_TRACKED_ELEMENTS:]) if self.tracked else (elements[-1],)
         results, error = results_or_error(lambda: self._results(pairs))
         return None if results is None else StreamOutput(contributors, start, end, results, error)
 
     def _results(self, pairs: _StepAssignments) -> Optional[Values]:
         """Return the results of the measures of a match, or None if one has no result."""
         results = []
-        for measure, scope in zip(self.make(), self.scopes):
+        for measure, scope in zip(self.make_accumulators(), self.scopes):
             # Accumulators are created for each match, because matches are not known before they end.
-            members = deque([item for item, step in pairs if scope is None or step == scope])
-            for item in members:
-                measure.add(item)
-            result = measure.result(members, len(members)) if members or measure.accepts_empty else None
+            elements = deque([element for element, step in pairs if scope is None or step == scope])
+            for element in elements:
+                measure.add(element)
+            result = measure.result(elements, len(elements)) if elements or measure.accepts_empty else None
             if result is None:
                 return None
             results.append(result)
@@ -620,57 +625,57 @@ class RowPatternWindow(KeyedOperator):
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`; states and waiting matches refer to elements by their order."""
-        groups = [
+        partitions = [
             (
-                group.reference_time,
-                list(group.items),
-                tuple([_state_fields(state) for state in group.states]),
-                tuple([_orders(_in_order(match.matched)) for match in group.completed]),
+                partition.reference_time,
+                list(partition.elements),
+                tuple([_state_fields(state) for state in partition.states]),
+                tuple([_orders(_in_order(match.matched)) for match in partition.completed]),
             )
-            for group in self.states.values()
+            for partition in self.states.values()
         ]
-        return (self.late_count, self._order, self.clock, groups)
+        return (self.late_count, self._order, self.clock, partitions)
 
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`; if elements are missing, the remaining ones are processed again."""
-        self.late_count, self._order, self.clock, groups = saved
+        self.late_count, self._order, self.clock, partitions = saved
         self.states.clear()
-        self._number = self._state_count = 0
-        for reference_time, items, states, completed in groups:
-            if items:
-                self._restore_group(reference_time, items, states, completed)
+        self._element_count = self._state_count = 0
+        for reference_time, elements, states, completed in partitions:
+            if elements:
+                self._restore_partition(reference_time, elements, states, completed)
 
-    def _restore_group(
+    def _restore_partition(
         self,
         reference_time: int,
-        items: List[StreamElement],
+        elements: List[StreamElement],
         states: Sequence[Tuple[object, ...]],
         completed: Sequence[Sequence[Tuple[int, int]]],
     ) -> None:
-        element_by_order = {item.order: item for item in items}
-        group = PartitionState([self._scanning()])
-        group.reference_time = reference_time
-        for item in items:
-            item.restore_key()
-            group.items.append(item)
-        self._number += len(items)
+        element_by_order = {element.order: element for element in elements}
+        partition = PartitionState([self._scanning_state()])
+        partition.reference_time = reference_time
+        for element in elements:
+            element.restore_key()
+            partition.elements.append(element)
+        self._element_count += len(elements)
         try:
-            group.completed.extend(
+            partition.completed.extend(
                 _CompletedMatch(_matched_elements(match, element_by_order), match[0][0])
                 for match in completed
             )
-            group.states = [self._state_of(state, element_by_order) for state in states]
-            is_consistent = len(group.completed) == group.waiting_count()
+            partition.states = [self._state_of(state, element_by_order) for state in states]
+            is_consistent = len(partition.completed) == partition.waiting_count()
         except KeyError:
             is_consistent = False
         # Elements are missing, or an interrupt came between two updates.
         if not is_consistent:
-            group.completed.clear()
-            group.states = [self._scanning()]
-            for item in items:
-                successors = self._successors(group.states, item)
-                group.advance(successors.states, successors.completed)
-        self._store_partition(group, items[0].key)
+            partition.completed.clear()
+            partition.states = [self._scanning_state()]
+            for element in elements:
+                successors = self._successors(partition.states, element)
+                partition.advance(successors.states, successors.completed)
+        self._store_partition(partition, elements[0].key)
 
     def _state_of(
         self, fields: Tuple[Any, ...], element_by_order: Dict[int, StreamElement]
@@ -709,7 +714,7 @@ def _in_order(matched: Optional[_MatchedElements]) -> _StepAssignments:
     """Return the elements of a match, the oldest first."""
     pairs = []
     while matched is not None:
-        pairs.append((matched.item, matched.step))
+        pairs.append((matched.element, matched.step))
         matched = matched.previous
     return tuple(reversed(pairs))
 
@@ -728,4 +733,4 @@ def _state_fields(state: ComputationState) -> Tuple[Any, ...]:
 
 
 def _orders(pairs: _StepAssignments) -> Tuple[Tuple[int, int], ...]:
-    return tuple([(item.order, step) for item, step in pairs])
+    return tuple([(element.order, step) for element, step in pairs])

@@ -36,7 +36,7 @@ class ExactSum:
         self.factor = 1.0
         self.integers = 0
 
-    def add_times(self, value: Number, times: int) -> None:
+    def add_multiple(self, value: Number, times: int) -> None:
         """Add a number ``times`` times; -1 removes it."""
         if value.__class__ is int:
             self.total += times * int(value) << self.scale
@@ -54,7 +54,7 @@ class ExactSum:
             self.factor = 2.0**bits if bits < _MAX_EXPONENT else nan
         self.total += times * numerator << self.scale - bits
 
-    def divided_by(self, divisor: int, count: int) -> Number:
+    def quotient(self, divisor: int, count: int) -> Number:
         """Return the sum of ``count`` numbers divided by ``divisor``.
 
         The result is an integer if it is exact and no number is a float.
@@ -107,28 +107,28 @@ HeapEntry = Tuple[Number, int, Any]
 class LazyMinHeap:
     """Heap of the numbers of elements in a window, with lazy deletion."""
 
-    __slots__ = ("heap", "count")
+    __slots__ = ("entries", "count")
 
     def __init__(self) -> None:
-        self.heap: List[HeapEntry] = []
+        self.entries: List[HeapEntry] = []
         self.count = 0
 
-    def add(self, value: Number, item: Any) -> None:
+    def add(self, value: Number, element: Any) -> None:
         """Add the number of an element."""
         self.count += 1
-        heapq.heappush(self.heap, (value, item.order, item))
+        heapq.heappush(self.entries, (value, element.order, element))
 
     def remove(self) -> None:
         """Count a removal; the element itself must be marked with `StreamElement.is_removed`."""
         self.count -= 1
         # Compacting after half of the entries were removed costs amortised constant time per removal.
-        if len(self.heap) > 2 * self.count + 64:
-            self.heap = [entry for entry in self.heap if not entry[2].is_removed]
-            heapq.heapify(self.heap)
+        if len(self.entries) > 2 * self.count + 64:
+            self.entries = [entry for entry in self.entries if not entry[2].is_removed]
+            heapq.heapify(self.entries)
 
     def top(self) -> Optional[HeapEntry]:
         """Return the lowest entry, or None."""
-        heap = self.heap
+        heap = self.entries
         while heap and heap[0][2].is_removed:
             heapq.heappop(heap)
         return heap[0] if heap else None
@@ -137,7 +137,7 @@ class LazyMinHeap:
         """Remove and return the lowest entry; the heap must not be empty."""
         self.top()
         self.count -= 1
-        return heapq.heappop(self.heap)
+        return heapq.heappop(self.entries)
 
 
 class QuantileHeaps:
@@ -158,25 +158,25 @@ class QuantileHeaps:
         self.above = LazyMinHeap()
         self._is_below: Any = {}
 
-    def add(self, value: Number, item: Any) -> None:
+    def add(self, value: Number, element: Any) -> None:
         """Add the number of an element."""
         top = self.below.top()
         # Equal numbers go to the lower heap; which of them is irrelevant to the value of the quantile.
         is_low = top is None or value <= -top[0]
-        self._put(value, item, is_low)
+        self._add_to_heap(value, element, is_low)
         self._balance()
 
-    def remove(self, item: Any) -> None:
+    def remove(self, element: Any) -> None:
         """Remove an element that is marked as removed."""
-        (self.below if self._is_below.pop(item.order) else self.above).remove()
+        (self.below if self._is_below.pop(element.order) else self.above).remove()
         self._balance()
 
-    def _put(self, value: Number, item: Any, is_low: bool) -> None:
-        self._is_below[item.order] = is_low
+    def _add_to_heap(self, value: Number, element: Any, is_low: bool) -> None:
+        self._is_below[element.order] = is_low
         if is_low:
-            self.below.add(-value, item)
+            self.below.add(-value, element)
         else:
-            self.above.add(value, item)
+            self.above.add(value, element)
 
     def _balance(self) -> None:
         count = self.below.count + self.above.count
@@ -184,11 +184,11 @@ class QuantileHeaps:
         # other heap, so both neighbours of the quantile are available in constant time.
         target_count = int(self.quantile * (count - 1)) + 1 if count else 0
         while self.below.count < target_count:
-            value, _, item = self.above.pop()
-            self._put(value, item, True)
+            value, _, element = self.above.pop()
+            self._add_to_heap(value, element, True)
         while self.below.count > target_count:
-            value, _, item = self.below.pop()
-            self._put(-value, item, False)
+            value, _, element = self.below.pop()
+            self._add_to_heap(-value, element, False)
 
     def value(self) -> Optional[Number]:
         """Return the quantile, or None if there are no numbers."""

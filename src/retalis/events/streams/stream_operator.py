@@ -56,14 +56,14 @@ class StreamOutput(NamedTuple):
     """Output of a stream operator.
 
     Attributes:
-        items: the elements that contributed, in order of arrival; only the newest one unless elements are tracked.
+        elements: the elements that contributed, in order of arrival; only the newest one unless elements are tracked.
         start: start of the interval in ns.
         end: end of the interval in ns.
         results: results of the measures of a window; empty for other operators.
         error: the error that prevented the results; in this case nothing is emitted.
     """
 
-    items: Tuple[StreamElement, ...]
+    elements: Tuple[StreamElement, ...]
     start: int
     end: int
     results: Values = ()
@@ -106,7 +106,7 @@ class StreamOperator(Protocol):
         bytes: estimated memory of the states: numbers of keys and elements times measured constants.
         tracked: whether outputs contain up to 100 of the elements that they are made of, not only the newest one.
         meter: counts visited elements as pattern work; None if nothing is counted.
-        latest_allowed_end: returns the latest end that may advance the time of the stream.
+        compute_max_timestamp: returns the latest end that may advance the time of the stream.
     """
 
     next_deadline: Optional[int]
@@ -116,7 +116,7 @@ class StreamOperator(Protocol):
     bounds: KeyBounds
     tracked: bool
     meter: Optional[Meter]
-    latest_allowed_end: Callable[[], int]
+    compute_max_timestamp: Callable[[], int]
 
     @property
     def keys(self) -> int:
@@ -129,11 +129,11 @@ class StreamOperator(Protocol):
     def set_bounds(self, bounds: KeyBounds, /) -> None:
         """Set the bounds for the states of keys from the next element on."""
 
-    def process(self, item: StreamElement, now: int, channel: int, /) -> List[StreamOutput]:
+    def process(self, element: StreamElement, now: int, channel: int, /) -> List[StreamOutput]:
         """Process an element and return the outputs.
 
         Args:
-            item: the element.
+            element: the element.
             now: the present time of the clock in ns.
             channel: 0, or 1 for elements that must not occur.
 
@@ -164,14 +164,14 @@ class KeyedOperator:
 
     Attributes:
         clock: the newest end of the elements so far, without ends that are too far in the future.
-        newest_allowed: last result of ``latest_allowed_end``, in ns.
+        max_timestamp: last result of ``compute_max_timestamp``, in ns.
         states: state of each key. In operators that drop idle keys, the order is that of the last use, and the
             attribute ``reference_time`` of a state is the clock at that use.
     """
 
     KEY_BYTES = 450
     """Memory of a key without its elements; measured with tracemalloc on CPython 3.11."""
-    ITEM_BYTES = 450
+    ELEMENT_BYTES = 450
     """Memory of an element with two small arguments; measured with tracemalloc on CPython 3.11."""
 
     def __init__(self) -> None:
@@ -179,9 +179,9 @@ class KeyedOperator:
         self.late_count = self.pruned_count = self.evicted_count = 0
         self.tracked = False
         self.meter: Optional[Meter] = None
-        self.latest_allowed_end: Callable[[], int] = lambda: 1 << 64
+        self.compute_max_timestamp: Callable[[], int] = lambda: 1 << 64
         self.set_bounds(KeyBounds())
-        self.clock = self.newest_allowed = NEVER
+        self.clock = self.max_timestamp = NEVER
         # Finding the first key of a plain dict takes time linear in the number of keys deleted before it.
         self.states: OrderedDict[Hashable, Any] = OrderedDict()
 
@@ -202,7 +202,7 @@ class KeyedOperator:
     @property
     def bytes(self) -> int:
         """See `StreamOperator.bytes`."""
-        return self.keys * self.KEY_BYTES + len(self) * self.ITEM_BYTES
+        return self.keys * self.KEY_BYTES + len(self) * self.ELEMENT_BYTES
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
@@ -210,26 +210,26 @@ class KeyedOperator:
 
     def _is_too_far_ahead(self, end: int) -> bool:
         """Return whether an end is too far in the future to advance the time of the stream."""
-        # ``latest_allowed_end`` reads the clock and only rises, so it is called only if its last result is not
+        # ``compute_max_timestamp`` reads the clock and only rises, so it is called only if its last result is not
         # sufficient.
-        if end > self.newest_allowed:
-            self.newest_allowed = self.latest_allowed_end()
-        return end > self.newest_allowed
+        if end > self.max_timestamp:
+            self.max_timestamp = self.compute_max_timestamp()
+        return end > self.max_timestamp
 
     def _advance(self, end: int) -> None:
-        # `newest_allowed` is tested first, which avoids a call in the usual case.
-        if self.clock < end and (end <= self.newest_allowed or not self._is_too_far_ahead(end)):
+        # `max_timestamp` is tested first, which avoids a call in the usual case.
+        if self.clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             self.clock = end
 
     def _drop_idle_keys(self) -> None:
         """Drop the keys whose last use is too long ago."""
         if self._idle is None:
             return
-        states, limit = self.states, self.clock - self._idle
+        states, min_reference_time = self.states, self.clock - self._idle
         while states:
             key = next(iter(states))
             # Keys are ordered by last use, so the first key in use ends the search.
-            if states[key].reference_time >= limit:
+            if states[key].reference_time >= min_reference_time:
                 return
             self._drop_key(key)
 
