@@ -355,7 +355,7 @@ MECHANISMS: Dict[str, Mechanism] = {
         method(RowPatternWindow, "_accepting_steps", later_steps_first), steps
     ),
     "reluctant steps take few": Mechanism(method(RowPatternNFA, "_transitions", never_reluctant), steps),
-    "steps end": Mechanism(lambda: patch.object(row_pattern, "ends", lambda *_: False), steps),
+    "steps end": Mechanism(lambda: patch.object(row_pattern, "ends_step", lambda *_: False), steps),
     "conditions of steps look back": Mechanism(
         method(RowPatternNFA, "advance_navigations", lambda plan, marks, at, item: (item,) * len(marks)),
         steps,
