@@ -31,7 +31,7 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 
     engine = Engine(StreamClock(events[-1][2]))
     engine.load(rules=RULES[work])
-    engine.rules.cap = 10**8
+    engine.rules.max_stored = 10**8
 
     def heard(term: Any, values: Any, start: int, end: int, after: Any) -> Any:
         emit(*term[1:])

@@ -417,7 +417,7 @@ def test_a_subscriber_that_fails_cuts_nothing_off(caplog):
 
 def test_alarms_past_the_bound_are_dropped_and_reported():
     engine = Engine()
-    engine.rules.cap = 3
+    engine.rules.max_stored = 3
     warnings = []
     engine.rules.on_warning = lambda warning: warnings.append(str(warning))
     engine.load(rules="exceptionAlarm(late(X), 10) <- e(X).")

@@ -84,7 +84,7 @@ class Program:
                 if not one.is_library_predicate
             },
             {key: list(one.memory.records) for key, one in engine.knowledge.memories.instances.items()},
-            [(key, one.tally.number) for key, one in engine.knowledge.subscriptions.items()],
+            [(key, one.sent_counter.count) for key, one in engine.knowledge.subscriptions.items()],
             engine.rules.all_properties(),
         )
 

@@ -213,7 +213,7 @@ def window(name: str, made: Callable[[Any, Any], Any]) -> Callable[[], ContextMa
 
 def shape(name: str, made: Callable[[int], Any]) -> Callable[[], ContextManager[Any]]:
     """Have another shape in the place of one."""
-    return lambda: patch.dict(stream_compiler._SHAPES, {name: made})
+    return lambda: patch.dict(stream_compiler._RATE_OPERATORS, {name: made})
 
 
 def method(owner: Any, name: str, made: Any) -> Callable[[], ContextManager[Any]]:
@@ -271,7 +271,7 @@ def after_the_event(clock: Clock, until: Optional[int] = None) -> Any:
 
 def younger_first(deadlines: NodeTimers, node: Any, instant: int) -> None:
     """Have nodes of younger rules, and those further right or above, ring first."""
-    entry = (instant, -node.rule.serial, -node.place, next(deadlines._numbers), node)
+    entry = (instant, -node.rule.serial, -node.position, next(deadlines._numbers), node)
     heapq.heappush(deadlines._heap, entry)
     deadlines._set_alarm()
 

@@ -489,13 +489,15 @@ def _list_subscriptions(
 
     def convert(item: Any) -> SubscriptionStatus:
         (topic, _), subscription = item
-        pattern, rate = subscription.definition[1], subscription.rate
-        late, dropped = (0, 0) if rate is None else (rate.late, rate.dropped)
+        pattern, rate_limiter = subscription.definition[1], subscription.rate_limiter
+        late, dropped = (
+            (0, 0) if rate_limiter is None else (rate_limiter.late_count, rate_limiter.dropped_count)
+        )
         return SubscriptionStatus(
             beginning(topic),
             show(subscription.id),
             format_term(pattern, None),
-            subscription.tally.number,
+            subscription.sent_counter.count,
             late,
             dropped,
         )

@@ -466,7 +466,7 @@ def _describe_likely_reasons(rule: EventRule) -> str:
         if isinstance(part, AggregatePattern):
             aggregate_results.append(part.result)
         elif isinstance(part, RatePattern):
-            shapes.append(part.shape)
+            shapes.append(part.operator)
     # The explained event fixes the result of an aggregate, and the rule has computed other ones.
     if any(deref(result).__class__ is not Var for result in aggregate_results):
         return "with other results, or other matches consumed all of it"

@@ -464,14 +464,14 @@ class WhyNot:
             stream.set_bounds(node.stream.bounds)
         outputs = []
         for match in part.matches:
-            keys = tuple([self._instantiate(match.values, term) for term in pattern.by])
+            keys = tuple([self._instantiate(match.values, term) for term in pattern.keys])
             value = () if pattern.value is None else (self._instantiate(match.values, pattern.value),)
             outputs += stream.advance_to(match.end)
             outputs += stream.process(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
         # Operators with deadlines emit at the current time, even without a further event.
         outputs += stream.advance_to(self._current_time)
         matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
-        reason = _SHAPE_REASONS[pattern.shape].format(timestamps.to_seconds(pattern.span))
+        reason = _SHAPE_REASONS[pattern.operator].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
         text = (
             f"{_SHAPE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
@@ -653,7 +653,7 @@ class _WindowEvaluation:
         self._outputs += self._stream.advance_to(match.end)
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:
-            element = StreamElement(match, match.start, match.end, *self._node.spec.item(values))
+            element = StreamElement(match, match.start, match.end, *self._node.spec.key_and_values(values))
             self._outputs += self._stream.process(element, match.end, 0)
         except RuleError as error:
             self.problem = f", {error.message}"

@@ -132,7 +132,7 @@ def snapshot_subscriptions(knowledge: KnowledgeBase) -> List[Term]:
 
 def snapshot_sent_counts(knowledge: KnowledgeBase) -> List[int]:
     """Return the number of events that each subscription has sent."""
-    return [subscription.tally.number for _, subscription in knowledge.subscriptions.items()]
+    return [subscription.sent_counter.count for _, subscription in knowledge.subscriptions.items()]
 
 
 def restore_subscriptions(
@@ -142,4 +142,4 @@ def restore_subscriptions(
     for definition in definitions:
         knowledge.subscriptions.create(definition)
     for (_, subscription), number in zip(knowledge.subscriptions.items(), sent_counts):
-        subscription.tally.number = number
+        subscription.sent_counter.count = number

@@ -357,7 +357,7 @@ def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
 
 def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
-    keys, values = node.spec.item((1,) * len(child.vars))
+    keys, values = node.spec.key_and_values((1,) * len(child.vars))
     needs_match = node.spec.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
     shapes = [MatchShape(child) for child in node.children]
     stream = StreamCheck(
@@ -530,7 +530,7 @@ def restore_matches(
         clock.put_back(due_at, order, alarm)
     rules.timers.restore(*checked.timers)
     knowledge.states.restore(checked.state_intervals)
-    knowledge.subscriptions.restore_rates(checked.rate_limiters)
+    knowledge.subscriptions.restore_rate_limiters(checked.rate_limiters)
     rules.store.restore(checked.stored_events)
     rules.serial, rules.fired_before, rules.failed_retraction_count = checked.counts
 
@@ -641,12 +641,15 @@ class _CheckedState:
             raise invalid_value(len(value), f"the output rates of {len(subscriptions)} subscriptions")
         states: List[Any] = []
         for subscription, rate_state in zip(subscriptions, value):
-            if subscription.rate is None:
+            if subscription.rate_limiter is None:
                 none(rate_state)
                 states.append(None)
                 continue
             stream = StreamCheck(
-                self._graph, subscription.rate.stream, subscription.rate.widths, elements_are_terms=True
+                self._graph,
+                subscription.rate_limiter.stream,
+                subscription.rate_limiter.value_counts,
+                elements_are_terms=True,
             )
             states.append(optional(tuple_of(stream.check_state, count, count))(rate_state))
         return states

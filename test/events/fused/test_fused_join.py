@@ -82,7 +82,7 @@ def run(text, goals, events, cap, cut, change, posted):
             pattern,
             lambda term, values, start, end, frame: found.append(shown(engine, term, start, end)) or frame,
         )
-    engine.rules.cap = cap
+    engine.rules.max_stored = cap
     for at, (term, start, end) in enumerate(events):
         if at == cut:
             for rule in engine.rules.rules:
@@ -160,7 +160,7 @@ def test_many_streams(part):
 def test_what_has_left_is_not_held_until_its_time_is_over(cap):
     engine = Engine(StreamClock(10**6 * SECOND))
     engine.load(rules="out(K) <- (a(K) seq b(K)) within 100000.")
-    engine.rules.cap = cap
+    engine.rules.max_stored = cap
     [rule] = engine.rules.rules
     left, right = functor("a", 1), functor("b", 1)
     for key in range(4000):

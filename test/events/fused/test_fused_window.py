@@ -54,7 +54,7 @@ def run(text, events, cap, cut):
     engine.on_event(lambda term, start, end: found.append((engine.show(term), start, end)))
     engine.load(rules=text)
     rules = engine.rules
-    rules.cap = cap
+    rules.max_stored = cap
     now = 1000
     for at, (key, x, y, step, length) in enumerate(events):
         now += step

@@ -98,7 +98,7 @@ def test_what_is_deleted_rings_no_more_and_one_that_is_made_again_knows_nothing(
 
 def test_one_that_is_deleted_by_the_event_that_it_takes_is_not_woken_for_it():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
-    engine.knowledge.subscriptions.items()[0][1].rate.stop()
+    engine.knowledge.subscriptions.items()[0][1].rate_limiter.stop()
     engine.event("a(1)", 1)
     engine.event("b", 9)
     assert engine.outputs == []
@@ -108,11 +108,11 @@ def test_what_comes_too_late_or_is_too_much_is_counted_and_said():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2, X), [], _, t, 1)")
     reports = []
     engine.reports.warning = lambda text, *rest: reports.append(text)
-    rate = engine.knowledge.subscriptions.items()[0][1].rate
+    rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
     rate._warn = engine.reports.warning  # noqa: SLF001
     engine.event("b", 10)
     engine.event("a(1)", 1)
-    engine.rules.cap = 2
+    engine.rules.max_stored = 2
     for number in (2, 3, 4):
         engine.event(f"a({number})", 10)
     one = engine.status().subscriptions[0]
@@ -192,9 +192,9 @@ def test_they_go_on_where_a_program_is_read_again(tmp_path):
 def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.event("a(1)", 1)
-    rate = engine.knowledge.subscriptions.items()[0][1].rate
+    rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
     engine.rules.deadlines.clear()
-    rate.wakeup_time = None
+    rate.alarm_instant = None
     engine.rules.repair()
     engine.knowledge.repair()
     engine.event("b", 9)

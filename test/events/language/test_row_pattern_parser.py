@@ -100,7 +100,7 @@ def test_the_preferred_ways_of_one_start_are_followed_and_others_counted():
 def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted():
     """Each start holds one item and many ways; both count."""
     program = Program(STARS.format(CROWDED))
-    program.engine.rules.cap = 50
+    program.engine.rules.max_stored = 50
     (rule,) = program.engine.rules.rules
     for at in range(120):
         program.feed(f"e({at})@{at}")

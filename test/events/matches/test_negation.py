@@ -287,7 +287,7 @@ def test_no_single_event_forgets_many_matches_that_have_left():
     program = Program("o(X) <- (a(X) seq b(X)) cnot c(X).")
     rules = program.engine.rules
     number = 20_000
-    rules.cap = number + 2 * SLICE_ENTRIES
+    rules.max_stored = number + 2 * SLICE_ENTRIES
     (rule,) = rules.rules
     before = 0
     for at in range(number + 5 * SLICE_ENTRIES):
@@ -296,7 +296,7 @@ def test_no_single_event_forgets_many_matches_that_have_left():
         program.engine.event(f"a({at})" if at < number else f"{'ca'[at % 2]}({pair})", at)
         assert before - len(rule.arrivals) <= SLICE_ENTRIES
         before = len(rule.arrivals)
-    assert rule.stored_match_count == rules.cap
+    assert rule.stored_match_count == rules.max_stored
     assert rule.dropped
 
 

@@ -128,7 +128,7 @@ def test_stamps_far_ahead_do_not_move_the_clock_of_a_rule():
 
 def test_cap():
     program = Program("c(X) <- a(X) seq b.", policy="chronological")
-    program.engine.rules.cap = 3
+    program.engine.rules.max_stored = 3
     program.feed(" ".join(f"a({i})@{i}" for i in range(10)))
     assert program.engine.rules.match_count == 3
     assert program.feed("b@20") == "c(7)@7-20"

@@ -16,7 +16,7 @@ class Run(Engine):
     def __init__(self, rules, cap=None, clock=None):
         super().__init__(clock)
         own = self.rules
-        own.cap = own.cap if cap is None else cap
+        own.max_stored = own.max_stored if cap is None else cap
         self.seen, self.reports = [], []
         own.on_error = own.on_warning = lambda error: self.reports.append(error.message)
         self.load(rules=rules)

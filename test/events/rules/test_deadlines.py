@@ -18,18 +18,18 @@ class Node:
         self.bench = bench
         self.name = name
         self.rule = SimpleNamespace(serial=serial, active=True)
-        self.place = place
-        self.wakeup_time = None
+        self.position = place
+        self.alarm_instant = None
         self.more = []
 
     def ask(self, instant):
         """Be wakeup_time at an instant, if not earlier."""
-        if self.wakeup_time is None or instant < self.wakeup_time:
-            self.wakeup_time = instant
+        if self.alarm_instant is None or instant < self.alarm_instant:
+            self.alarm_instant = instant
             self.bench.deadlines.add(self, instant)
 
     def on_alarm(self, instant, frame):
-        self.wakeup_time = None
+        self.alarm_instant = None
         self.bench.rung.append((instant, self.name))
         for one in self.more[:1]:
             del self.more[:1]
@@ -126,7 +126,7 @@ def test_a_clock_that_goes_back_clears():
     node.ask(50)
     bench.clock.reset()
     bench.deadlines.clear()
-    node.wakeup_time = None
+    node.alarm_instant = None
     assert (len(bench.deadlines), bench.reach(60)) == (0, ([], []))
     node.ask(70)
     assert bench.reach(80) == ([(70, "a")], [])

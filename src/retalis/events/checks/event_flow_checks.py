@@ -20,7 +20,7 @@ from ..language.event_declarations import (
     head_event,
     slot_value_type,
 )
-from ..language.event_operators import ARROWS, SPELLINGS
+from ..language.event_operators import ARROWS, OPERATOR_NAMES
 from ..language.pattern_parser import EventTerm, PatternReader
 from ..language.pattern_tree import ActionPattern
 from ..language.rule_head_parser import event_raised_by, makes_event
@@ -333,7 +333,7 @@ def events_of_rule(rule: SourceRule) -> List[EventTerm]:
         reader.read(wrap_term(term), 1)
         return [*reader.events, *events_raised_by_goals(reader.goals)]
     head = deref(term[1])
-    if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
+    if head.__class__ is tuple and OPERATOR_NAMES.get(head[0]) == "do":
         reader.goal(head, 2, "do")
     reader.read(term, 2)
     goals = [*reader.goals, *calls_in_query(rule.definition.head or TRUE)]

@@ -12,7 +12,7 @@ from ...foundation.errors import RuleError, UsageError
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, Var, deref, functor
 from ..language.called_predicates import calls
-from ..language.event_operators import SPELLINGS
+from ..language.event_operators import OPERATOR_NAMES
 from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES, read_text
 from .program_model import (
@@ -103,7 +103,7 @@ def find_operators_in_clauses(program: ProgramModel) -> Iterator[RuleError]:
             continue
         for subterm in _calls_in(clause):
             # Only operators in words: ``or`` and ``seq`` have no meaning in a clause, but symbols such as ``;`` do.
-            name = SPELLINGS.get(subterm.term[0]) if subterm.term.__class__ is tuple else None
+            name = OPERATOR_NAMES.get(subterm.term[0]) if subterm.term.__class__ is tuple else None
             if name is not None and subterm.term[0].name.isidentifier():
                 yield RuleError(
                     f"{name} occurs in the body of a clause; the arrow of an event rule is <-", subterm.place
@@ -140,7 +140,7 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
                 or key in reported
                 or key is _CUT
                 or key in _DEFINED_IN_CONDITIONS
-                or key in SPELLINGS
+                or key in OPERATOR_NAMES
                 or key in defined
             ):
                 continue

@@ -24,7 +24,7 @@ from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, String, Ter
 from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_event_variable
 from ..language.called_predicates import calls
-from ..language.event_operators import SPELLINGS
+from ..language.event_operators import OPERATOR_NAMES
 from ..language.pattern_parser import PlaceLookup
 from ..language.pattern_tree import EventPattern, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, parse_state_declaration
@@ -540,7 +540,7 @@ def _locate(rule_subterms: List[Subterm], term: Term, place_of: PlaceLookup) -> 
     operands = [
         subterm
         for subterm in occurrences_of_term
-        if subterm is rule_subterms[0] or subterm.parent[0] in SPELLINGS
+        if subterm is rule_subterms[0] or subterm.parent[0] in OPERATOR_NAMES
     ]
     candidates = operands or occurrences_of_term
     return candidates[0] if candidates else Subterm(term, wrap_term(term), 1, place_of)

@@ -14,7 +14,7 @@ from ...foundation.errors import Place, RuleError
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import Functor, Term, Trail, atom, deref, functor
 from ...prolog.terms.unification import undo, unify
-from ..language.event_operators import OPERATORS, SPELLINGS
+from ..language.event_operators import OPERATOR_NAMES, OPERATORS
 from ..language.pattern_tree import (
     AbsencePattern,
     ActionPattern,
@@ -316,7 +316,7 @@ def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
     for rule in program.rules:
         for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             term = subterm.term
-            if term.__class__ is tuple and SPELLINGS.get(term[0]) == "within" and len(term) == 3:
+            if term.__class__ is tuple and OPERATOR_NAMES.get(term[0]) == "within" and len(term) == 3:
                 fault = _long_span_text(deref(term[2]))
                 if fault:
                     yield RuleError(f"within {fault}", rule.place_of(term, 2))
@@ -419,7 +419,7 @@ def _operators_without_bound(pattern: Pattern) -> Iterator[Pattern]:
 def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
     """Return whether a stream operator keeps a state for each value of a variable."""
     if isinstance(node, RatePattern):
-        return node.shape == "change" and any(variables(term) for term in node.by)
+        return node.operator == "change" and any(variables(term) for term in node.keys)
     if not isinstance(node, WindowPattern) or node.window.kind not in ("newest", "batch", "steps"):
         return False
     measured = [value for value in node.values if value is not None]
@@ -500,7 +500,7 @@ def _walk_nodes(pattern: Pattern) -> Iterator[Pattern]:
 def _operator_place(rule: SourceRule, operator: str) -> Optional[Place]:
     """Return the place of the first occurrence of an operator in a rule."""
     for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
-        if subterm.term.__class__ is tuple and SPELLINGS.get(subterm.term[0]) == operator:
+        if subterm.term.__class__ is tuple and OPERATOR_NAMES.get(subterm.term[0]) == operator:
             return subterm.place
     return rule.definition.place
 

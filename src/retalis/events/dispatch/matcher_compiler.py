@@ -1,9 +1,10 @@
 """Compilers from terms to Python functions: matchers for event patterns, and builders for rule heads.
 
-A matcher takes an event and returns the values of the variables of a pattern, or None. It is generated as straight
-code: unpack a compound, compare its constants, go on with its compound arguments. Events are almost always ground; if
-an event has a variable where the pattern has a constant or compound, or if two occurrences of a pattern variable have
-values that are not obviously equal, the generated code falls back to general unification of a copy of the pattern.
+A matcher takes an event and returns the values of the variables of a pattern, or None. It is generated as
+straight-line code: it unpacks a compound, compares its constants, and then processes its compound arguments. Events
+are almost always ground. If an event has a variable where the pattern has a constant or compound, or if two
+occurrences of a pattern variable have values that are not identical by a cheap test (`_is_same_value`), the generated
+code falls back to general unification of a copy of the pattern.
 
 A builder is the inverse: it creates a term from values. Generated sources contain no data of the program, only
 structure, so `shared_function` compiles equal structures once.
@@ -33,8 +34,8 @@ def compile_matcher(pattern: Term) -> Matcher:
         return _match_constant
     # Very large functions take CPython long to compile, and unpacking has a limit of arguments.
     if is_larger(pattern, MAX_TERM_ARGUMENTS):
-        order = variables(pattern)
-        return lambda term: unify_pattern(pattern, order, term)
+        pattern_vars = variables(pattern)
+        return lambda term: unify_pattern(pattern, pattern_vars, term)
     return _MatcherGenerator(pattern).matcher()
 
 
@@ -59,21 +60,21 @@ class _MatcherGenerator:
         self.names_by_var: Dict[Var, str] = {}
 
     def matcher(self) -> Matcher:
-        order = variables(self.pattern)
-        self.names["general"] = _general_matcher(self.pattern, order)
+        pattern_vars = variables(self.pattern)
+        self.names["fallback"] = _general_matcher(self.pattern, pattern_vars)
         pending: List[Tuple[str, CompoundTerm]] = [("term", self.pattern)]
         while pending:
             # Depth first, left to right, so that the order of tests follows the order of the pattern.
             pending.extend(reversed(self._emit_unpacking(*pending.pop())))
-        values = ", ".join(self.names_by_var[var] for var in order)
-        self.lines.append(f"    return ({values}{',' if len(order) == 1 else ''})")
+        values = ", ".join(self.names_by_var[var] for var in pattern_vars)
+        self.lines.append(f"    return ({values}{',' if len(pattern_vars) == 1 else ''})")
         source = "def generated(term):\n" + "\n".join(self.lines) + "\n"
         matcher: Matcher = shared_function(source, self.names, "matcher")
         return matcher
 
     def _emit_unpacking(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
         """Emit unpacking and constant tests for a compound; return its compound arguments with their names."""
-        inner: List[Tuple[str, CompoundTerm]] = []
+        compound_arguments: List[Tuple[str, CompoundTerm]] = []
         tests: List[str] = []
         targets = []
         for argument in pattern[1:]:
@@ -87,24 +88,24 @@ class _MatcherGenerator:
             if argument.__class__ is Var:
                 tests.append(
                     f"    if {variable} is not {self.names_by_var[argument]} and not same({variable}, "
-                    f"{self.names_by_var[argument]}):\n        return general(term, None)"
+                    f"{self.names_by_var[argument]}):\n        return fallback(term, None)"
                 )
             elif argument.__class__ is tuple:
                 functor = self._constant_name(argument[0])
                 tests.append(
                     f"    if {variable}.__class__ is not tuple:\n        {variable} = deref({variable})\n"
-                    f"        if {variable}.__class__ is not tuple:\n            return general(term, {variable})\n"
+                    f"        if {variable}.__class__ is not tuple:\n            return fallback(term, {variable})\n"
                     f"    if {variable}[0] is not {functor}:\n        return None"
                 )
-                inner.append((variable, argument))
+                compound_arguments.append((variable, argument))
             else:
                 tests.append(
-                    f"    if {self._mismatch_test(variable, argument)}:\n        return general(term, {variable})"
+                    f"    if {self._mismatch_test(variable, argument)}:\n        return fallback(term, {variable})"
                 )
         if targets:
             self.lines.append(f"    _, {', '.join(targets)} = {name}")
         self.lines.extend(tests)
-        return inner
+        return compound_arguments
 
     def _mismatch_test(self, variable: str, constant: Term) -> str:
         name = self._constant_name(constant)
@@ -132,54 +133,63 @@ def _is_same_value(left: Term, right: Term) -> bool:
         return False
 
 
-def _general_matcher(pattern: Term, order: List[Var]) -> Callable[[Term, Optional[Term]], Optional[Values]]:
+def _general_matcher(
+    pattern: Term, pattern_vars: List[Var]
+) -> Callable[[Term, Optional[Term]], Optional[Values]]:
     """Return the general matcher; ``mismatch`` is the value that stopped the generated code, or None."""
 
-    def general(term: Term, mismatch: Optional[Term]) -> Optional[Values]:
-        # Generated code has compared a constant with ``mismatch``. If ``mismatch`` is not a variable, they differ for
-        # good.
+    def fallback(term: Term, mismatch: Optional[Term]) -> Optional[Values]:
+        # Generated code has compared a constant with ``mismatch``. If ``mismatch`` is not a variable, they cannot
+        # unify.
         if mismatch is not None and deref(mismatch).__class__ is not Var:
             return None
-        return unify_pattern(pattern, order, term)
+        return unify_pattern(pattern, pattern_vars, term)
 
-    return general
+    return fallback
 
 
-def unify_pattern(pattern: Term, order: List[Var], term: Term) -> Optional[Values]:
+def unify_pattern(pattern: Term, pattern_vars: List[Var], term: Term) -> Optional[Values]:
     """Unify a copy of the pattern with the event, and undo all bindings."""
     # A copy, because the pattern is shared by all events and must stay unbound.
-    new_vars: Dict[Var, Term] = {var: Var() for var in order}
+    new_vars: Dict[Var, Term] = {var: Var() for var in pattern_vars}
     trail: Trail = []
     values: Optional[Values] = None
     if unify(copy(pattern, new_vars), term, trail):
-        values = tuple(resolve(new_vars[var]) for var in order)
+        values = tuple(resolve(new_vars[var]) for var in pattern_vars)
     undo(trail, 0)
     return values
 
 
-def compile_builder(term: Term, order: Sequence[Var], title: str) -> Callable[[Values], Term]:
-    """Return a function that creates ``term`` from the values of ``order``, with new variables for all others."""
+def compile_builder(term: Term, value_vars: Sequence[Var], title: str) -> Callable[[Values], Term]:
+    """Return a function that creates ``term`` from the values of ``value_vars``; other variables are new."""
     term = resolve(term)
     if is_ground(term):
         return lambda values: term
     if is_larger(term, MAX_TERM_ARGUMENTS):
-        return lambda values: copy(term, dict(zip(order, values)))
+        return lambda values: copy(term, dict(zip(value_vars, values)))
     names = codegen.BoundNames({})
-    lines, result = builder_source(term, {var: f"v[{index}]" for index, var in enumerate(order)}, names)
+    lines, result = generate_builder(
+        term, {var: f"v[{index}]" for index, var in enumerate(value_vars)}, names
+    )
     source = "\n    ".join(["def generated(v):", *lines, f"return {result}"]) + "\n"
     builder: Callable[[Values], Term] = shared_function(source, names.values, title)
     return builder
 
 
-def builder_source(term: Term, known: Mapping[Var, str], names: codegen.BoundNames) -> Tuple[List[str], str]:
-    """Return statements that create a term, and an expression for the term after them.
+def generate_builder(
+    term: Term, expression_by_var: Mapping[Var, str], names: codegen.BoundNames
+) -> Tuple[List[str], str]:
+    """Generate statements that create a term, and an expression for the term after them.
+
+    Generated names have the prefix ``k`` for constants, ``t`` for compounds, ``u`` for new variables, and ``v`` for
+    the values.
 
     Args:
         term: the term, not larger than `MAX_TERM_ARGUMENTS`; unknown variables are fresh in each call.
-        known: expressions for the values of variables.
+        expression_by_var: expressions for the values of variables.
         names: collects the objects that the statements refer to.
     """
-    names_by_var = dict(known)
+    names_by_var = dict(expression_by_var)
     lines: List[str] = []
 
     def constant(value: object) -> str:
@@ -203,19 +213,19 @@ def _emit_assignments(
     """Emit one assignment per compound with variables, inner ones first; return the name of the outermost one."""
     if term.__class__ is not tuple:
         return leaf_source(term)
+    # An explicit stack, because terms may be nested deeper than the recursion limit.
     stack: List[List[Any]] = [[term, []]]
     while True:
-        source, arguments = stack[-1]
-        if len(arguments) == len(source) - 1:
+        compound, arguments = stack[-1]
+        if len(arguments) == len(compound) - 1:
             name = f"t{len(lines)}"
-            lines.append(f"{name} = ({constant(source[0])}, {', '.join(arguments)})")
+            lines.append(f"{name} = ({constant(compound[0])}, {', '.join(arguments)})")
             stack.pop()
             if not stack:
                 return name
             stack[-1][1].append(name)
             continue
-        # An explicit stack, because terms may be nested deeper than the recursion limit.
-        item = source[len(arguments) + 1]
+        item = compound[len(arguments) + 1]
         if item.__class__ is not tuple:
             arguments.append(leaf_source(item))
         elif is_ground(item):

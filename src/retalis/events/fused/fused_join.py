@@ -309,7 +309,7 @@ class _ActionGenerator:
             "arrivals.append(match)",
             *expiration_statements,
             Block(
-                f"if {sweep_test}stored_count > network.cap or len(arrivals) > 2 * stored_count + SPARE:",
+                f"if {sweep_test}stored_count > network.max_stored or len(arrivals) > 2 * stored_count + SPARE:",
                 ["rule.remove_excess()"],
             ),
         ]

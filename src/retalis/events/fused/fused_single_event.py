@@ -20,7 +20,7 @@ from ...prolog.terms.unification import undo
 from ..dispatch.discrimination_tree import NO_LISTENERS, PushdownFilter
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import DEPTH, GROUND, MAX_RECURSIVE_DEPTH, RESTORE_CONTEXT
-from ..dispatch.matcher_compiler import builder_source
+from ..dispatch.matcher_compiler import generate_builder
 
 _PASS_ALL_FILTER = PushdownFilter((), None)
 """Filter that passes all events, because its plan stays unknown."""
@@ -57,7 +57,7 @@ def firing_action(
         failed: called with the error if the head is not a valid event, and the next frame; returns a frame.
     """
     names = codegen.BoundNames({})
-    lines, event = builder_source(head, {var: f"values[{index}]" for index, var in enumerate(order)}, names)
+    lines, event = generate_builder(head, {var: f"values[{index}]" for index, var in enumerate(order)}, names)
     body: List[Statement] = [
         "firings.number += 1",
         "firings.last = end",

@@ -282,7 +282,7 @@ _NEEDS_GENERAL_PATH = " or ".join(
         "not stream.clock <= end <= stream.max_timestamp",
         "(start is not end and (end - start >= span or start < queue[-1].start))",
         # The queue contains at least all elements that are counted.
-        "len(queue) >= network.cap",
+        "len(queue) >= network.max_stored",
     ]
 )
 

@@ -44,55 +44,61 @@ RateLimiterState = Tuple[Any, int, int]
 """State of the operator, number of late events, and number of dropped events."""
 
 
-def rate_terms(part: RatePattern) -> Tuple[Term, ...]:
+def rate_terms(rate_pattern: RatePattern) -> Tuple[Term, ...]:
     """Return the terms of a pattern that a rate operator uses."""
-    return part.by if part.value is None else (part.value, *part.by)
+    return rate_pattern.keys if rate_pattern.value is None else (rate_pattern.value, *rate_pattern.keys)
 
 
 class OutputRateLimiter:
     """Forwards some of the events of a subscription.
 
-    The clock calls it like the nodes of rules, but before them: subscribers receive an event first.
+    The clock calls it at its alarms like the nodes of rules, but before them: subscribers receive an event first.
 
     Args:
-        part: the rate operator.
-        names: variables of the pattern.
-        name: name of the subscription in reports.
-        clock: the rules of the program, which call it at its deadlines.
+        rate_pattern: the rate operator.
+        pattern_variables: variables of the pattern.
+        title: name of the subscription in reports.
+        rules: the rule base, which sets the alarms and provides the limits.
         warn: receives warnings.
         position: position among all subscriptions.
 
     Attributes:
         send: sends the term of an event.
-        serial: position among the rules.
+        serial: 0, so that alarms of subscriptions run before those of rules.
         active: whether it may be called by the clock.
-        wakeup_time: instant of its next alarm; None if no alarm is set.
-        late: number of events that arrived too late.
-        dropped: number of events that were dropped because there were too many.
-        widths: number of values in its key, and number of other values that it uses.
+        alarm_instant: instant of its next alarm; None if no alarm is set.
+        late_count: number of events that arrived too late.
+        dropped_count: number of events that were dropped because there were too many.
+        value_counts: number of values in its key, and number of other values that it uses.
     """
 
     serial = 0
 
     def __init__(
-        self, part: RatePattern, names: Sequence[Var], name: str, clock: "RuleBase", warn: Warn, position: int
+        self,
+        rate_pattern: RatePattern,
+        pattern_variables: Sequence[Var],
+        title: str,
+        rules: "RuleBase",
+        warn: Warn,
+        position: int,
     ):
-        self._spec = rate_node_spec(part, names)
-        self.widths = (len(part.by), int(part.value is not None))
-        self._name = name
-        self._clock = clock
+        self._spec = rate_node_spec(rate_pattern, pattern_variables)
+        self.value_counts = (len(rate_pattern.keys), int(rate_pattern.value is not None))
+        self._title = title
+        self._rules = rules
         self._warn = warn
         self.send: Callable[[Term], None] = lambda term: None
-        self.place = position
+        self.position = position
         self.active = True
-        self.wakeup_time: Optional[int] = None
-        self.late = self.dropped = self._evicted_count = 0
+        self.alarm_instant: Optional[int] = None
+        self.late_count = self.dropped_count = self._evicted_count = 0
         self._stream = self._create_stream()
 
     def _create_stream(self) -> StreamOperator:
         stream = self._spec.stream(NetworkOptions())
-        stream.compute_max_timestamp = self._clock.compute_max_timestamp
-        stream.set_bounds(self._clock.key_bounds)
+        stream.compute_max_timestamp = self._rules.compute_max_timestamp
+        stream.set_bounds(self._rules.key_bounds)
         self._evicted_count = 0
         return stream
 
@@ -110,7 +116,7 @@ class OutputRateLimiter:
         """The owner, see `TimedNode`."""
         return self
 
-    def take(self, term: Term, values: Values, start: int, end: int) -> None:
+    def process(self, term: Term, values: Values, start: int, end: int) -> None:
         """Process an event of the subscription.
 
         Args:
@@ -119,35 +125,41 @@ class OutputRateLimiter:
             start: start of its interval.
             end: end of its interval.
         """
-        now = self._clock.time() if self._spec.clocked else 0
+        now = self._rules.time() if self._spec.clocked else 0
         stream = self._stream
-        previous_late = stream.late_count
+        previous_late_count = stream.late_count
         # A flag may have changed the bounds, which are replaced as a whole.
-        if stream.bounds is not self._clock.key_bounds:
-            stream.set_bounds(self._clock.key_bounds)
+        if stream.bounds is not self._rules.key_bounds:
+            stream.set_bounds(self._rules.key_bounds)
         # The element contains the term that is sent; the operator only reads its key, values and interval.
-        outputs = stream.process(StreamElement(term, start, end, *self._spec.item(values)), now, 0)
-        if stream.late_count != previous_late:
-            self.late += 1
-            self._warn(f"{self._name}: {self._spec.late_report}; {self.late} so far", ("late", self._name))
-        if len(stream) > self._clock.cap:
-            outputs = [*outputs, *stream.drop_oldest()]
-            self.dropped += 1
-            reason = (
-                f"more than {self._clock.cap} events are held; {self.dropped} of the oldest have been dropped"
+        outputs = stream.process(StreamElement(term, start, end, *self._spec.key_and_values(values)), now, 0)
+        if stream.late_count != previous_late_count:
+            self.late_count += 1
+            self._warn(
+                f"{self._title}: {self._spec.late_report}; {self.late_count} so far", ("late", self._title)
             )
-            self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
+        if len(stream) > self._rules.max_stored:
+            outputs = [*outputs, *stream.drop_oldest()]
+            self.dropped_count += 1
+            reason = (
+                f"more than {self._rules.max_stored} events are held; "
+                f"{self.dropped_count} of the oldest have been dropped"
+            )
+            self._warn(f"{self._title}: {reason} so far", ("dropped", self._title))
         if stream.evicted_count != self._evicted_count:
-            self.dropped += stream.evicted_count - self._evicted_count
+            self.dropped_count += stream.evicted_count - self._evicted_count
             self._evicted_count = stream.evicted_count
-            reason = f"more than {stream.bounds.keys} keys are held; {self.dropped} of the oldest have been dropped"
-            self._warn(f"{self._name}: {reason} so far", ("dropped", self._name))
+            reason = (
+                f"more than {stream.bounds.keys} keys are held; "
+                f"{self.dropped_count} of the oldest have been dropped"
+            )
+            self._warn(f"{self._title}: {reason} so far", ("dropped", self._title))
         self._set_alarm()
         self._send(outputs)
 
     def on_alarm(self, instant: int, frame: Frame) -> Frame:
         """Send the events that are due at an instant; see `TimedNode`."""
-        self.wakeup_time = None
+        self.alarm_instant = None
         outputs = self._stream.advance_to(instant)
         self._set_alarm()
         self._send(outputs)
@@ -159,21 +171,25 @@ class OutputRateLimiter:
 
     def _set_alarm(self) -> None:
         instant = self._stream.next_deadline
-        if self.active and instant is not None and (self.wakeup_time is None or instant < self.wakeup_time):
-            self.wakeup_time = instant
-            self._clock.wake(self, instant)
+        if (
+            self.active
+            and instant is not None
+            and (self.alarm_instant is None or instant < self.alarm_instant)
+        ):
+            self.alarm_instant = instant
+            self._rules.set_node_alarm(self, instant)
 
     # ---- state ---------------------------------------------------------------------------------------
 
     def stop(self) -> None:
         """Stop the operator; alarms have no effect any more."""
         self.active = False
-        self.wakeup_time = None
+        self.alarm_instant = None
 
     def clear(self) -> None:
         """Reset the operator, because the clock went back or the program requires it."""
         self._stream = self._create_stream()
-        self.wakeup_time = None
+        self.alarm_instant = None
 
     def repair(self) -> None:
         """Repair the operator after an interrupt."""
@@ -181,14 +197,14 @@ class OutputRateLimiter:
 
     def snapshot(self) -> RateLimiterState:
         """Return the state; see `restore`."""
-        return self._stream.snapshot(), self.late, self.dropped
+        return self._stream.snapshot(), self.late_count, self.dropped_count
 
     def restore(self, saved: RateLimiterState) -> None:
         """Set the state of an equal rate limiter."""
-        stream_state, self.late, self.dropped = saved
+        stream_state, self.late_count, self.dropped_count = saved
         self._stream = self._create_stream()
         self._stream.restore(stream_state)
-        self.wakeup_time = None
+        self.alarm_instant = None
         self._set_alarm()
 
 
@@ -202,10 +218,10 @@ SubscriptionKey = Tuple[str, Hashable]
 class SentCounter:
     """Number of events that a subscription has sent."""
 
-    __slots__ = ("number",)
+    __slots__ = ("count",)
 
     def __init__(self) -> None:
-        self.number = 0
+        self.count = 0
 
 
 class Subscription(NamedTuple):
@@ -213,13 +229,13 @@ class Subscription(NamedTuple):
 
     listener: Listener
     id: Term
-    tally: SentCounter
+    sent_counter: SentCounter
     definition: Term
-    rate: Optional[OutputRateLimiter] = None
+    rate_limiter: Optional[OutputRateLimiter] = None
 
     @property
     def key(self) -> Hashable:
-        """Key that is equal for subscriptions that send the same of the same events, with the same topic and id."""
+        """Key that is equal for subscriptions with identical definitions."""
         return term_key(self.definition)
 
 
@@ -264,19 +280,23 @@ class Subscriptions:
             PrologError: if the key is taken, or the arguments do not define a subscription.
         """
         copied: Any = copy(definition)
-        full_pattern, conditions, form, topic, name = (deref(argument) for argument in copied[1:])
+        full_pattern, conditions, template, topic, subscription_id = (
+            deref(argument) for argument in copied[1:]
+        )
         try:
             rate_operator = subscription_rate_operator(full_pattern)
         except UsageError as error:
             raise domain_error("subscription", full_pattern, error.message) from None
         pattern = subscription_event(full_pattern)
         topic_text = self._topic_text(topic)
-        key = (topic_text, key_of(name))
+        key = (topic_text, key_of(subscription_id))
         if key in self._all:
-            raise permission_error("create", "subscription", (MINUS, topic, name), "one already exists")
-        title = f"subscription {self._logic.brief(name)}"
+            raise permission_error(
+                "create", "subscription", (MINUS, topic, subscription_id), "one already exists"
+            )
+        title = f"subscription {self._logic.brief(subscription_id)}"
         recording, _ = compile_recording(
-            self._logic, self._dispatcher, pattern, conditions, form, title, self._warn
+            self._logic, self._dispatcher, pattern, conditions, template, title, self._warn
         )
         detached_subscription = self._detached.get(key)
         # Detached by a reload and unchanged: the counter and the state of the rate limiter continue.
@@ -285,8 +305,8 @@ class Subscriptions:
             if detached_subscription is not None and detached_subscription.key == term_key(copied)
             else None
         )
-        tally = SentCounter() if unchanged is None else unchanged.tally
-        rate = (
+        sent_counter = SentCounter() if unchanged is None else unchanged.sent_counter
+        rate_limiter = (
             None
             if rate_operator is None
             else self._create_rate_limiter(rate_operator, variables(pattern), title, unchanged)
@@ -294,62 +314,68 @@ class Subscriptions:
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
-            self._event_action(recording, tally, topic_text, name, rate),
+            self._event_action(recording, sent_counter, topic_text, subscription_id, rate_limiter),
             unused=unused_variables(
-                pattern, conditions, form, () if rate_operator is None else rate_terms(rate_operator)
+                pattern, conditions, template, () if rate_operator is None else rate_terms(rate_operator)
             ),
         )
-        self._all[key] = Subscription(listener, name, tally, copied, rate)
+        self._all[key] = Subscription(listener, subscription_id, sent_counter, copied, rate_limiter)
 
     def _event_action(
         self,
         recording: Recording,
-        tally: SentCounter,
+        sent_counter: SentCounter,
         topic: str,
-        name: Term,
-        rate: Optional[OutputRateLimiter],
+        subscription_id: Term,
+        rate_limiter: Optional[OutputRateLimiter],
     ) -> EventAction:
         """Return the action for the events of a subscription."""
-        deliver, ground = self._deliver, self._dispatcher.ground
+        deliver, is_ground_context = self._deliver, self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             # Counted before delivery: a callback that reads the counter sees its own event.
-            tally.number += 1
-            deliver(term, topic, name)
+            sent_counter.count += 1
+            deliver(term, topic, subscription_id)
             return frame
 
         def send_record(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            record = recording(term, values, ground())
-            if record is not None:
-                tally.number += 1
-                deliver(record, topic, name)
+            output_term = recording(term, values, is_ground_context())
+            if output_term is not None:
+                sent_counter.count += 1
+                deliver(output_term, topic, subscription_id)
             return frame
 
-        if rate is None:
+        if rate_limiter is None:
             return send if recording is record_event else send_record
-        limit_rate = rate.take
+        limit_rate = rate_limiter.process
 
         def send_term(term: Term) -> None:
-            tally.number += 1
-            deliver(term, topic, name)
+            sent_counter.count += 1
+            deliver(term, topic, subscription_id)
 
         def send_limited(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            record = recording(term, values, ground())
-            if record is not None:
-                limit_rate(record, values, start, end)
+            output_term = recording(term, values, is_ground_context())
+            if output_term is not None:
+                limit_rate(output_term, values, start, end)
             return frame
 
-        rate.send = send_term
+        rate_limiter.send = send_term
         return send_limited
 
     def _create_rate_limiter(
-        self, rate_operator: RatePattern, names: Sequence[Var], title: str, unchanged: Optional[Subscription]
+        self,
+        rate_operator: RatePattern,
+        pattern_variables: Sequence[Var],
+        title: str,
+        unchanged: Optional[Subscription],
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
-        rate = OutputRateLimiter(rate_operator, names, title, self._rules, self._warn, next(self._positions))
-        if unchanged is not None and unchanged.rate is not None:
-            rate.restore(unchanged.rate.snapshot())
-        return rate
+        rate_limiter = OutputRateLimiter(
+            rate_operator, pattern_variables, title, self._rules, self._warn, next(self._positions)
+        )
+        if unchanged is not None and unchanged.rate_limiter is not None:
+            rate_limiter.restore(unchanged.rate_limiter.snapshot())
+        return rate_limiter
 
     def detach(self, keys: Iterable[SubscriptionKey]) -> None:
         """Remove subscriptions; those that are created again without a change continue with their counters."""
@@ -358,34 +384,34 @@ class Subscriptions:
             self._remove(subscription)
 
     def discard_detached(self) -> None:
-        """Forget the subscriptions that were detached."""
+        """Discard the subscriptions that were detached."""
         self._detached.clear()
 
-    def restore_all(self, before: Sequence[Tuple[SubscriptionKey, Subscription]]) -> None:
+    def restore_all(self, saved_subscriptions: Sequence[Tuple[SubscriptionKey, Subscription]]) -> None:
         """Restore exactly these subscriptions, whether or not they have been detached meanwhile."""
         self.detach(list(self._all))
-        self._detached = dict(before)
-        for _, subscription in before:
+        self._detached = dict(saved_subscriptions)
+        for _, subscription in saved_subscriptions:
             self.create(subscription.definition)
         self.discard_detached()
 
     def repair(self) -> None:
         """Repair the subscriptions after an interrupt."""
-        # An interrupt may leave a listener without a subscription, which would deliver events that nobody asked
-        # for.
+        # An interrupt may leave a listener without a subscription. It would deliver events of a subscription that
+        # does not exist.
         self._dispatcher.remove_all_except(
             ListenerPhase.SUBSCRIPTIONS, {subscription.listener for subscription in self._all.values()}
         )
-        for rate in self._rate_limiters():
-            rate.repair()
+        for rate_limiter in self._rate_limiters():
+            rate_limiter.repair()
 
-    def has(self, topic: Term, name: Term) -> bool:
+    def has(self, topic: Term, subscription_id: Term) -> bool:
         """Return whether there is a subscription with this topic and id."""
-        return (self._topic_text(topic), key_of(name)) in self._all
+        return (self._topic_text(topic), key_of(subscription_id)) in self._all
 
-    def delete(self, topic: Term, name: Term) -> bool:
+    def delete(self, topic: Term, subscription_id: Term) -> bool:
         """Delete a subscription; return False if there is none with this topic and id."""
-        subscription = self._all.pop((self._topic_text(topic), key_of(name)), None)
+        subscription = self._all.pop((self._topic_text(topic), key_of(subscription_id)), None)
         if subscription is None:
             return False
         self._remove(subscription)
@@ -393,34 +419,38 @@ class Subscriptions:
 
     def _remove(self, subscription: Subscription) -> None:
         self._dispatcher.remove(subscription.listener)
-        if subscription.rate is not None:
-            subscription.rate.stop()
+        if subscription.rate_limiter is not None:
+            subscription.rate_limiter.stop()
 
     def clear(self) -> None:
         """Reset all rate operators, because the clock went back or the program requires it."""
-        for rate in self._rate_limiters():
-            rate.clear()
+        for rate_limiter in self._rate_limiters():
+            rate_limiter.clear()
 
     def snapshot(self) -> List[Optional[RateLimiterState]]:
-        """Return the state of each rate limiter, None for subscriptions without one; see `restore_rates`."""
+        """Return the state of each rate limiter, None for subscriptions without one; see `restore_rate_limiters`."""
         return [
-            None if subscription.rate is None else subscription.rate.snapshot()
+            None if subscription.rate_limiter is None else subscription.rate_limiter.snapshot()
             for subscription in self._all.values()
         ]
 
-    def restore_rates(self, saved: Sequence[Optional[RateLimiterState]]) -> None:
+    def restore_rate_limiters(self, saved: Sequence[Optional[RateLimiterState]]) -> None:
         """Set the states of the rate limiters of equal subscriptions."""
-        for subscription, rate_state in zip(self._all.values(), saved):
-            if subscription.rate is not None and rate_state is not None:
-                subscription.rate.restore(rate_state)
+        for subscription, saved_state in zip(self._all.values(), saved):
+            if subscription.rate_limiter is not None and saved_state is not None:
+                subscription.rate_limiter.restore(saved_state)
 
     def _rate_limiters(self) -> List[OutputRateLimiter]:
-        return [subscription.rate for subscription in self._all.values() if subscription.rate is not None]
+        return [
+            subscription.rate_limiter
+            for subscription in self._all.values()
+            if subscription.rate_limiter is not None
+        ]
 
     def _topic_text(self, topic: Term) -> str:
         """Return a topic as text.
 
-        A topic such as ``robot/marker1`` is read as a division, but means a name.
+        A topic such as ``robot/marker1`` is parsed as a division; its text is the name of the topic.
         """
         key_of(topic)
         topic = deref(topic)

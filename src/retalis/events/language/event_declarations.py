@@ -48,7 +48,7 @@ from ...prolog.terms.types import (
     functor,
 )
 from .called_predicates import Subgoal, calls
-from .event_operators import NO_EVENTS, OPERATORS, SPELLINGS, OperatorKind, names_of_kind
+from .event_operators import NO_EVENTS, OPERATOR_NAMES, OPERATORS, OperatorKind, names_of_kind
 from .pattern_parser import EventTerm, PlaceLookup
 from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
@@ -524,7 +524,7 @@ def head_event(parent: CompoundTerm, number: int) -> EventTerm:
     """Return the event in a rule head: the head itself, or the event inside an alarm, query or ``do``."""
     term = deref(parent[number])
     while isinstance(term, tuple) and (
-        term[0] in ALARMS or term[0] in SYNCHRONIZED or SPELLINGS.get(term[0]) == "do"
+        term[0] in ALARMS or term[0] in SYNCHRONIZED or OPERATOR_NAMES.get(term[0]) == "do"
     ):
         parent, number, term = term, 1, deref(term[1])
     return EventTerm(term, parent, number)

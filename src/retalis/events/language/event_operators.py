@@ -416,7 +416,7 @@ OPERATORS: Dict[str, EventOperator] = {
 
 _RUN_OPERATOR_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
 
-SPELLINGS: Dict[Functor, str] = {
+OPERATOR_NAMES: Dict[Functor, str] = {
     key: operator.name
     for operator in EVENT_OPERATORS
     if operator.kind not in (OperatorKind.RULE, *_RUN_OPERATOR_KINDS)

@@ -22,8 +22,8 @@ from .event_operators import (
     FUNCTIONAL_FORMS,
     NO_EVENTS,
     NOTATIONS,
+    OPERATOR_NAMES,
     RUN_OPERATORS,
-    SPELLINGS,
     OperatorKind,
     names_of_kind,
 )
@@ -155,7 +155,7 @@ def suggestion(word: str, candidates: Iterable[str]) -> str:
 
 def bracket_advice(name: str, number: Any) -> str:
     """Return advice on brackets if the number of an operator was parsed with the next operator, else ""."""
-    if number.__class__ is not tuple or len(number) != 3 or number[0] not in SPELLINGS:
+    if number.__class__ is not tuple or len(number) != 3 or number[0] not in OPERATOR_NAMES:
         return ""
     inner_number = deref(number[1])
     if inner_number.__class__ not in (int, float):
@@ -212,11 +212,11 @@ def uncovered_gap_warning(
         place_of: returns the place of a part of the rule, or None.
         names: names of variables.
     """
-    operator = SPELLINGS[term[0]]
+    operator = OPERATOR_NAMES[term[0]]
     outer_conditions: List[Tuple[str, Term]] = []
     core: Any = deref(term[1])
     while core.__class__ is tuple and _is_condition(core):
-        outer_conditions.append((SPELLINGS[core[0]], core[2]))
+        outer_conditions.append((OPERATOR_NAMES[core[0]], core[2]))
         core = deref(core[1])
     # Parentheses leave no trace in the term, only in the places of its parts; a rule that was built by a goal has
     # none, so it gets no warning.
@@ -252,12 +252,12 @@ def uncovered_gap_warning(
 
 
 def _is_condition(term: CompoundTerm) -> bool:
-    kind = EVENT_OPERATOR[SPELLINGS[term[0]]].kind if term[0] in SPELLINGS else None
+    kind = EVENT_OPERATOR[OPERATOR_NAMES[term[0]]].kind if term[0] in OPERATOR_NAMES else None
     return kind in (OperatorKind.CONDITION, OperatorKind.LIMIT)
 
 
 def _operator_name(term: Any) -> Optional[str]:
-    return SPELLINGS.get(term[0]) if term.__class__ is tuple else None
+    return OPERATOR_NAMES.get(term[0]) if term.__class__ is tuple else None
 
 
 def _repetitions(core: CompoundTerm) -> List[Term]:

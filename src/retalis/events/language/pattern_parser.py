@@ -21,8 +21,8 @@ from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
     EVENT_OPERATOR,
+    OPERATOR_NAMES,
     RUN_OPERATORS,
-    SPELLINGS,
     EventOperator,
     OperatorKind,
     names_of_kind,
@@ -114,7 +114,7 @@ class PatternReader:
         if head in ARROWS:
             self.nested_rules.append(term)
             return self._event(term, 1)
-        name = SPELLINGS.get(head)
+        name = OPERATOR_NAMES.get(head)
         # Programs older than an operator may use its name for events; `is_event` tells the two apart by the
         # arguments.
         if name is None or is_event(term):
@@ -221,7 +221,7 @@ class PatternReader:
         while pending:
             parent, number = pending.pop()
             branch = deref(parent[number])
-            if branch.__class__ is tuple and SPELLINGS.get(branch[0]) == name:
+            if branch.__class__ is tuple and OPERATOR_NAMES.get(branch[0]) == name:
                 pending += [(branch, 2), (branch, 1)]
             else:
                 branches.append(self.operand(parent, number, name))

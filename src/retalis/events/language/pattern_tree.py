@@ -207,21 +207,21 @@ class WindowPattern(NamedTuple):
 
 
 class RatePattern(NamedTuple):
-    """Pattern whose matches pass a rate operator (throttle, burst, debounce, change), keyed by ``by``.
+    """Pattern whose matches pass a rate operator (throttle, burst, debounce, change), keyed by ``keys``.
 
     Attributes:
         pattern: the pattern.
-        shape: name of the operator.
+        operator: name of the operator.
         span: time in ns; 0 if the operator has none.
         value: the value that must change, or None.
-        by: key terms; matches with equal keys share one state of the operator.
+        keys: key terms; matches with equal keys share one state of the operator.
     """
 
     pattern: "Pattern"
-    shape: str
+    operator: str
     span: int
     value: Optional[Term]
-    by: Tuple[Term, ...]
+    keys: Tuple[Term, ...]
 
 
 class AbsencePattern(NamedTuple):
@@ -317,7 +317,7 @@ def own_terms(node: Pattern) -> List[Term]:
         measured = [value for value in node.values if value is not None]
         return [*measured, *node.window.navigated_vars, *node.results]
     if isinstance(node, RatePattern):
-        return [*node.by] if node.value is None else [node.value, *node.by]
+        return [*node.keys] if node.value is None else [node.value, *node.keys]
     return []
 
 
@@ -379,7 +379,7 @@ def _discriminator(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
     if isinstance(node, AggregatePattern):
         return node.kind, ()
     if isinstance(node, RatePattern):
-        return node.shape, (node.span,)
+        return node.operator, (node.span,)
     if isinstance(node, WindowPattern):
         settings = " ".join(map(repr, node.settings))
         name = f"{node.window.kind} {' '.join(node.kinds)} {settings}"

@@ -19,7 +19,7 @@ from ...prolog.terms.term_traversal import is_ground
 from ...prolog.terms.timestamps import DATIME6, DATIME7, SECOND, from_any, from_seconds
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .called_predicates import calls
-from .event_operators import ARROWS, SPELLINGS
+from .event_operators import ARROWS, OPERATOR_NAMES
 from .likely_mistakes import head_error, head_warning, suggestion
 from .pattern_parser import PlaceLookup
 
@@ -95,7 +95,7 @@ def is_rule(term: Term) -> bool:
 
 def is_unlabelled_rule(term: Term) -> bool:
     """Return whether a term is an event rule without a label."""
-    return term.__class__ is tuple and (term[0] in ARROWS or SPELLINGS.get(term[0]) == "do")
+    return term.__class__ is tuple and (term[0] in ARROWS or OPERATOR_NAMES.get(term[0]) == "do")
 
 
 def split_label(term: CompoundTerm) -> Tuple[Optional[Term], Term]:
@@ -263,7 +263,7 @@ def check_head(
         raise RuleError("the head of a rule is an event: an atom or a compound term", place)
     if head.__class__ is not tuple:
         return
-    operator = SPELLINGS.get(head[0])
+    operator = OPERATOR_NAMES.get(head[0])
     error_text = head_error(head, operator)
     if error_text is not None:
         raise RuleError(error_text, place)

@@ -11,7 +11,7 @@ from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import term_key, variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import COMMA, Atom, Functor, Term, Var, deref, functor
-from .event_operators import SPELLINGS
+from .event_operators import OPERATOR_NAMES
 
 STATE = frozenset((functor("state", 3), functor("state", 4)))
 """Goals that declare a state."""
@@ -109,7 +109,7 @@ def _require_event(term: Term, subject: str) -> Term:
         raise UsageError(f"{subject} is an event: an atom or a compound term")
     key = _event_functor(event)
     # Patterns are compiled for rules only; a declared state listens to single events.
-    if key in SPELLINGS or key is COMMA:
+    if key in OPERATOR_NAMES or key is COMMA:
         raise UsageError(
             f"{subject} is a single event, not a pattern: write a rule that raises an event for the pattern"
         )

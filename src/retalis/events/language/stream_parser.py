@@ -1,7 +1,8 @@
 """Parser of windows ``aggregate(K, Q, R, W)``, of rate operators ``P with S``, and of subscription patterns.
 
 A window determines which matches of Q are aggregated together: the last ones by time or count (sliding), adjacent
-ones (tumbling), overlapping ones (hopping), or the rows of a row pattern. K names the measures, R the results.
+ones (tumbling), overlapping ones (hopping), or the rows of a row pattern. K is a measure or a list of measures, and R
+the result or the list of their results.
 
 A rate operator S passes some matches of P only: ``throttle``, ``burst``, ``debounce`` and ``change`` correspond to
 throttleFirst, leading-edge debounce, debounce and distinctUntilChanged of ReactiveX. A subscription takes a single
@@ -16,8 +17,8 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
-from ..streams.aggregates import AGGREGATES
-from .event_operators import SPELLINGS
+from ..streams.aggregates import AGGREGATES, Setting
+from .event_operators import OPERATOR_NAMES
 from .likely_mistakes import bracket_advice, suggestion
 from .pattern_tree import EventPattern, Pattern, RatePattern, WindowPattern, WindowSpec, bound_by
 from .row_pattern_parser import parse_row_pattern, steps_term
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 _ABSENT_FUNCTOR, _AGGREGATE_FUNCTOR = functor("absent", 2), functor("aggregate", 4)
 MIN_STEP_NANOSECONDS = 1_000_000
 """Minimum time between two results of a window, in ns."""
-MAX_WINDOWS = 10_000
+MAX_OVERLAPPING_WINDOWS = 10_000
 """Maximum number of windows of ``last(N, every(M))`` that contain one event."""
 MAX_WINDOW_ITEMS = 1_000_000
 """Maximum size of a window of a number of events."""
@@ -51,12 +52,12 @@ class RateOperatorNotation(NamedTuple):
     """Notation of a rate operator.
 
     Attributes:
-        form: the forms in words, with and without a key.
-        timed: whether the first argument is a number of seconds; if not, it is the value that must change.
+        notation: its notations in words, with and without a key.
+        takes_seconds: whether the first argument is a number of seconds; if not, it is the value that must change.
     """
 
-    form: str
-    timed: bool
+    notation: str
+    takes_seconds: bool
 
 
 RATE_OPERATORS: Dict[str, RateOperatorNotation] = {
@@ -74,7 +75,7 @@ _WINDOW_NOTATIONS = (
 
 
 _WINDOW_NAMES = frozenset(("last", "every", "running", "steps"))
-_STEP_RESTRICTION = "of"
+_STEP_MEASURE_NAME = "of"
 
 
 def is_event(term: CompoundTerm) -> bool:
@@ -86,11 +87,11 @@ def is_event(term: CompoundTerm) -> bool:
         return deref(term[2]).__class__ not in (int, float)
     if term[0] is not _AGGREGATE_FUNCTOR:
         return False
-    function, window = deref(term[1]), deref(term[4])
-    name = functor_name(function)
-    is_aggregate = name in AGGREGATES or name == _STEP_RESTRICTION or list_items(function) is not None
-    # Both the kind and the window must look foreign: a misspelt kind with a proper window is reported as an error,
-    # instead of being taken for an event that never occurs.
+    measure_term, window = deref(term[1]), deref(term[4])
+    name = functor_name(measure_term)
+    is_aggregate = name in AGGREGATES or name == _STEP_MEASURE_NAME or list_items(measure_term) is not None
+    # The term is an event only if neither the measure nor the window is known. With a valid window, an unknown
+    # measure is reported as a misspelling.
     return not is_aggregate and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
 
 
@@ -102,7 +103,7 @@ def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
     outer_operations: List[CompoundTerm] = []
     operator = deref(term[2])
     # ``with`` binds more loosely than the operators that may follow, so they are parsed as part of its right operand.
-    while operator.__class__ is tuple and operator[0] in SPELLINGS:
+    while operator.__class__ is tuple and operator[0] in OPERATOR_NAMES:
         outer_operations.append(operator)
         operator = deref(operator[1])
     if not outer_operations or operator.__class__ is not tuple or operator[0].name not in RATE_OPERATORS:
@@ -123,13 +124,13 @@ def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> RatePatter
     operator: Any = deref(term[2])
     name = operator[0].name if operator.__class__ is tuple else ""
     if name not in RATE_OPERATORS or len(operator) not in (2, 3):
-        notations = "; ".join(part.form for part in RATE_OPERATORS.values())
+        notations = "; ".join(rate_operator.notation for rate_operator in RATE_OPERATORS.values())
         error_position = (operator,) if operator.__class__ is tuple else (term, 2)
         raise reader.error(
             f"with needs one of {notations}{suggestion(name, RATE_OPERATORS)}", *error_position
         )
     span, value = 0, None
-    if RATE_OPERATORS[name].timed:
+    if RATE_OPERATORS[name].takes_seconds:
         span = _parse_seconds(reader, name, operator, 1)
     else:
         value = deref(operator[1])
@@ -139,9 +140,10 @@ def parse_rate_operator(reader: OperandReader, term: CompoundTerm) -> RatePatter
         # A key is one term or a list of terms.
         keys = tuple(items if items is not None else [deref(operator[2])])
     pattern_variables = set(bound_by(pattern))
-    for number, used in ((1, value), *((2, part) for part in keys)):
-        if used is not None and any(var not in pattern_variables for var in variables(used)):
-            raise reader.error(f"{name} uses a variable that no event of its pattern binds", operator, number)
+    for argument_number, used_term in ((1, value), *((2, key) for key in keys)):
+        if used_term is not None and any(var not in pattern_variables for var in variables(used_term)):
+            message = f"{name} uses a variable that no event of its pattern binds"
+            raise reader.error(message, operator, argument_number)
     return RatePattern(pattern, name, span, value, keys)
 
 
@@ -151,43 +153,45 @@ def parse_window(reader: "PatternReader", term: CompoundTerm) -> WindowPattern:
     Raises:
         RuleError: if a measure or the window is malformed, or a measured variable is not bound by Q.
     """
-    functions = deref(term[1])
+    measures_term = deref(term[1])
     # One measure, or a list of measures over the same window.
-    function_list = list_items(functions)
-    if function_list is not None and not function_list:
+    listed_measures = list_items(measures_term)
+    if listed_measures is not None and not listed_measures:
         raise reader.error("an aggregate needs at least one kind", term, 1)
-    function_terms = [functions] if function_list is None else [deref(measure) for measure in function_list]
-    restricted_measures = [_split_step_restriction(measure) for measure in function_terms]
-    measures = [_parse_measure(reader, measure, term) for _, measure in restricted_measures]
+    measure_terms = [measures_term] if listed_measures is None else [deref(item) for item in listed_measures]
+    restricted_measures = [_split_step_restriction(measure_term) for measure_term in measure_terms]
+    measures = [_parse_measure(reader, measure_term, term) for _, measure_term in restricted_measures]
     collected = reader.operand(term, 2, "aggregate")
     pattern_variables = set(bound_by(collected))
-    for (_, measure), (_, _, value) in zip(restricted_measures, measures):
-        if value is not None and any(var not in pattern_variables for var in variables(value)):
-            raise reader.error("a measured value has a variable that no event in the window binds", measure)
+    for (_, measure_term), measure in zip(restricted_measures, measures):
+        if measure.value is not None and any(
+            var not in pattern_variables for var in variables(measure.value)
+        ):
+            raise reader.error(
+                "a measured value has a variable that no event in the window binds", measure_term
+            )
     # For a list of measures, the result is a list of the same length, or a variable for the whole list.
-    result_terms = list_items(term[3]) if function_list is not None else None
-    if result_terms is not None and len(result_terms) != len(function_terms):
+    result_terms = list_items(term[3]) if listed_measures is not None else None
+    if result_terms is not None and len(result_terms) != len(measure_terms):
         raise reader.error(
-            f"{len(function_terms)} aggregates have {len(function_terms)} results, not {len(result_terms)}",
+            f"{len(measure_terms)} aggregates have {len(measure_terms)} results, not {len(result_terms)}",
             term,
             3,
         )
-    results = tuple(
-        [deref(term[3])] if result_terms is None else [deref(measure) for measure in result_terms]
-    )
+    results = tuple([deref(term[3])] if result_terms is None else [deref(result) for result in result_terms])
     window = _parse_window_term(reader, deref(term[4]), term, pattern_variables)
     scopes = _step_numbers(reader, [step for step, _ in restricted_measures], window, term)
     # The rate is computed between the first and the last event of a window.
-    if "rate" in [name for name, _, _ in measures] and window.kind == "batch" and window.max_count == 1:
+    if "rate" in [measure.name for measure in measures] and window.kind == "batch" and window.max_count == 1:
         raise reader.error("rate needs a window of at least two events", term, 4)
     names, settings, values = zip(*measures)
-    is_listed = function_list is not None and result_terms is None
+    is_listed = listed_measures is not None and result_terms is None
     return WindowPattern(collected, names, settings, values, results, is_listed, window, scopes)
 
 
 def _split_step_restriction(measure: Any) -> Tuple[Any, Any]:
     """Return the step that a measure is restricted to, or None, and the measure."""
-    if measure.__class__ is tuple and measure[0].name == _STEP_RESTRICTION and len(measure) == 3:
+    if measure.__class__ is tuple and measure[0].name == _STEP_MEASURE_NAME and len(measure) == 3:
         return deref(measure[1]), deref(measure[2])
     return None, measure
 
@@ -199,27 +203,32 @@ def _step_numbers(
     names = [atom(window_step.name) for window_step in window.steps]
     for step in steps:
         if step is not None and step not in names:
-            hint = f"; there are {', '.join(window_step.name for window_step in names)}" if names else ""
+            hint = f"; there are {', '.join(name.name for name in names)}" if names else ""
             message = f"of(Step, Kind) needs the name of a step of a window of steps{hint}"
             raise reader.error(message, term, 1)
     return tuple([None if step is None else names.index(step) for step in steps])
 
 
-def _parse_measure(
-    reader: "PatternReader", function: Any, term: CompoundTerm
-) -> Tuple[str, Any, Optional[Term]]:
-    """Return the name of a measure, its setting, and the measured term."""
-    name = functor_name(function)
-    arguments: Sequence[Term] = function[1:] if function.__class__ is tuple else ()
-    error_position = (function,) if function.__class__ is tuple else (term, 1)
-    measure = AGGREGATES.get(name)
-    if measure is None or len(arguments) != measure.arity:
+class _Measure(NamedTuple):
+    """Measure of a window: name of the aggregate function, its setting (see `Setting`), and the measured term."""
+
+    name: str
+    setting: Setting
+    value: Optional[Term]
+
+
+def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm) -> _Measure:
+    name = functor_name(measure_term)
+    arguments: Sequence[Term] = measure_term[1:] if measure_term.__class__ is tuple else ()
+    error_position = (measure_term,) if measure_term.__class__ is tuple else (term, 1)
+    aggregate = AGGREGATES.get(name)
+    if aggregate is None or len(arguments) != aggregate.arity:
         notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
         raise reader.error(
             f"there is no such aggregate; the aggregates are {notations}{suggestion(name, AGGREGATES)}",
             *error_position,
         )
-    settings = [deref(argument) for argument in arguments[: measure.setting_count]]
+    settings = [deref(argument) for argument in arguments[: aggregate.setting_count]]
     setting: Any = None
     if name == "quantile":
         setting = settings[0]
@@ -228,14 +237,21 @@ def _parse_measure(
     elif settings:
         setting = tuple(settings)
         if not all(argument.__class__ is Atom for argument in settings):
-            raise reader.error(f"{measure.notation} needs the names of three predicates", *error_position)
-    return name, setting, deref(arguments[-1]) if measure.has_value else None
+            raise reader.error(f"{aggregate.notation} needs the names of three predicates", *error_position)
+    return _Measure(name, setting, deref(arguments[-1]) if aggregate.has_value else None)
 
 
 def _parse_window_term(
     reader: "PatternReader", window: Any, term: CompoundTerm, pattern_variables: Set[Var]
 ) -> WindowSpec:
-    """Return the window that a term denotes; ``pattern_variables`` are the variables that the pattern binds."""
+    """Return the window that a term denotes.
+
+    Args:
+        reader: reports errors with their places.
+        window: the term of the window.
+        term: the aggregate, for errors.
+        pattern_variables: the variables that the pattern binds.
+    """
     name = window[0].name if window.__class__ is tuple else ""
     if name == "steps" and len(window) == 2:
         steps, navigated_vars = parse_row_pattern(reader, window, pattern_variables)
@@ -248,38 +264,42 @@ def _parse_window_term(
                 "running needs every(Seconds), every(Seconds, first) or every(N, events)", window
             )
         return tumbling._replace(running=True)
-    second: Any = deref(window[2]) if window.__class__ is tuple and len(window) == 3 else None
-    option = second.name if second.__class__ is Atom else ""
+    syntax_error = reader.error(
+        f"a window is {_WINDOW_NOTATIONS}", *((window,) if window.__class__ is tuple else (term, 4))
+    )
     if name not in ("last", "every") or len(window) not in (2, 3):
-        option = "wrong"
-    elif option == "events":
+        raise syntax_error
+    argument: Any = deref(window[2]) if len(window) == 3 else None
+    option = argument.name if argument.__class__ is Atom else ""
+    if option == "events":
         size = deref(window[1])
         if size.__class__ is not int or not 1 <= size <= MAX_WINDOW_ITEMS:
             raise reader.error(f"{name} needs a number of events from 1 to {MAX_WINDOW_ITEMS}", window, 1)
         return WindowSpec("newest" if name == "last" else "batch", max_count=size)
-    elif len(window) == 2:
+    if len(window) == 2:
         span = _parse_seconds(reader, name, window, 1)
         return WindowSpec(name, span, span) if name == "last" else _hopping_window(reader, window, span, span)
-    elif name == "every" and option == "first":
+    if name == "every" and option == "first":
         span = _parse_seconds(reader, name, window, 1)
         return WindowSpec("first", span, span)
-    elif name == "last" and second.__class__ is tuple and second[0].name == "every" and len(second) == 2:
+    if name == "last" and argument.__class__ is tuple and argument[0].name == "every" and len(argument) == 2:
         return _hopping_window(
             reader,
             window,
             _parse_seconds(reader, name, window, 1),
-            _parse_seconds(reader, "every", second, 1),
+            _parse_seconds(reader, "every", argument, 1),
         )
-    raise reader.error(
-        f"a window is {_WINDOW_NOTATIONS}", *((window,) if window.__class__ is tuple else (term, 4))
-    )
+    raise syntax_error
 
 
 def _hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowSpec:
     """Return windows that the clock closes, at regular times."""
-    # One event that arrives late can close all windows that it is too new for, so their number must be bounded.
-    if step < MIN_STEP_NANOSECONDS or span > MAX_WINDOWS * step:
-        message = f"every needs 0.001 seconds at least, and last no more than {MAX_WINDOWS} times those of its every"
+    # An event with a later timestamp closes all windows that end before it, so their number must be bounded.
+    if step < MIN_STEP_NANOSECONDS or span > MAX_OVERLAPPING_WINDOWS * step:
+        message = (
+            f"every needs 0.001 seconds at least, and last no more than {MAX_OVERLAPPING_WINDOWS} times those of its "
+            "every"
+        )
         raise reader.error(message, window)
     return WindowSpec("every", span, step)
 
@@ -298,13 +318,13 @@ def _parse_seconds(reader: OperandReader, name: str, term: CompoundTerm, number:
     return from_seconds(seconds)
 
 
-def rate_operator_term(shaped: RatePattern) -> Term:
+def rate_operator_term(rate_pattern: RatePattern) -> Term:
     """Return the term of a rate operator."""
-    first = timestamps.to_seconds(shaped.span) if shaped.value is None else shaped.value
-    if not shaped.by:
-        return functor(shaped.shape, 1)(first)
-    keys = shaped.by[0] if len(shaped.by) == 1 else make_list(shaped.by)
-    return functor(shaped.shape, 2)(first, keys)
+    first = timestamps.to_seconds(rate_pattern.span) if rate_pattern.value is None else rate_pattern.value
+    if not rate_pattern.keys:
+        return functor(rate_pattern.operator, 1)(first)
+    keys = rate_pattern.keys[0] if len(rate_pattern.keys) == 1 else make_list(rate_pattern.keys)
+    return functor(rate_pattern.operator, 2)(first, keys)
 
 
 def window_term(window: WindowSpec) -> Term:
@@ -362,7 +382,7 @@ def subscription_rate_operator(term: Term) -> Optional[RatePattern]:
 
 
 def _operator_name(term: Any) -> str:
-    return SPELLINGS.get(term[0], "") if term.__class__ is tuple else ""
+    return OPERATOR_NAMES.get(term[0], "") if term.__class__ is tuple else ""
 
 
 class _SingleEvent:

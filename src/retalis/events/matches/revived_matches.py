@@ -53,7 +53,7 @@ class RetainedMatches:
         """Keep a match; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
         self._retained.append(match)
-        if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.cap // 2):
+        if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.max_stored // 2):
             self._retained.popleft().discard()
 
 

@@ -497,7 +497,11 @@ class EventRule:
         if self._tracks_stored:
             self._track_stored(match, span)
         number = self.stored_match_count
-        if number > self.sweep_threshold or number > self.network.cap or len(arrivals) > 2 * number + SPARE:
+        if (
+            number > self.sweep_threshold
+            or number > self.network.max_stored
+            or len(arrivals) > 2 * number + SPARE
+        ):
             self.remove_excess()
 
     def remove_excess(self) -> None:
@@ -512,7 +516,7 @@ class EventRule:
             # Fewer matches are stored than at the last pass, so the next one begins earlier.
             if self._sweeps:
                 self.sweep_threshold = min(self.sweep_threshold, 2 * (self.stored_match_count + SPARE))
-        if self.stored_match_count > self.network.cap:
+        if self.stored_match_count > self.network.max_stored:
             self._drop_oldest()
         if len(self.expiries) > max_entries:
             self.expiries.remove_stale(self.stored_match_count)
@@ -573,7 +577,7 @@ class EventRule:
 
     def _drop_oldest(self) -> None:
         """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
-        arrivals, cap = self.arrivals, self.network.cap
+        arrivals, max_stored = self.arrivals, self.network.max_stored
         max_visits = min(VISITED_SLICE_ENTRIES, len(arrivals))
         for _ in range(max_visits):
             oldest = arrivals.popleft()
@@ -584,7 +588,7 @@ class EventRule:
                 oldest.discard()
                 self.dropped += 1
                 self.network.report_dropped(self)
-                if self.stored_match_count <= cap:
+                if self.stored_match_count <= max_stored:
                     return
 
     def _complete_values(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:

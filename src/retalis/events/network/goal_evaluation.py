@@ -70,12 +70,12 @@ class TimedNode(Protocol):
     """A node that the clock wakes.
 
     Attributes:
-        wakeup_time: the instant of its next alarm; None without one.
-        place: position among the nodes of the same owner.
+        alarm_instant: the instant of its next alarm; None without one.
+        position: position among the nodes of the same owner.
     """
 
-    wakeup_time: Optional[int]
-    place: int
+    alarm_instant: Optional[int]
+    position: int
 
     @property
     def rule(self) -> "TimedOwner":

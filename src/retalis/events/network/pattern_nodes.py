@@ -140,13 +140,13 @@ class NetworkNode:
     """One part of a rule's pattern.
 
     Attributes:
-        place: position among the nodes of the rule; a node follows those below it.
+        position: position among the nodes of the rule; a node follows those below it.
         vars: variables of the values of its matches, in order.
         retention: retention time of matches below, in ns; None for no bound.
     """
 
     vars: List[Var]
-    place = 0
+    position = 0
     tests_window = True
     """True if the window of a label is tested here."""
     is_single_event = False

@@ -122,7 +122,7 @@ class RuleCompiler(StreamCompiler):
         for rank, leaf in enumerate(built.leaves):
             leaf.rank = rank
         for position, stream in enumerate(self.stream_nodes):
-            stream.place = position
+            stream.position = position
         # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
         for built_again, first in self.copies:
             for leaf, first_leaf in zip(built_again.leaves, first.leaves):

@@ -124,11 +124,11 @@ def _holds(
     is_satisfied: GoalTest,
     own_vars: Sequence[int],
     navigation_positions: Sequence[int],
-    item: StreamElement,
+    key_and_values: StreamElement,
     targets: Sequence[StreamElement],
 ) -> bool:
     """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
-    values = [item.values[position] for position in own_vars]
+    values = [key_and_values.values[position] for position in own_vars]
     if navigation_positions:
         values += [element.values[position] for element, position in zip(targets, navigation_positions)]
     return is_satisfied(tuple(values))
@@ -143,7 +143,7 @@ _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
         AlignedTumblingWindow(make, form.span) if form.running else HoppingWindow(make, form.span, form.step)
     ),
 }
-_SHAPES: Dict[str, Callable[[int], StreamOperator]] = {
+_RATE_OPERATORS: Dict[str, Callable[[int], StreamOperator]] = {
     "throttle": lambda span: Throttle(span, False),
     "burst": lambda span: Throttle(span, True),
     "debounce": lambda span: Debounce(span),
@@ -157,19 +157,23 @@ _LATE_AWAITED = "an event is too late and is ignored: the time in which nothing 
 
 def rate_operator(part: RatePattern) -> StreamOperator:
     """Return the operator of ``P with S``."""
-    return _SHAPES[part.shape](part.span)
+    return _RATE_OPERATORS[part.operator](part.span)
 
 
 def rate_node_spec(part: RatePattern, names: Sequence[Var]) -> StreamNodeSpec:
     """Return the specification of a node of ``P with S``, given the variables of P's matches."""
-    by = _builder(part.by, names)
+    by = _builder(part.keys, names)
     value = _builder(() if part.value is None else (part.value,), names)
 
-    def item(values: Values) -> Tuple[Values, Values]:
+    def key_and_values(values: Values) -> Tuple[Values, Values]:
         return by(values), value(values)
 
     return StreamNodeSpec(
-        lambda options: rate_operator(part), item, None, part.shape == "debounce", _LATE_DEBOUNCED
+        lambda options: rate_operator(part),
+        key_and_values,
+        None,
+        part.operator == "debounce",
+        _LATE_DEBOUNCED,
     )
 
 
@@ -206,7 +210,7 @@ def window_node_spec(
     ]
     has_numeric_values = any(evaluate_values)
 
-    def item(values: Values) -> Tuple[Values, Values]:
+    def key_and_values(values: Values) -> Tuple[Values, Values]:
         measured = build(values)
         # Values are nearly always numbers, so expressions are evaluated only if one is not.
         if has_numeric_values:
@@ -233,7 +237,7 @@ def window_node_spec(
         nfa = compile_row_pattern(form, len(measured_terms), evaluators.compile_test)
         return StreamNodeSpec(
             lambda options: RowPatternWindow(measures, part.scopes, nfa),
-            item,
+            key_and_values,
             result,
             False,
             _LATE,
@@ -242,7 +246,7 @@ def window_node_spec(
     make = partial(_WINDOWS[form.kind], measures, form)
     clocked = form.kind == "first" or (form.kind == "every" and not form.running)
     calls, fused = "fold" in part.kinds, _fused_form(part, position_of, groups)
-    return StreamNodeSpec(lambda options: make(), item, result, clocked, _LATE, calls, fused)
+    return StreamNodeSpec(lambda options: make(), key_and_values, result, clocked, _LATE, calls, fused)
 
 
 def _fused_form(
@@ -436,12 +440,14 @@ class StreamCompiler:
         # A window has no partner further left at the time when its elements are measured, so such conditions cannot
         # be deferred.
         if below.deferred:
-            what = "what is measured" if isinstance(core, WindowPattern) else f"the pattern of {core.shape}"
+            what = (
+                "what is measured" if isinstance(core, WindowPattern) else f"the pattern of {core.operator}"
+            )
             raise RuleError(f"a condition in {what} uses a pattern to the left of it", self.rule.place)
         names = below.node.vars
         if isinstance(core, RatePattern):
             node = StreamNode(self.rule, [below.node], names, rate_node_spec(core, names), core)
-            built = below if core.shape != "debounce" else BuiltPattern(node, [], below.leaves, [])
+            built = below if core.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, Retention(part, part)))
         if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
             raise RuleError(

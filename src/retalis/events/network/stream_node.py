@@ -148,9 +148,9 @@ class Replay:
             self._base = _copy_state(stream.snapshot())
             self._elements, self._outputs = [], []
 
-    def record_element(self, channel: int, item: StreamElement, now: int) -> None:
+    def record_element(self, channel: int, element: StreamElement, now: int) -> None:
         """Record an element."""
-        self._elements.append((channel, _fresh_element(item), now))
+        self._elements.append((channel, _fresh_element(element), now))
 
     def record_output(self, output: StreamOutput, repetition_chain: RepetitionChain) -> None:
         """Record an output, and the object that represents it in the lineage."""
@@ -182,9 +182,9 @@ class Replay:
         if self._base:
             stream.restore(_without_retracted(_copy_state(self._base)))
         outputs: List[StreamOutput] = []
-        for channel, item, instant in metered(self._elements, meter):
+        for channel, element, instant in metered(self._elements, meter):
             outputs += stream.advance_to(instant)
-            outputs += stream.process(_fresh_element(item), instant, channel)
+            outputs += stream.process(_fresh_element(element), instant, channel)
         outputs += stream.advance_to(now)
         if meter is not None and meter(0):
             return None
@@ -239,9 +239,9 @@ class Replay:
             self._create_operator().restore(_copy_state(self._base))
 
 
-def _fresh_element(item: StreamElement) -> StreamElement:
+def _fresh_element(element: StreamElement) -> StreamElement:
     """Return a copy of an element as it was received."""
-    return StreamElement(item.match, item.start, item.end, item.by, item.values)
+    return StreamElement(element.match, element.start, element.end, element.by, element.values)
 
 
 def _copy_state(data: Any) -> Any:
@@ -291,7 +291,7 @@ class StreamNodeSpec(NamedTuple):
 
     Attributes:
         stream: creates the operator for the options of the network.
-        item: returns the key and the values of an element from the values of a match.
+        key_and_values: returns the key and the values of an element from the values of a match.
         result: returns the values of a match from the key and the results, or None if these do not unify with the
             terms of the rule; None if the node emits the matches that it received.
         clocked: whether elements are processed at the present instant.
@@ -301,7 +301,7 @@ class StreamNodeSpec(NamedTuple):
     """
 
     stream: Callable[[NetworkOptions], StreamOperator]
-    item: Callable[[Values], Tuple[Values, Values]]
+    key_and_values: Callable[[Values], Tuple[Values, Values]]
     result: "Optional[Result]"
     clocked: bool
     late_report: str
@@ -320,10 +320,10 @@ class StreamNode(NetworkNode):
         pattern: the part of the rule's pattern that it evaluates.
 
     Attributes:
-        wakeup_time: instant at which the clock wakes it next; None if it does not.
-        late: number of matches that arrived too late.
+        alarm_instant: instant at which the clock wakes it next; None if it does not.
+        late_count: number of matches that arrived too late.
         evicted_count: number of keys that were dropped because there were too many.
-        place: position among the nodes of the rule.
+        position: position among the nodes of the rule.
         carried: negation buffers in the conditions of a negated pattern, with the nodes of their negated patterns.
     """
 
@@ -346,11 +346,11 @@ class StreamNode(NetworkNode):
         )
         self._reentrancy = ReentrancyQueue(rule.network.dispatcher) if spec.calls_goals else None
         self._arrivals: Dict[int, Emit] = {}
-        self.place = 0
+        self.position = 0
         self.span: Optional[int] = None
         self._bounds = KeyBounds()
-        self.wakeup_time: Optional[int] = None
-        self.late = self.evicted_count = 0
+        self.alarm_instant: Optional[int] = None
+        self.late_count = self.evicted_count = 0
         self._options: Optional[NetworkOptions] = None
         self.stream = self._create_operator(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
@@ -418,8 +418,8 @@ class StreamNode(NetworkNode):
         self.emit = emit
         if options != self._options:
             self._set_options(options)
-        self.wakeup_time = None
-        self._wake()
+        self.alarm_instant = None
+        self._set_alarm()
 
     def _set_options(self, options: NetworkOptions) -> None:
         """Run the operator with other options."""
@@ -450,7 +450,7 @@ class StreamNode(NetworkNode):
         saved = self.stream.snapshot()
         self.stream = self._create_operator(self._options or NetworkOptions(), self.rule.meter)
         self.stream.restore(saved)
-        self.stream.late_count, self.stream.evicted_count = self.late, self.evicted_count
+        self.stream.late_count, self.stream.evicted_count = self.late_count, self.evicted_count
 
     def repair(self) -> None:
         """Repair the operator after an interrupt: its state is counted and indexed again."""
@@ -459,8 +459,8 @@ class StreamNode(NetworkNode):
             if self._options not in (None, self.rule.options):
                 self._set_options(self.rule.options)
         self._rebuild()
-        self.wakeup_time = None
-        self._wake()
+        self.alarm_instant = None
+        self._set_alarm()
 
     def buffers(self) -> Sequence[Buffer]:
         """Return the buffers of the node."""
@@ -498,7 +498,7 @@ class StreamNode(NetworkNode):
 
         The match itself is optional; its values and interval are required.
         """
-        make, clocked = self.spec.item, self.spec.clocked or options.emits_revisions
+        make, clocked = self.spec.key_and_values, self.spec.clocked or options.emits_revisions
         network = self.rule.network
         meter = self.rule.meter
 
@@ -514,23 +514,23 @@ class StreamNode(NetworkNode):
             if self.replay is not None:
                 self.replay.begin_step(stream)
             try:
-                item = StreamElement(match, start, end, *make(values))
-                outputs = stream.process(item, now, channel)
+                element = StreamElement(match, start, end, *make(values))
+                outputs = stream.process(element, now, channel)
             except RuleError as error:
                 network.rule_failed(self.rule, error)
                 return []
             if self.replay is not None:
-                self._record_element(channel, item, now)
-            if stream.late_count != self.late:
-                self.late = stream.late_count
+                self._record_element(channel, element, now)
+            if stream.late_count != self.late_count:
+                self.late_count = stream.late_count
                 network.report_late(self.rule, self.spec.late_report)
             if stream.pruned_count != pruned_count or stream.evicted_count != self.evicted_count:
                 self._report_dropped(stream.pruned_count - pruned_count)
             # One element can add several partial matches to a row pattern.
-            while len(stream) > network.cap:
+            while len(stream) > network.max_stored:
                 outputs = [*outputs, *self._drop()]
             if stream.next_deadline is not None:
-                self._wake()
+                self._set_alarm()
             return outputs
 
         return process
@@ -554,16 +554,16 @@ class StreamNode(NetworkNode):
             self.rule.network.report_dropped_keys(self.rule)
         self.evicted_count = self.stream.evicted_count
 
-    def _wake(self) -> None:
+    def _set_alarm(self) -> None:
         instant = self.stream.next_deadline
         # A wake-up that is set already for an earlier instant sets the next one.
-        if instant is not None and (self.wakeup_time is None or instant < self.wakeup_time):
-            self.wakeup_time = instant
-            self.rule.network.wake(self, instant)
+        if instant is not None and (self.alarm_instant is None or instant < self.alarm_instant):
+            self.alarm_instant = instant
+            self.rule.network.set_node_alarm(self, instant)
 
     def on_alarm(self, instant: int, frame: Frame) -> Frame:
         """Return the frame that emits the outputs that are due, and continues with ``frame``."""
-        self.wakeup_time = None
+        self.alarm_instant = None
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
         if self.rule.skip_state is not None:
             self.rule.skip_state.begin_alarm()
@@ -577,7 +577,7 @@ class StreamNode(NetworkNode):
             frame = reentrancy.before(frame)
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
-        self._wake()
+        self._set_alarm()
         arrival_number = self.rule.network.tracker.next_deadline_number() if self.stream.tracked else 0
         return self._emit_outputs(outputs, frame, arrival_number)
 
@@ -631,7 +631,7 @@ class StreamNode(NetworkNode):
     def _create_tracked_match(self, output: StreamOutput, arrival_number: int) -> Tuple[RepetitionChain, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
-            [item.match for item in output.elements if item.match is not None]
+            [element.match for element in output.elements if element.match is not None]
         )  # untracked elements have no match
         repetition_chain = RepetitionChain(
             PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS
@@ -643,12 +643,12 @@ class StreamNode(NetworkNode):
 
     # ---- retracted events ----------------------------------------------------------------------------
 
-    def _record_element(self, channel: int, item: StreamElement, now: int) -> None:
+    def _record_element(self, channel: int, element: StreamElement, now: int) -> None:
         """Record an element, and register it with the events that it contains."""
         assert self.replay is not None
-        self.replay.record_element(channel, item, now)
-        for occurrence in lineage_nodes_of(item.match):
-            occurrence.dependents.append((self, self, item.match))
+        self.replay.record_element(channel, element, now)
+        for occurrence in lineage_nodes_of(element.match):
+            occurrence.dependents.append((self, self, element.match))
 
     def remove_retracted(self, node: "StreamNode", match: PartialMatch) -> bool:
         """Exclude a match whose events were retracted; return whether the outputs may change."""
@@ -664,8 +664,8 @@ class StreamNode(NetworkNode):
             self._reset_operator()
             return []
         self.stream, missing = rerun
-        self.late, self.evicted_count = self.stream.late_count, self.stream.evicted_count
-        self._wake()
+        self.late_count, self.evicted_count = self.stream.late_count, self.stream.evicted_count
+        self._set_alarm()
         return missing
 
     def recompute_results(self, node: "StreamNode") -> List[PartialMatch]:
@@ -693,8 +693,8 @@ class StreamNode(NetworkNode):
             if options.emits_revisions
             else None
         )
-        self.wakeup_time = None
-        self.late = self.evicted_count = 0
+        self.alarm_instant = None
+        self.late_count = self.evicted_count = 0
 
     def stored_count(self) -> int:
         """Return the number of matches, or keys, in the operator's state."""
@@ -710,12 +710,16 @@ class StreamNode(NetworkNode):
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
-        return (self.stream.snapshot(), self.late, None if self.replay is None else self.replay.snapshot())
+        return (
+            self.stream.snapshot(),
+            self.late_count,
+            None if self.replay is None else self.replay.snapshot(),
+        )
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        operator_state, self.late, replayed = saved
+        operator_state, self.late_count, replayed = saved
         self.stream.restore(operator_state)
         if self.replay is not None and replayed is not None:
             self.replay.restore(replayed)
-        self._wake()
+        self._set_alarm()

@@ -36,7 +36,7 @@ from ...prolog.terms.types import (
 )
 from ..language.called_predicates import PredicateCall, Subgoal, calls
 from ..language.event_declarations import Declarations, calls_in_query, events_raised_by_goals, head_event
-from ..language.event_operators import ARROWS, NO_FACTS, SPELLINGS
+from ..language.event_operators import ARROWS, NO_FACTS, OPERATOR_NAMES
 from ..language.likely_mistakes import uncovered_gap_warning
 from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window
 from ..language.pattern_tree import ActionPattern, Pattern, RuleDefinition, bound_by, occurrences
@@ -257,7 +257,11 @@ class FileChecker:
             )
         elif head is _CLAUSE:
             body = deref(term[2])
-            if body.__class__ is tuple and SPELLINGS.get(body[0]) is not None and body[0].name.isidentifier():
+            if (
+                body.__class__ is tuple
+                and OPERATOR_NAMES.get(body[0]) is not None
+                and body[0].name.isidentifier()
+            ):
                 advice = "the arrow of an event rule is <-"
                 self.calls.append(PredicateCall(body[0], place_of(body) or place, "", advice))
 
@@ -318,7 +322,7 @@ class FileChecker:
             definition = RuleDefinition(rule, None, pattern, label, place, self._names)
         else:
             head, goal = deref(rule[1]), None
-            if head.__class__ is tuple and SPELLINGS.get(head[0]) == "do":
+            if head.__class__ is tuple and OPERATOR_NAMES.get(head[0]) == "do":
                 goal = reader.goal(head, 2, "do")
                 head = deref(head[1])
             head_place = place_of(head) if head.__class__ is tuple else place_of(rule, 1)
@@ -454,7 +458,7 @@ def _is_labelled(term: Term) -> bool:
 
 def _advice_for(goal: CompoundTerm) -> str:
     """Return advice for a goal whose predicate does not exist, or ""."""
-    name = SPELLINGS.get(goal[0])
+    name = OPERATOR_NAMES.get(goal[0])
     if name is not None:
         return f"{name} is part of the goal here; to apply it to the pattern, write (Pattern where Goal) {name} ..."
     return "a rule that contains a comma needs brackets of its own" if goal[0] is _INSERT else ""

@@ -116,8 +116,8 @@ class RuleBase:
         logic: compiles goals and stores clauses.
         dispatcher: dispatches events to the rules and receives derived events.
         clock: provides the time and alarms.
-        cap: maximum number of partial matches of a rule (the oldest are dropped) and of alarms (further ones are
-            dropped).
+        max_stored: maximum number of partial matches of a rule (the oldest are dropped) and of alarms (further ones
+            are dropped).
         future: maximum time in ns by which a timestamp may be ahead of the clock and still advance windows.
         on_error: called with each error of a rule or goal while events are processed; by default it is logged.
         on_warning: called with each warning; by default it is logged.
@@ -138,7 +138,7 @@ class RuleBase:
         logic: PrologSystem,
         dispatcher: Dispatcher,
         clock: "Clock",
-        cap: int = 1_000_000,
+        max_stored: int = 1_000_000,
         future: int = 10 * SECOND,
         on_error: Callable[[RetalisError], None] = lambda error: log.error("%s", error),
         on_warning: Callable[[RetalisError], None] = lambda error: log.warning("%s", error),
@@ -148,7 +148,7 @@ class RuleBase:
         self.logic = logic
         self.dispatcher = dispatcher
         self.clock = clock
-        self.cap = cap
+        self.max_stored = max_stored
         self.future = future
         self.on_error = on_error
         self.warn_singletons = False
@@ -459,9 +459,9 @@ class RuleBase:
         self, rule: EventRule, term: Term, start: int, instant: int, token: Optional[Occurrence] = None
     ) -> None:
         """Emit an event when the clock reaches an instant."""
-        if len(self.clock.alarms) >= self.cap:
+        if len(self.clock.alarms) >= self.max_stored:
             rule.alarms_dropped += 1
-            text = f": more than {self.cap} alarms are set; {rule.alarms_dropped} have been dropped so far"
+            text = f": more than {self.max_stored} alarms are set; {rule.alarms_dropped} have been dropped so far"
             self._warn_rarely(rule, rule.alarms_dropped, text)
             return
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
@@ -471,7 +471,7 @@ class RuleBase:
         ringing = self.clock.ringing
         return self.clock.reached() if ringing is None else ringing
 
-    def wake(self, node: TimedNode, instant: int) -> None:
+    def set_node_alarm(self, node: TimedNode, instant: int) -> None:
         """Wake a node when the clock reaches an instant."""
         self.deadlines.add(node, instant)
 
@@ -517,7 +517,10 @@ class RuleBase:
 
     def report_dropped(self, rule: EventRule, max_runs: int = 0) -> None:
         """Report that partial matches of a rule were dropped, or more than ``max_runs`` runs from one start."""
-        text = f" has more than {self.cap} partial matches; {rule.dropped} of the oldest have been dropped so far"
+        text = (
+            f" has more than {self.max_stored} partial matches; "
+            f"{rule.dropped} of the oldest have been dropped so far"
+        )
         if max_runs:
             text = (
                 f" has more than {max_runs} ways to take its steps from one start; "

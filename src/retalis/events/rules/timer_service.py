@@ -87,7 +87,7 @@ class NodeTimers:
 
     def add(self, node: TimedNode, instant: int) -> None:
         """Set the timeout of a node; a later one replaces an earlier one."""
-        heapq.heappush(self._heap, (instant, node.rule.serial, node.place, next(self._numbers), node))
+        heapq.heappush(self._heap, (instant, node.rule.serial, node.position, next(self._numbers), node))
         if len(self._heap) > self._rebuild_size:
             self._drop_all_stale()
         self._set_alarm()
@@ -130,7 +130,7 @@ class NodeTimers:
         try:
             if heap and heap[0][0] <= instant:
                 due_instant, *_, node = heapq.heappop(heap)
-                node.wakeup_time = None
+                node.alarm_instant = None
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
                 if node.rule.active:
                     machine = self._rules.logic.machine
@@ -143,7 +143,7 @@ class NodeTimers:
 
 
 def _is_current(entry: _Deadline) -> bool:
-    return entry[-1].wakeup_time == entry[0]
+    return entry[-1].alarm_instant == entry[0]
 
 
 class RuleAlarm:
