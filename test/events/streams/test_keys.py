@@ -209,9 +209,9 @@ def test_shapes_of_subscriptions_have_the_bounds_of_flags():
     for at in range(100):
         engine.event(f"q({at}, 1)", at, at)
     (one,) = engine.knowledge.subscriptions.items()
-    assert len(one[1].rate) <= 6
+    assert len(one[1].rate_limiter) <= 6
     assert engine.call("set_etalis_flag(state_ttl, -1)")
     assert engine.call("set_etalis_flag(max_keys, 3)")
     for at in range(100):
         engine.event(f"q({at}, 1)", 100, 100)
-    assert len(one[1].rate) == 3
+    assert len(one[1].rate_limiter) == 3

@@ -145,5 +145,5 @@ def test_what_has_gone_is_not_held(kind):
             removed.is_removed = True
             lowest.remove()
             ranked.remove(removed)
-        assert max(len(one.heap) for one in (lowest, ranked.below, ranked.above)) <= 90
+        assert max(len(one.entries) for one in (lowest, ranked.below, ranked.above)) <= 90
     assert entries(ranked) == 10
