@@ -436,7 +436,7 @@ def test_what_an_interrupt_left_half_done_is_put_right(window):
     for rule in engine.rules.rules:  # counters that are wrong are counted anew
         for node, _, _ in rule.nodes:
             if hasattr(node, "stream"):
-                node.stream.number += 7
+                node.stream.element_count += 7
     engine.rules.repair()
     assert engine.rules.match_count == whole.rules.match_count
 

@@ -209,7 +209,7 @@ def _step_numbers(
     return tuple([None if step is None else names.index(step) for step in steps])
 
 
-class _Measure(NamedTuple):
+class _WindowMeasure(NamedTuple):
     """Measure of a window: name of the aggregate function, its setting (see `Setting`), and the measured term."""
 
     name: str
@@ -217,7 +217,7 @@ class _Measure(NamedTuple):
     value: Optional[Term]
 
 
-def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm) -> _Measure:
+def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm) -> _WindowMeasure:
     name = functor_name(measure_term)
     arguments: Sequence[Term] = measure_term[1:] if measure_term.__class__ is tuple else ()
     error_position = (measure_term,) if measure_term.__class__ is tuple else (term, 1)
@@ -238,7 +238,7 @@ def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTer
         setting = tuple(settings)
         if not all(argument.__class__ is Atom for argument in settings):
             raise reader.error(f"{aggregate.notation} needs the names of three predicates", *error_position)
-    return _Measure(name, setting, deref(arguments[-1]) if aggregate.has_value else None)
+    return _WindowMeasure(name, setting, deref(arguments[-1]) if aggregate.has_value else None)
 
 
 def _parse_window_term(
