@@ -46,11 +46,11 @@ def rules(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     else:
         kinds = {kind: functor(kind, 1) for kind in "abclr"}
         ready = [(kinds[kind](key), time) for kind, key, time in events]
-    take = engine.event_input.take
+    dispatch = engine.event_input.dispatch_event
 
     def all_of_them() -> None:
         for term, time in ready:
-            take(term, time, time, True)
+            dispatch(term, time, time, True)
 
     return lambda: engine.do(all_of_them)
 

@@ -195,8 +195,8 @@ def trees(found: List[Sample], asked: List[int]) -> Iterator[Way]:
 
 def storage(into: Engine) -> Callable[[Any], object]:
     """Return a function that stores messages."""
-    read, take = TransformReader(is_static=False).read, into.event_input.take_input
-    return lambda part: into.executor.post_each(take, ((read(data), None) for data in part))
+    read, process_input = TransformReader(is_static=False).read, into.event_input.process_input
+    return lambda part: into.executor.post_each(process_input, ((read(data), None) for data in part))
 
 
 def used_storage(into: Engine, first: List[bytes], then_look_up: bool) -> Callable[[Any], object]:

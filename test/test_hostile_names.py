@@ -30,7 +30,7 @@ from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
 from retalis.messages.event_text_writer import text_writer
-from retalis.messages.ros2_to_ros1 import ros2_type
+from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
@@ -145,14 +145,14 @@ def test_nested_types_are_refused(name):
         with pytest.raises(MessageError):
             Definitions(InstalledTypes(packages=(), modules=(), include_rosbags=False)).add("pkg/Type", text)
         with pytest.raises(MessageError):
-            ros2_type("pkg/msg/Type", text, lambda kind: None)
+            parse_ros2_type("pkg/msg/Type", text, lambda kind: None)
 
 
 @every_name
 @pytest.mark.parametrize("line", ["int32 {}", "{} x", "{} X=1", "int32[<={}] x", "string<={} x"])
 def test_definitions_of_ros_2_are_refused(name, line):
     with pytest.raises(MessageError) as caught:
-        ros2_type("pkg/msg/Type", "int8 first\n" + line.format(name) + "\n", lambda kind: None)
+        parse_ros2_type("pkg/msg/Type", "int8 first\n" + line.format(name) + "\n", lambda kind: None)
     assert len(caught.value.message) < 1000
 
 
@@ -160,7 +160,7 @@ def test_definitions_of_ros_2_are_refused(name, line):
 @pytest.mark.parametrize("kind", ["{}", "{}/msg/Type", "pkg/msg/{}"])
 def test_types_of_ros_2_are_refused(name, kind):
     with pytest.raises(MessageError):
-        ros2_type(kind.format(name), "int8 x\n", lambda kind: None)
+        parse_ros2_type(kind.format(name), "int8 x\n", lambda kind: None)
 
 
 @every_name

@@ -367,10 +367,10 @@ def test_flags_that_settings_give_are_those_of_the_new_engine():
 def test_topics_are_subscribed_once():
     one = Engine()
     asked = []
-    one.input_topics.begin(asked.append, plain=lambda topic: "/" + topic.lstrip("/"))
+    one.input_topics.set_subscriber(asked.append, resolve_name=lambda topic: "/" + topic.lstrip("/"))
     one.call("subscribe_to('/scan', 'std_msgs/String')")
     other = Engine.restore(one.snapshot())
     again = []
-    other.input_topics.begin(again.append, plain=lambda topic: "/" + topic.lstrip("/"))
+    other.input_topics.set_subscriber(again.append, resolve_name=lambda topic: "/" + topic.lstrip("/"))
     other.call("subscribe_to('/scan', 'std_msgs/String')")
     assert again == asked

@@ -18,7 +18,7 @@ TOPICS = Topics(
 def asked():
     """Return an engine with topics, and what its goals ask for."""
     engine, found = Engine(), []
-    engine.input_topics.begin(lambda one: found.append(tuple(one)), TOPICS)
+    engine.input_topics.set_subscriber(lambda one: found.append(tuple(one)), TOPICS)
     return engine, found
 
 
@@ -29,7 +29,7 @@ def test_a_goal_subscribes_a_topic_once(asked):
     assert engine.call("subscribe_to(right, 'std_msgs/msg/Bool', bumper_right)")
     assert engine.call("subscribe_to(said, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
     assert found == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
-    joined = engine.input_topics.joined(TOPICS)
+    joined = engine.input_topics.merge_with(TOPICS)
     assert joined.subscribed == (
         *TOPICS.subscribed,
         topic_type("right", "std_msgs/Bool"),
@@ -66,7 +66,7 @@ def test_what_cannot_be_subscribed_is_an_error_of_the_goal(asked, goal, said):
 
 def test_goals_subscribe_no_more_than_so_many(asked):
     engine, found = asked
-    with pytest.raises(RetalisError, match="goals subscribe 1000 topics at most"):
+    with pytest.raises(RetalisError, match="goals subscribe to at most 1000 topics"):
         engine.call("between(0, 2000, N), atom_concat(t, N, T), subscribe_to(T, 'std_msgs/Bool'), fail")
     assert len(found) == 1000
 

@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from messages.wire import messages, serialize
 from retalis import Definitions, MessageError
-from retalis.messages.ros2_to_ros1 import ros2_type
+from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text
 
 STORE = get_typestore(Stores.LATEST)
@@ -21,7 +21,7 @@ def find(kind):
 
 
 def read(text, name="my_msgs/msg/Kind", find=find):
-    return ros2_type(name, text, find)
+    return parse_ros2_type(name, text, find)
 
 
 def slots(found):

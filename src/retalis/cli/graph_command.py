@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     engine = Engine(settings=apply_limits(Settings(), options), definitions=installed_definitions())
     input_topics = engine.input_topics
     # Goals may subscribe to topics during loading. They are recorded for the graph, and nothing is subscribed.
-    input_topics.begin(lambda request: None)
+    input_topics.set_subscriber(lambda request: None)
     try:
         engine.load_program(folder)
     except ProgramErrors as errors:
@@ -87,7 +87,7 @@ def _get_output_format(path: Optional[Path]) -> str:
 
 
 def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
-    topics = input_topics.joined(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
+    topics = input_topics.merge_with(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
     return [
         GraphTopic(name, topics.event_of(name) or functor_name(type_name))
         for name, type_name in topics.subscribed

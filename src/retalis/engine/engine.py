@@ -150,8 +150,8 @@ class Engine:
         definitions: Optional[Definitions] = None,
     ):
         # A clock that the caller provides is moved by the caller only; timestamps of events do not move it.
-        followed = StreamClock() if clock is None else None
-        self.clock: Clock = clock or followed  # type: ignore[assignment]
+        stream_clock = StreamClock() if clock is None else None
+        self.clock: Clock = clock or stream_clock  # type: ignore[assignment]
         self.settings = settings = Settings() if settings is None else settings
         self.logic = PrologSystem()
         self.slots = self.logic.operators.message_types = SlotNames(definitions)
@@ -202,13 +202,13 @@ class Engine:
             self.logic,
             self.dispatcher,
             self.clock,
-            followed,
+            stream_clock,
             self._reset_program,
             self.knowledge.transforms.store_message,
         )
         # Bound once, which saves an attribute access per event.
-        self._dispatch_event = self.event_input.take
-        self._dispatch_message = self.event_input.take_message
+        self._dispatch_event = self.event_input.dispatch_event
+        self._dispatch_message = self.event_input.dispatch_message
         self._text_input = TextInput(self.logic.operators, self._dispatch_event, call, reports, declared)
         self._output_callbacks: List[OnOutput] = []
         self._has_event_callbacks = False
@@ -228,7 +228,7 @@ class Engine:
                 reports,
                 self.executor,
                 self.watchdog,
-                lambda: self.event_input.taken,
+                lambda: self.event_input.event_count,
                 settings.queue,
             )
         )
@@ -318,7 +318,7 @@ class Engine:
             NullReports(),
             self.slots.definitions,
         )
-        trial.input_topics.try_out(self.input_topics)
+        trial.input_topics.copy_for_trial(self.input_topics)
         for sources in self._foreign_sources:
             trial.add_foreign(*sources)
         return trial
@@ -411,7 +411,7 @@ class Engine:
 
         >>> Engine().post_text("event(fire(kitchen), [1.5,2])")
         """
-        self.executor.post(self._text_input.take, text)
+        self.executor.post(self._text_input.process_text, text)
 
     def advance(self, move: Optional[Callable[[], object]] = None) -> None:
         """Run the alarms that are due, and reset the program if the clock went back.
@@ -568,7 +568,7 @@ class Engine:
             topics: topics of the program; by default none.
             direct: further topics whose messages become events.
         """
-        topics = self.input_topics.joined(Topics() if topics is None else topics)
+        topics = self.input_topics.merge_with(Topics() if topics is None else topics)
         program = ProgramModel(
             self.rules, self.knowledge, definitions, topics, tuple(direct), folder, self._has_event_callbacks
         )

@@ -69,8 +69,8 @@ class EngineSnapshot:
         matches, named_rules = snapshot_matches(rules, knowledge, engine.clock, rules.rules)
         counters = {
             "clock": engine.clock.snapshot(),
-            "clock_follows_events": engine.event_input.followed is not None,
-            "event_count": engine.event_input.taken,
+            "clock_follows_events": engine.event_input.stream_clock is not None,
+            "event_count": engine.event_input.event_count,
             "dropped_count": engine.executor.dropped,
             "next_token_number": engine.dispatcher.next_token_number,
             "sent_counts": snapshot_sent_counts(knowledge),
@@ -179,7 +179,7 @@ class EngineSnapshot:
         engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.
         engine.clock.restore(counters["clock"])
-        engine.event_input.taken = counters["event_count"]
+        engine.event_input.event_count = counters["event_count"]
         engine.executor.dropped = counters["dropped_count"]
         engine.dispatcher.next_token_number = counters["next_token_number"]
 

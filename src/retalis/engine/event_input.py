@@ -40,13 +40,13 @@ class EventInput:
         logic: the Prolog system whose machine runs the consequences of an event.
         dispatcher: dispatches the events.
         clock: the clock of the engine.
-        followed: the same clock if timestamps of events move it; None if only its owner moves it.
+        stream_clock: the same clock if timestamps of events move it; None if only its owner moves it.
         reset_program: called if time went back.
-        take_transforms: stores the transforms of a message.
+        store_transforms: stores the transforms of a message; the flag is True for static transforms.
 
     Attributes:
-        taken: number of events received.
-        followed: the clock if timestamps of events move it.
+        event_count: number of events received.
+        stream_clock: the clock if timestamps of events move it.
     """
 
     def __init__(
@@ -54,19 +54,19 @@ class EventInput:
         logic: PrologSystem,
         dispatcher: Dispatcher,
         clock: Clock,
-        followed: Optional[StreamClock],
+        stream_clock: Optional[StreamClock],
         reset_program: Callable[[], None],
-        take_transforms: Callable[[Sequence[Transform], bool], None],
+        store_transforms: Callable[[Sequence[Transform], bool], None],
     ):
         self._logic = logic
-        self._take_transforms = take_transforms
+        self._store_transforms = store_transforms
         self._clock = clock
-        self.followed = followed
+        self.stream_clock = stream_clock
         self._reset_program = reset_program
-        self._serve = dispatcher.dispatch_input
-        self.taken = 0
+        self._dispatch = dispatcher.dispatch_input
+        self.event_count = 0
 
-    def take(
+    def dispatch_event(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
         """Dispatch an event; an event without a start gets the clock's present time.
@@ -78,44 +78,44 @@ class EventInput:
             # The common case, in which no alarm is due and time did not go back, takes one call.
             start = self._clock.stamp_at_once()
             if start is None:
-                start = self._present_after_alarms(term)
+                start = self._run_alarms_and_stamp(term)
             end = start
         elif end < start:
             raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         else:
-            followed = self.followed
-            if not (self._clock.is_quiet() if followed is None else followed.follow(end)):
+            stream_clock = self.stream_clock
+            if not (self._clock.is_quiet() if stream_clock is None else stream_clock.follow(end)):
                 self._move_clock(end)
-        self.taken += 1
-        self._serve(term, start, end, ground)
+        self.event_count += 1
+        self._dispatch(term, start, end, ground)
 
-    def take_message(self, term: Term, instant: Optional[int] = None) -> None:
-        """Dispatch a message with a time in nanoseconds, by default the clock's present time; see `take`."""
+    def dispatch_message(self, term: Term, instant: Optional[int] = None) -> None:
+        """Dispatch a message with a time in ns, by default the clock's present time; see `dispatch_event`."""
         if instant is None:
             stamp = self._clock.stamp_at_once()
             if stamp is None:
-                stamp = self._present_after_alarms(term)
+                stamp = self._run_alarms_and_stamp(term)
         else:
             stamp = instant if instant.__class__ is int else int(instant)
-            followed = self.followed
-            if not (self._clock.is_quiet() if followed is None else followed.follow(instant)):
+            stream_clock = self.stream_clock
+            if not (self._clock.is_quiet() if stream_clock is None else stream_clock.follow(instant)):
                 self._move_clock(instant)
-        self.taken += 1
-        self._serve(term, stamp, stamp, True)
+        self.event_count += 1
+        self._dispatch(term, stamp, stamp, True)
 
-    def take_input(self, term: Union[Term, TransformMessage], instant: Optional[int] = None) -> None:
-        """Dispatch a message as `take_message` does, or store the transforms of a message."""
+    def process_input(self, term: Union[Term, TransformMessage], instant: Optional[int] = None) -> None:
+        """Dispatch a message as `dispatch_message` does, or store the transforms of a message."""
         if term.__class__ is not TransformMessage:
-            self.take_message(term, instant)
+            self.dispatch_message(term, instant)
             return
         message: Any = term
         if not self._clock.is_quiet():
             # If time went back, the transforms of the time before are dropped first.
             self._process_clock()
-        self._take_transforms(message.transforms, message.is_static)
+        self._store_transforms(message.transforms, message.is_static)
 
-    def _present_after_alarms(self, term: Term) -> int:
-        """Run the alarms that are due and return the present time for an event.
+    def _run_alarms_and_stamp(self, term: Term) -> int:
+        """Run the alarms that are due and return a timestamp for an event.
 
         Raises:
             UsageError: if the clock is not set.
@@ -131,11 +131,11 @@ class EventInput:
 
     def _move_clock(self, instant: int) -> None:
         """Move the clock to the time of an event and run the alarms that are due."""
-        followed = self.followed
-        if followed is not None:
+        stream_clock = self.stream_clock
+        if stream_clock is not None:
             # Reading the clock first detects that its owner has set it back; `move_to` would hide that.
-            followed.now()
-            followed.move_to(instant)
+            stream_clock.now()
+            stream_clock.move_to(instant)
         self._process_clock()
 
     def _process_clock(self) -> int:
@@ -154,8 +154,8 @@ class EventInput:
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
             self._reset_program()
-        # Only alarms up to the present moment run here. An alarm that becomes due meanwhile waits, so that events get
-        # their turn even if alarms set new alarms.
+        # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next
+        # event, so that events are processed even if alarms set new alarms.
         until = clock.reached()
         while True:
             due_alarm = clock.due(until)
@@ -180,16 +180,16 @@ class TopicRequest(NamedTuple):
 
     Attributes:
         topic: name of the topic as written in the goal.
-        kind: message type.
+        message_type: type of the messages.
         event: name of the events; "" for the name of the message type.
     """
 
     topic: str
-    kind: str
+    message_type: str
     event: str = ""
 
     def __str__(self) -> str:
-        return f"{self.kind}, with events called {self.event}" if self.event else self.kind
+        return f"{self.message_type}, with events called {self.event}" if self.event else self.message_type
 
 
 Subscribe = Callable[[TopicRequest], object]
@@ -204,8 +204,8 @@ def strip_slashes(topic: str) -> str:
 class InputTopics:
     """The topics that goals of a program subscribe to.
 
-    A node or a bag player calls `begin` with a function that subscribes. Without it the goal succeeds with a warning,
-    so that a program can be tested without topics.
+    A node or a bag player calls `set_subscriber` with a function that subscribes. Without it the goal succeeds with a
+    warning, so that a program can be tested without topics.
 
     Args:
         logic: Prolog system of the program.
@@ -218,18 +218,18 @@ class InputTopics:
         self._slots = slots
         self._reports = reports
         self._subscribe: Subscribe = self._warn_unsubscribed
-        self._plain: Callable[[str], str] = strip_slashes
+        self._resolve_name: Callable[[str], str] = strip_slashes
         self._subscribed: Dict[str, TopicRequest] = {}
         self._requests: List[TopicRequest] = []
         for arity in (2, 3):
             logic.define("subscribe_to", arity, self._subscribe_to)
 
-    def begin(
+    def set_subscriber(
         self,
         subscribe: Subscribe,
         topics: Topics = Topics(),  # noqa: B008 - immutable
         direct: Iterable[TopicType] = (),
-        plain: Callable[[str], str] = strip_slashes,
+        resolve_name: Callable[[str], str] = strip_slashes,
     ) -> None:
         """Set the function that subscribes from now on.
 
@@ -237,17 +237,18 @@ class InputTopics:
             subscribe: called once for each topic.
             topics: contents of ``pub_sub.xml``; these topics are subscribed already.
             direct: further topics that are subscribed already.
-            plain: returns the canonical form of a topic name.
+            resolve_name: returns the canonical form of a topic name.
         """
         self._subscribe = subscribe
-        self._plain = plain
+        self._resolve_name = resolve_name
         # If the program was loaded or restored before this call, its goals may already have requested topics.
-        self._subscribed = {plain(request.topic): request for request in self._requests}
+        self._subscribed = {resolve_name(request.topic): request for request in self._requests}
         # Direct topics precede those of `pub_sub.xml`, because a node subscribes to them with these names.
         for topic, message_type in (*direct, *topics.subscribed):
             try:
                 self._subscribed.setdefault(
-                    plain(topic), TopicRequest(topic, message_type, topics.event_of(topic, plain))
+                    resolve_name(topic),
+                    TopicRequest(topic, message_type, topics.event_of(topic, resolve_name)),
                 )
             except UsageError:
                 # The function that subscribes to the topic reports the invalid name.
@@ -256,75 +257,77 @@ class InputTopics:
             subscribe(request)
 
     def snapshot(self) -> List[TopicRequest]:
-        """Return the topics that goals have asked for; see `restore`."""
+        """Return the topics that goals have requested; see `restore`."""
         return list(self._requests)
 
     def restore(self, requests: Iterable[TopicRequest]) -> None:
-        """Restore topics that goals have asked for; they are subscribed by `begin`."""
+        """Restore topics that goals have requested; `set_subscriber` subscribes to them."""
         for request in requests:
-            self._subscribed[self._plain(request.topic)] = request
+            self._subscribed[self._resolve_name(request.topic)] = request
             self._requests.append(request)
 
-    def try_out(self, other_topics: "InputTopics") -> None:
+    def copy_for_trial(self, other_topics: "InputTopics") -> None:
         """Copy the topics of another engine for a trial of its program; subscribe to nothing."""
         self._subscribed = dict(other_topics._subscribed)  # noqa: SLF001 - the same class
         self._requests = list(other_topics._requests)  # noqa: SLF001
-        self._plain = other_topics._plain  # noqa: SLF001
+        self._resolve_name = other_topics._resolve_name  # noqa: SLF001
         self._subscribe = lambda request: None
 
-    def joined(self, topics: Topics) -> Topics:
-        """Return the topics of ``pub_sub.xml`` together with those that goals have asked for."""
+    def merge_with(self, topics: Topics) -> Topics:
+        """Return the topics of ``pub_sub.xml`` together with those that goals have requested."""
         # Copied, because the thread of the engine may append meanwhile.
         requests = list(self._requests)
         events = [TopicEvent(request.topic, request.event) for request in requests if request.event]
         return topics._replace(
             subscribed=(
                 *topics.subscribed,
-                *(TopicType(request.topic, request.kind) for request in requests),
+                *(TopicType(request.topic, request.message_type) for request in requests),
             ),
             events=(*topics.events, *events),
         )
 
     def event_types(self) -> Dict[str, str]:
         """Return the message types by the event names that goals have given."""
-        return {request.event: request.kind for request in reversed(self._requests) if request.event}
+        return {request.event: request.message_type for request in reversed(self._requests) if request.event}
 
-    def _subscribe_to(self, machine: Machine, topic: Term, kind: Term, *event: Term) -> bool:
-        request = TopicRequest(_get_text(topic), ros1_type_name(_get_text(kind)), *map(_get_text, event))
-        self._check("topic", topic, topic_fault(request.topic))
-        self._check("message_type", kind, type_fault(request.kind))
+    def _subscribe_to(self, machine: Machine, topic: Term, message_type: Term, *event: Term) -> bool:
+        request = TopicRequest(
+            _get_text(topic), ros1_type_name(_get_text(message_type)), *map(_get_text, event)
+        )
+        self._reject_fault("topic", topic, topic_fault(request.topic))
+        self._reject_fault("message_type", message_type, type_fault(request.message_type))
         if event:
-            self._check("event_name", event[0], event_name_error(request.event))
+            self._reject_fault("event_name", event[0], event_name_error(request.event))
         try:
-            key = self._plain(request.topic)
+            key = self._resolve_name(request.topic)
         except UsageError as error:
             raise domain_error("topic", deref(topic), error.message) from error
         # A second identical request is not an error: a reload calls the goals of a program again.
         earlier_request = self._subscribed.get(key)
         if earlier_request is None:
-            self._add(key, request)
+            self._subscribe_new(key, request)
         elif earlier_request[1:] != request[1:]:
             raise permission_error(
                 "subscribe", "topic", deref(topic), f"it is subscribed already as {earlier_request}"
             )
         return True
 
-    def _check(self, domain: str, term: Term, fault: object) -> None:
+    def _reject_fault(self, domain: str, term: Term, fault: object) -> None:
         if fault is not None:
             raise domain_error(domain, deref(term), str(fault))
 
-    def _add(self, key: str, request: TopicRequest) -> None:
+    def _subscribe_new(self, key: str, request: TopicRequest) -> None:
         if len(self._requests) >= MAX_INPUT_TOPICS:
-            raise resource_error("topics", reason=f"goals subscribe {MAX_INPUT_TOPICS} topics at most")
+            raise resource_error("topics", reason=f"goals subscribe to at most {MAX_INPUT_TOPICS} topics")
         # Subscribed first: if that raises, the goal fails and nothing is recorded.
         self._subscribe(request)
         self._subscribed[key] = request
         self._requests.append(request)
         if request.event:
-            self._slots.events.setdefault(request.event, request.kind)
+            self._slots.events.setdefault(request.event, request.message_type)
 
     def _warn_unsubscribed(self, request: TopicRequest) -> None:
-        name = request.event or f"messages of {request.kind}"
+        name = request.event or f"messages of {request.message_type}"
         self._reports.warning(
             f"subscribe_to: topic {request.topic} is not subscribed: there are no topics here, as there are in a "
             f"node and with retalis bag; {name} come only as events that are given"
@@ -344,13 +347,13 @@ def _get_text(term: Term) -> str:
 
 
 MAX_EVENT_TEXT_CHARACTERS = 10_000_000
-"""Maximum length of an event as text. Parsing is not subject to the resource limits of goals, so it has this one."""
+"""Maximum length of an event as text. Parsing is not subject to the resource limits of goals, but to this limit."""
 
 DispatchEvent = Callable[[Term, Optional[int], Optional[int], Optional[bool]], None]
 
 
 class TextInput:
-    """Reads events from text; not thread-safe.
+    """Reader of events from text; not thread-safe.
 
     Args:
         operators: operators of the texts.
@@ -374,30 +377,30 @@ class TextInput:
         self._reports = reports
         self._declared = declared
 
-    def take(self, text: str) -> None:
+    def process_text(self, text: str) -> None:
         """Process a text: ``event/1,2``, ``new_event/2,3,5``, or any goal if goals are accepted."""
         if len(text) > MAX_EVENT_TEXT_CHARACTERS:
-            self._refuse(
+            self._reject(
                 f"{beginning(text)}: it has {len(text)} characters, at most {MAX_EVENT_TEXT_CHARACTERS} are allowed"
             )
             return
         try:
             event = self._reader.event(text)
         except RetalisError as error:
-            self._refuse(error if error.place else f"{beginning(text)}: {error}")
+            self._reject(error if error.place else f"{beginning(text)}: {error}")
             return
         if event is not None:
             refusal_reason = self._declared.refusal(event.term) if self._declared.in_use else ""
             if refusal_reason:
-                self._refuse(f"{beginning(text)}: {refusal_reason}")
+                self._reject(f"{beginning(text)}: {refusal_reason}")
             else:
                 self._dispatch(*event)
         elif self._call is not None:
-            self._take_goal(text, self._call)
+            self._run_goal(text, self._call)
         else:
-            self._refuse(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
+            self._reject(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
 
-    def _take_goal(self, text: str, call: Callable[[Term], bool]) -> None:
+    def _run_goal(self, text: str, call: Callable[[Term], bool]) -> None:
         goal = self._reader.goal(text)
         try:
             if not call(goal):
@@ -405,5 +408,5 @@ class TextInput:
         except RetalisError as error:
             self._reports.warning(f"the goal {beginning(text)} ends with an error: {error}")
 
-    def _refuse(self, reason: object) -> None:
+    def _reject(self, reason: object) -> None:
         self._reports.warning(f"event refused: {reason}", "refused", texts=20)

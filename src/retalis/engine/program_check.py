@@ -86,12 +86,12 @@ def check_program(
     engine = Engine(Clock(time.time_ns), settings, collector, definitions)
     engine.logic.output = engine.logic.error_output = lambda text: None
     direct_types = direct_topics(direct, topics, strip_slashes)
-    engine.input_topics.begin(lambda topic: None, topics, direct_types)
+    engine.input_topics.set_subscriber(lambda topic: None, topics, direct_types)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         collector.add_errors(error)
-    topics = engine.input_topics.joined(topics)
+    topics = engine.input_topics.merge_with(topics)
     program = ProgramModel(
         engine.rules, engine.knowledge, definitions, topics, direct_types, folder, has_observer=is_single_file
     )
@@ -112,7 +112,7 @@ def explain_missing_source(
 
     Messages of topics that are subscribed to later are not known.
     """
-    topics = engine.input_topics.joined(topics)
+    topics = engine.input_topics.merge_with(topics)
     program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, tuple(direct))
     return missing_producer_text(program, pattern)
 

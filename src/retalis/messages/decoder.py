@@ -8,11 +8,11 @@ length are preceded by a 32-bit count. The generator walks over the type definit
 * an array of elements of equal size is decoded with one `Struct.iter_unpack` over its slice;
 * elements of different sizes are decoded one after the other, because only decoding finds where the next begins.
 
-`FrameSource` generates a second form for the layout "numbers, then strings, then numbers", which covers transforms,
-odometry and stamped poses. Their strings are frame names, which repeat in every message. All strings are therefore
-looked up at once in a bounded cache, by the bytes from the first string to the last one. A transform then costs two
-`struct` calls and one lookup. If a message does not fit (an array with more than one element), the general function
-decodes it.
+`FrameDecoderGenerator` generates a second form for the layout "numbers, then strings, then numbers", which covers
+transforms, odometry and stamped poses. Their strings are frame names, which repeat in every message. All strings are
+therefore looked up at once in a bounded cache, by the bytes from the first string to the last one. A transform then
+costs two `struct` calls and one lookup. If a message does not fit (an array with more than one element), the general
+function decodes it.
 """
 
 from copy import copy
@@ -54,18 +54,20 @@ from .type_definition import (
 )
 
 
-class DecoderSource:
+class DecoderGenerator:
     """Generator of the decoding function of one message type.
 
-    Consecutive slots of fixed size are collected in a run, which `flush` ends when a value of variable size follows.
+    Consecutive slots of fixed size are collected in a run, which `end_run` ends when a value of variable size
+    follows.
 
     Attributes:
         lines: the statements of the function so far; they advance the offset ``o`` in the bytes ``data``.
-        names: the globals of the function.
-        base: source of the offset that the start of the run is relative to.
-        shift: bytes from ``base`` to the start of the run.
-        format: `struct` codes of the run.
-        targets: variables of the values of the run.
+        globals: the globals of the function.
+        new_name: returns a new variable name with a prefix; with a value, a global name that is bound to it.
+        run_base: source of the offset that the start of the run is relative to.
+        run_shift: bytes from ``run_base`` to the start of the run.
+        run_format: `struct` codes of the run.
+        run_variables: variables of the values of the run.
     """
 
     def __init__(self) -> None:
@@ -84,10 +86,10 @@ class DecoderSource:
                 "repeated_list": repeated_list,
             }
         )
-        self.names, self.name = bound_names.values, bound_names.name
-        self.base, self.shift = "o", 0
-        self.format = ""
-        self.targets: List[str] = []
+        self.globals, self.new_name = bound_names.values, bound_names.name
+        self.run_base, self.run_shift = "o", 0
+        self.run_format = ""
+        self.run_variables: List[str] = []
 
     def constant(self, value: Union[Atom, Functor]) -> str:
         """Return the global name that the generated source uses for an atom or a functor."""
@@ -95,68 +97,68 @@ class DecoderSource:
 
     # The following methods add the statements that read a value, and return the expression of its term.
 
-    def message(self, definition: Definition) -> str:
+    def read_message(self, definition: Definition) -> str:
         """Return the expression of a whole message."""
         if not definition.fields:
             return self.constant(atom(definition.functor_name))
-        head = self.constant(functor(definition.functor_name, len(definition.fields)))
-        parts = [self.slot(slot) for slot in definition.fields]
-        return f"({head}, {', '.join(parts)})"
+        functor_name = self.constant(functor(definition.functor_name, len(definition.fields)))
+        slots = [self.read_slot(slot) for slot in definition.fields]
+        return f"({functor_name}, {', '.join(slots)})"
 
-    def slot(self, slot: Field) -> str:
+    def read_slot(self, slot: Field) -> str:
         """Return the expression of a slot: a single value or an array."""
         if slot.length is None:
-            return self.single(slot)
+            return self.read_value(slot)
         if slot.length == VARIABLE_LENGTH:
-            return self.variable(slot)
-        return self.fixed_array(slot)
+            return self.read_variable_array(slot)
+        return self.read_fixed_array(slot)
 
-    def single(self, slot: Field) -> str:
-        """Return the source of one value of a slot."""
+    def read_value(self, slot: Field) -> str:
+        """Return the expression of one value of a slot."""
         if slot.definition is not None:
-            return self.message(slot.definition)
+            return self.read_message(slot.definition)
         if slot.type == "string":
-            return self.string()
+            return self.read_string()
         if slot.type in TIMES:
             code = TIMES[slot.type][0]
-            return f"(C, {self.fixed(code)}, (C, {self.fixed(code)}, N))"
-        value = self.fixed(PRIMITIVES[slot.type])
+            return f"(C, {self.add_to_run(code)}, (C, {self.add_to_run(code)}, N))"
+        value = self.add_to_run(PRIMITIVES[slot.type])
         return f"(T if {value} else F)" if slot.type == "bool" else value
 
-    def fixed_array(self, slot: Field) -> str:
-        """Return the source of an array whose length the definition says."""
+    def read_fixed_array(self, slot: Field) -> str:
+        """Return the expression of an array of fixed length."""
         count = slot.length or 0
         if count == 0:
             return "blob(b'')" if slot.is_bytes else "N"
         if slot.is_bytes:
-            return f"blob({self.fixed(f'{count}s')})"
+            return f"blob({self.add_to_run(f'{count}s')})"
         # Short arrays (colours, positions) are decoded with the run around them: one `struct` call covers both.
         if count <= MAX_EAGER_ELEMENTS and slot.definition is None:
-            parts = [self.single(slot._replace(length=None)) for _ in range(count)]
-            return "".join(f"(C, {part}, " for part in parts) + "N" + ")" * count
+            items = [self.read_value(slot._replace(length=None)) for _ in range(count)]
+            return "".join(f"(C, {item}, " for item in items) + "N" + ")" * count
         size = element_size(slot)
         if size is None:
-            return self.elements(slot, str(count))
+            return self.read_elements(slot, str(count))
         if not size:
-            return self.repeated_list(slot, str(count))
-        value = self.fixed(f"{count * size}s")
+            return self.read_repeated_list(slot, str(count))
+        value = self.add_to_run(f"{count * size}s")
         # The functor of a list is known before its elements are, so that patterns can reject the term without
         # decoding it.
-        return f"Lazy(C, {self.name('make', _array_decoder(slot))}, {value})"
+        return f"Lazy(C, {self.new_name('make', _array_decoder(slot))}, {value})"
 
-    def variable(self, slot: Field) -> str:
+    def read_variable_array(self, slot: Field) -> str:
         """Return the expression of an array whose length precedes its elements."""
-        count = self.fixed("I")
-        self.flush()
+        count = self.add_to_run("I")
+        self.end_run()
         if slot.is_bytes:
-            return self.blob(count)
+            return self.read_bytes(count)
         size = element_size(slot)
         if size is None:
-            return self.elements(slot, count)
+            return self.read_elements(slot, count)
         if not size:
-            return self.repeated_list(slot, count)
-        value = self.name("t")
-        make = self.name("make", _array_decoder(slot))
+            return self.read_repeated_list(slot, count)
+        value = self.new_name("t")
+        make = self.new_name("make", _array_decoder(slot))
         # The count is not compared with the message's size here: slices beyond the end are empty, and the final
         # comparison of offset and length fails.
         self.advance(f"{count} * {size}")
@@ -167,28 +169,28 @@ class DecoderSource:
         ]
         return value
 
-    def repeated_list(self, slot: Field, count: str) -> str:
+    def read_repeated_list(self, slot: Field, count: str) -> str:
         """Return the expression of an array whose elements have no bytes: all elements are the same term."""
         # Such elements occupy no bytes, so the message's size does not bound their number; `check_empty_elements`
         # does.
-        return f"repeated_list({self.single(slot._replace(length=None))}, {count})"
+        return f"repeated_list({self.read_value(slot._replace(length=None))}, {count})"
 
-    def elements(self, slot: Field, count: str) -> str:
+    def read_elements(self, slot: Field, count: str) -> str:
         """Return the expression of an array whose elements differ in size."""
-        self.flush()
-        read = self.name("read", variable_array(*_compile_element(slot)))
-        value = self.name("t")
+        self.end_run()
+        read = self.new_name("read", variable_array(*_compile_element(slot)))
+        value = self.new_name("t")
         self.lines.append(f"{value}, o = {read}(data, {self.run_offset()}, {count})")
         # The end of the array is only known when the generated code runs: offsets restart at the variable `o`.
-        self.base, self.shift = "o", 0
+        self.run_base, self.run_shift = "o", 0
         return value
 
-    def string(self) -> str:
+    def read_string(self) -> str:
         """Return the expression of a string."""
-        count = self.fixed("I")
-        self.flush()
+        count = self.add_to_run("I")
+        self.end_run()
         self.advance(count)
-        value = self.name("t")
+        value = self.new_name("t")
         self.lines += [
             # A hit costs no function call.
             f"{value} = known(data[s:o])",
@@ -196,61 +198,61 @@ class DecoderSource:
         ]
         return value
 
-    def blob(self, count: str) -> str:
+    def read_bytes(self, count: str) -> str:
         """Return the expression of an array of ``count`` bytes."""
         self.advance(count)
-        value = self.name("t")
+        value = self.new_name("t")
         self.lines.append(f"{value} = blob(data[s:o])")
         return value
 
     # Runs of slots of fixed size.
 
-    def fixed(self, code: str) -> str:
+    def add_to_run(self, code: str) -> str:
         """Add a value to the run, by its `struct` code; return the variable that holds it."""
-        self.format += code
-        self.targets.append(self.name("v"))
-        return self.targets[-1]
+        self.run_format += code
+        self.run_variables.append(self.new_name("v"))
+        return self.run_variables[-1]
 
     def run_offset(self) -> str:
-        """Return the source of the offset at which the run starts."""
-        return f"{self.base} + {self.shift}" if self.shift else self.base
+        """Return the expression of the offset at which the run starts."""
+        return f"{self.run_base} + {self.run_shift}" if self.run_shift else self.run_base
 
-    def flush(self) -> None:
+    def end_run(self) -> None:
         """End the run: add the statement that unpacks it."""
-        if not self.format:
+        if not self.run_format:
             return
-        layout = Struct("<" + self.format)
-        unpack = self.name("S", layout.unpack_from)
-        self.lines.append(f"{', '.join(self.targets)}, = {unpack}(data, {self.run_offset()})")
+        layout = Struct("<" + self.run_format)
+        unpack = self.new_name("S", layout.unpack_from)
+        self.lines.append(f"{', '.join(self.run_variables)}, = {unpack}(data, {self.run_offset()})")
         # The variable `o` stays where it is: a constant added at compile time is cheaper than an assignment at run
         # time.
-        self.shift += layout.size
-        self.format, self.targets = "", []
+        self.run_shift += layout.size
+        self.run_format, self.run_variables = "", []
 
     def advance(self, size: str) -> None:
         """Set ``s`` and ``o`` to the start and the end of the next ``size`` bytes."""
         self.lines += [f"s = {self.run_offset()}", f"o = s + {size}"]
-        self.base, self.shift = "o", 0
+        self.run_base, self.run_shift = "o", 0
 
 
 def _compile_element(slot: Field) -> Tuple[Callable[[bytes, int], Tuple[Term, int]], int]:
     """Return the function that decodes one element of an array, and the minimum size of an element in bytes."""
-    code = DecoderSource()
-    result = code.single(slot._replace(length=None))
-    code.flush()
-    lines = ["def element(data, o):", *("  " + line for line in code.lines)]
-    lines.append(f"  return {result}, {code.run_offset()}")
-    element = codegen.function(lines, code.names, f"decode element {slot.type}", "element")
+    generator = DecoderGenerator()
+    result = generator.read_value(slot._replace(length=None))
+    generator.end_run()
+    lines = ["def element(data, o):", *("  " + line for line in generator.lines)]
+    lines.append(f"  return {result}, {generator.run_offset()}")
+    element = codegen.function(lines, generator.globals, f"decode element {slot.type}", "element")
     return element, measure_of(slot).min_size
 
 
 def _compile_records(slot: Field) -> Callable[[bytes], Term]:
     """Return the function that decodes an array of elements of equal size into a list."""
-    code = DecoderSource()
-    result = code.single(slot._replace(length=None))
-    # All elements have the same layout, so the run is never flushed and its format covers a whole element.
-    layout = Struct("<" + code.format)
-    return record_maker(slot.describe(), layout, code.targets, result, code.names)
+    generator = DecoderGenerator()
+    result = generator.read_value(slot._replace(length=None))
+    # All elements have the same layout, so the run is never ended and its format covers a whole element.
+    layout = Struct("<" + generator.run_format)
+    return record_maker(slot.describe(), layout, generator.run_variables, result, generator.globals)
 
 
 def _array_decoder(slot: Field) -> Callable[[bytes], Term]:
@@ -294,7 +296,7 @@ class _UnknownStamp:
 _UNKNOWN_STAMP = _UnknownStamp()
 
 
-class FrameSource(DecoderSource):
+class FrameDecoderGenerator(DecoderGenerator):
     """Generator of decoding functions for types that are numbers, then strings, then numbers.
 
     The last array of messages is assumed to have one element, as in nearly every ``tf2_msgs/TFMessage``.
@@ -312,40 +314,40 @@ class FrameSource(DecoderSource):
         self.cached_variables: List[str] = []
         """Variables of values that are cached beside the strings of a message; None until they are first computed."""
 
-    def string(self) -> str:
+    def read_string(self) -> str:
         """Add a string; all strings of the message must be adjacent."""
         # Numbers between strings would move the strings that follow, so the key could not be one slice.
-        if self.string_variables and self.format:
+        if self.string_variables and self.run_format:
             raise UnsupportedLayout
         if not self.string_variables:
-            self.leading_numbers = self.format, self.targets
-            self.format, self.targets = "", []
-        self.string_variables.append(self.name("t"))
+            self.leading_numbers = self.run_format, self.run_variables
+            self.run_format, self.run_variables = "", []
+        self.string_variables.append(self.new_name("t"))
         return self.string_variables[-1]
 
-    def variable(self, slot: Field) -> str:
+    def read_variable_array(self, slot: Field) -> str:
         """Add the array of messages, if it is the only array and precedes all strings."""
         # After a string, the array's count would not be at a fixed offset.
         if slot.definition is None or self.string_variables or self.element_count:
             raise UnsupportedLayout
-        self.element_count = self.fixed("I")
-        element = self.message(slot.definition)
-        return self.single_element_list(element)
+        self.element_count = self.add_to_run("I")
+        element = self.read_message(slot.definition)
+        return self.format_single_element_list(element)
 
-    def single_element_list(self, element: str) -> str:
+    def format_single_element_list(self, element: str) -> str:
         """Return the expression of a list of one element."""
         return f"(C, {element}, N)"
 
-    def elements(self, slot: Field, count: str) -> str:
-        """Refuse elements that differ in size: they do not fit the layout."""
+    def read_elements(self, slot: Field, count: str) -> str:
+        """Raise `UnsupportedLayout`: elements that differ in size do not fit the layout."""
         raise UnsupportedLayout
 
-    def build(self, definition: Definition, general: Callable[[bytes], object]) -> List[str]:
+    def generate(self, definition: Definition, fallback: Callable[[bytes], object]) -> List[str]:
         """Return the source of the whole function.
 
         Args:
             definition: the message type.
-            general: decodes messages that do not fit; it calls the observer itself.
+            fallback: decodes messages that do not fit; it calls the observer itself.
 
         Raises:
             UnsupportedLayout: if the type does not have the layout.
@@ -353,12 +355,12 @@ class FrameSource(DecoderSource):
         # Zero-byte elements must be counted before anything is decoded.
         if definition.measure.may_have_empty_elements:
             raise UnsupportedLayout
-        result = self.message(definition)
-        head, tail = Struct("<" + self.leading_numbers[0]), Struct("<" + self.format)
+        result = self.read_message(definition)
+        head, tail = Struct("<" + self.leading_numbers[0]), Struct("<" + self.run_format)
         if not self.string_variables or not (head.size or tail.size):
             raise UnsupportedLayout
-        result = self.finish(result)
-        self.names.update(head=head.unpack_from, tail=tail.unpack_from, general=general)
+        result = self.finish_expression(result)
+        self.globals.update(head=head.unpack_from, tail=tail.unpack_from, fallback=fallback)
         self._cache_texts()
         lines = ["def decode(data):", "  try:"]
         if self.leading_numbers[1]:
@@ -366,7 +368,7 @@ class FrameSource(DecoderSource):
         if self.element_count:
             # Checked before the lookup: with another count, the key would contain the elements' numbers and fill the
             # cache.
-            lines.append(f"    if {self.element_count} != 1: return general(data)")
+            lines.append(f"    if {self.element_count} != 1: return fallback(data)")
         # The strings' bytes are those between the two runs of numbers. A key of other lengths is parsed by `learn`,
         # which returns None if the counts in it do not add up, for example in a truncated message.
         lines += [
@@ -374,11 +376,11 @@ class FrameSource(DecoderSource):
             "    k = known(key)",
             "    if k is None:",
             "      k = learn(key)",
-            "      if k is None: return general(data)",
+            "      if k is None: return fallback(data)",
         ]
         if tail.size:
-            lines.append(f"    {', '.join(self.targets)}, = tail(data, {-tail.size})")
-        lines += ["  except StructError:", "    return general(data)"]
+            lines.append(f"    {', '.join(self.run_variables)}, = tail(data, {-tail.size})")
+        lines += ["  except StructError:", "    return fallback(data)"]
         # A cached entry has the strings, the values beside them, and the frame's state, which `observe` replaces.
         variables = list(self.string_variables)
         if self.watch is not None:
@@ -387,7 +389,7 @@ class FrameSource(DecoderSource):
         lines.append(f"  {', '.join(variables)}{'' if len(variables) == 1 else ','} = k")
         if self.watch is not None:
             lines += self._observer_call(self.watch)
-        lines += self.prepare(tail.size)
+        lines += self.generate_text_updates(tail.size)
         return [*lines, f"  return {result}"]
 
     def _observer_call(self, watch: StampWatch) -> List[str]:
@@ -415,7 +417,7 @@ class FrameSource(DecoderSource):
                 # Also after an exception: the entry must not refer to a state that the observer has dropped.
                 entry[-1] = state or _UNKNOWN_STAMP
 
-        self.names["observe"] = observe
+        self.globals["observe"] = observe
         second, nanosecond = targets[second_index : second_index + 2]
         return [f"  if f.second != {second}: observe(key, {second}, {nanosecond}, k)"]
 
@@ -426,7 +428,7 @@ class FrameSource(DecoderSource):
             Cache(2048, 2 << 20, 1024 + cached_bytes) if cached_bytes else text_cache()
         )
         string_count = len(self.string_variables)
-        cached_value, has_watch = self.cached_value, self.watch is not None
+        cached_value, has_watch = self.to_cached_value, self.watch is not None
         uncomputed = [None] * len(self.cached_variables)
 
         def learn(key: bytes) -> object:
@@ -440,23 +442,23 @@ class FrameSource(DecoderSource):
                 return cache.store(key, entry, CACHE_BYTES_PER_CHARACTER * len(key) + cached_bytes)
             return cache_text(cache, key, tuple(values) if string_count > 1 else values[0])
 
-        self.names.update(known=cache.get, learn=learn)
+        self.globals.update(known=cache.get, learn=learn)
 
-    def prepare(self, tail: int) -> List[str]:
+    def generate_text_updates(self, tail_size: int) -> List[str]:
         """Return statements that compute further values for the result.
 
         The entry of the cache is in the variable ``k``; the values of `cached_variables` follow the strings in it.
 
         Args:
-            tail: number of bytes after the strings.
+            tail_size: number of bytes after the strings.
         """
         return []
 
-    def finish(self, result: str) -> str:
+    def finish_expression(self, result: str) -> str:
         """Return the expression that the function returns, from the expression of the message."""
         return result
 
-    def cached_value(self, text: Term) -> object:
+    def to_cached_value(self, text: Term) -> object:
         """Return the value that is cached for a string."""
         return text
 
@@ -518,51 +520,51 @@ def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
     """Return a decoder that passes the stamps of the messages that it decodes to an observer.
 
     Raises:
-        UnsupportedLayout: if the type does not have the layout that `FrameSource` supports.
+        UnsupportedLayout: if the type does not have the layout that `FrameDecoderGenerator` supports.
     """
-    plain = decoder.decode
+    decode = decoder.decode
 
-    def general(data: bytes) -> Term:
+    def fallback(data: bytes) -> Term:
         watch.observe_all(data)
-        return plain(data)
+        return decode(data)
 
     # The original decoder stays as it is: it is shared by all subscribers to topics of this type.
     watching = copy(decoder)
-    watching.decode = _compile_frame_decoder(decoder.definition, general, watch)
+    watching.decode = _compile_frame_decoder(decoder.definition, fallback, watch)
     watching.watch = watch
     watching.plain = decoder
     return watching
 
 
 def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
-    code = DecoderSource()
-    code.base = "0"
-    result = code.message(definition)
-    code.flush()
-    code.names["fail"] = _error_function(definition)
-    lines = ["def decode(data):", "  try:", *("    " + line for line in code.lines)]
+    generator = DecoderGenerator()
+    generator.run_base = "0"
+    result = generator.read_message(definition)
+    generator.end_run()
+    generator.globals["raise_mismatch"] = _error_function(definition)
+    lines = ["def decode(data):", "  try:", *("    " + line for line in generator.lines)]
     lines += [
         # Trailing bytes are an error as well: they mean that the publisher uses another version of the type.
-        f"    if len(data) != {code.run_offset()}: fail(data)",
-        "  except StructError: fail(data)",
+        f"    if len(data) != {generator.run_offset()}: raise_mismatch(data)",
+        "  except StructError: raise_mismatch(data)",
         f"  return {result}",
     ]
-    general: Decode = codegen.function(lines, code.names, f"decode {definition.name}", "decode")
+    decode: Decode = codegen.function(lines, generator.globals, f"decode {definition.name}", "decode")
     if definition.measure.may_have_empty_elements:
-        return _with_element_limit(definition, max_empty_elements, general)
+        return _with_element_limit(definition, max_empty_elements, decode)
     try:
-        return _compile_frame_decoder(definition, general)
+        return _compile_frame_decoder(definition, decode)
     except UnsupportedLayout:
-        return general
+        return decode
 
 
 def _compile_frame_decoder(
-    definition: Definition, general: Decode, watch: Optional[StampWatch] = None
+    definition: Definition, fallback: Decode, watch: Optional[StampWatch] = None
 ) -> Decode:
-    frames = FrameSource(watch)
-    lines = frames.build(definition, general)
-    fast: Decode = codegen.function(lines, frames.names, f"decode {definition.name}", "decode")
-    return fast
+    generator = FrameDecoderGenerator(watch)
+    lines = generator.generate(definition, fallback)
+    decode: Decode = codegen.function(lines, generator.globals, f"decode {definition.name}", "decode")
+    return decode
 
 
 def _with_element_limit(definition: Definition, max_empty_elements: int, decode: Decode) -> Decode:
@@ -571,18 +573,18 @@ def _with_element_limit(definition: Definition, max_empty_elements: int, decode:
     Without the limit, a message of a few bytes could claim 2**32 elements and exhaust the memory.
     """
 
-    def checked(data: bytes) -> Term:
+    def decode_checked(data: bytes) -> Term:
         check_empty_elements(definition, data, max_empty_elements)
         return decode(data)
 
-    return checked
+    return decode_checked
 
 
 def _error_function(definition: Definition) -> Callable[[bytes], None]:
-    def fail(data: bytes) -> None:
+    def raise_mismatch(data: bytes) -> None:
         raise MessageError(mismatch_text(definition, data))
 
-    return fail
+    return raise_mismatch
 
 
 def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
@@ -590,17 +592,17 @@ def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
     if first is None or first.type != HEADER or first.length is not None or first.name != "header":
         return _no_stamp
     unpack = Struct("<II").unpack_from
-    fail = _error_function(definition)
+    raise_mismatch = _error_function(definition)
 
-    def stamp(data: bytes) -> Optional[int]:
+    def read_stamp(data: bytes) -> Optional[int]:
         try:
             seconds, nanoseconds = unpack(data, 4)
         except StructError:
-            fail(data)
+            raise_mismatch(data)
         # A zero stamp means "not set" in ROS, not 1970.
         return seconds * 1_000_000_000 + nanoseconds or None
 
-    return stamp
+    return read_stamp
 
 
 def _no_stamp(data: bytes) -> None:

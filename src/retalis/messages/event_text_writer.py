@@ -15,7 +15,7 @@ from ..foundation import codegen
 from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.types import Lazy, Term, atom
-from .decoder import Decoder, FrameSource, StampWatch, UnsupportedLayout
+from .decoder import Decoder, FrameDecoderGenerator, StampWatch, UnsupportedLayout
 from .type_definition import PRIMITIVES, TIMES, Definition, Field
 
 _VALUE_DELIMITER = "\0"
@@ -36,20 +36,20 @@ def _with_decimal_points(text: str) -> str:
 def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     """Return the function from the bytes of a message to the text of its event term.
 
-    Types that `FrameSource` does not support are decoded, and the term is written. The function raises `MessageError`
-    like the decoder, and calls the decoder's observer of stamps.
+    Types that `FrameDecoderGenerator` does not support are decoded, and the term is written. The function raises
+    `MessageError` like the decoder, and calls the decoder's observer of stamps.
     """
 
-    def general(data: bytes) -> str:
+    def write_decoded(data: bytes) -> str:
         return to_text(decoder.decode(data))
 
-    code = _TextSource(decoder.watch)
+    generator = _TextGenerator(decoder.watch)
     try:
-        lines = code.build(decoder.definition, general)
+        lines = generator.generate(decoder.definition, write_decoded)
     except UnsupportedLayout:
-        return general
+        return write_decoded
     write: Callable[[bytes], str] = codegen.function(
-        lines, code.names, f"text of {decoder.definition.name}", "decode"
+        lines, generator.globals, f"text of {decoder.definition.name}", "decode"
     )
     return write
 
@@ -69,11 +69,11 @@ def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], mar
     term: Any = decoder.decode(data)
     slots = decoder.definition.fields
     # Replaced only if long: the marker itself takes more characters than a number.
-    parts = [
+    arguments = [
         marker if position in positions and _is_long(slot, value) else value
         for position, (slot, value) in enumerate(zip(slots, term[1:]), 1)
     ]
-    return to_text((term[0], *parts))
+    return to_text((term[0], *arguments))
 
 
 def _is_long(slot: Field, value: Term) -> bool:
@@ -87,7 +87,7 @@ class _Floats(NamedTuple):
     Attributes:
         text: variable that holds their text.
         values: variables that hold their values.
-        follows_strings: if they follow the strings of the message.
+        follows_strings: whether they follow the strings of the message.
         start: offset of the first byte, in the numbers before or after the strings.
         end: offset of the end.
         cache_variable: variable of the cached pair of bytes and text; "" if they are not cached.
@@ -102,12 +102,12 @@ class _Floats(NamedTuple):
     cache_variable: str
     cache_index: int
 
-    def lines(self, tail: int, first: int) -> List[str]:
+    def update_statements(self, tail_size: int, first_index: int) -> List[str]:
         """Return the statements that compute the text.
 
         Args:
-            tail: number of bytes after the message's strings.
-            first: index of the first such pair in the cached entry.
+            tail_size: number of bytes after the message's strings.
+            first_index: index of the first such pair in the cached entry.
         """
         float_format = "{" + "!r},{".join(self.values) + "!r}"
         format_lines = [
@@ -118,17 +118,19 @@ class _Floats(NamedTuple):
             # Offsets after the strings are counted from the end, because the strings' length varies.
             return [f"  {line}" for line in format_lines]
         cached = self.cache_variable
-        start, end = (self.start - tail, self.end - tail) if self.follows_strings else (self.start, self.end)
+        start, end = (
+            (self.start - tail_size, self.end - tail_size) if self.follows_strings else (self.start, self.end)
+        )
         return [
             f"  b = data[{start}:{end or ''}]",
             f"  if {cached} is not None and {cached}[0] == b: {self.text} = {cached}[1]",
             "  else:",
             *(f"    {line}" for line in format_lines),
-            f"    k[{first + self.cache_index}] = (b, {self.text})",
+            f"    k[{first_index + self.cache_index}] = (b, {self.text})",
         ]
 
 
-class _TextSource(FrameSource):
+class _TextGenerator(FrameDecoderGenerator):
     """Generator of a function that returns the message's text instead of its term.
 
     Methods that return the expression of a term in the base class return its text here, with the expressions of
@@ -139,78 +141,78 @@ class _TextSource(FrameSource):
         super().__init__(watch)
         self._floats: List[_Floats] = []
 
-    def message(self, definition: Definition) -> str:
+    def read_message(self, definition: Definition) -> str:
         name = to_text(atom(definition.functor_name))
-        parts: List[str] = []
+        slot_texts: List[str] = []
         for is_float, group in groupby(definition.fields, _is_float):
             slots = list(group)
             if is_float:
-                parts.append(self._float_text([PRIMITIVES[slot.type] for slot in slots]))
+                slot_texts.append(self._float_text([PRIMITIVES[slot.type] for slot in slots]))
             else:
-                parts += map(self.slot, slots)
-        return f"{name}({','.join(parts)})" if parts else name
+                slot_texts += map(self.read_slot, slots)
+        return f"{name}({','.join(slot_texts)})" if slot_texts else name
 
     def _float_text(self, codes: List[str]) -> str:
         """Return the source of the text of consecutive floats."""
-        start = calcsize("<" + self.format)
-        values = [self.fixed(code) for code in codes]
+        start = calcsize("<" + self.run_format)
+        values = [self.add_to_run(code) for code in codes]
         # Comparing bytes costs as much as formatting one float. Long sequences rarely stay unchanged as a whole.
-        cache_variable = self.name("b") if 1 < len(values) <= _MAX_CACHED_FLOATS else ""
+        cache_variable = self.new_name("b") if 1 < len(values) <= _MAX_CACHED_FLOATS else ""
         cache_index = len(self.cached_variables)
         if cache_variable:
             self.cached_variables.append(cache_variable)
         floats = _Floats(
-            self.name("x"),
+            self.new_name("x"),
             values,
             bool(self.string_variables),
             start,
-            calcsize("<" + self.format),
+            calcsize("<" + self.run_format),
             cache_variable,
             cache_index,
         )
         self._floats.append(floats)
-        return _value(floats.text)
+        return _delimit(floats.text)
 
-    def prepare(self, tail: int) -> List[str]:
-        first = len(self.string_variables)
-        return [line for floats in self._floats for line in floats.lines(tail, first)]
+    def generate_text_updates(self, tail_size: int) -> List[str]:
+        first_index = len(self.string_variables)
+        return [line for floats in self._floats for line in floats.update_statements(tail_size, first_index)]
 
-    def single(self, slot: Field) -> str:
+    def read_value(self, slot: Field) -> str:
         if slot.definition is not None:
-            return self.message(slot.definition)
+            return self.read_message(slot.definition)
         if slot.type == "string":
-            return _value(self.string())
+            return _delimit(self.read_string())
         if slot.type in TIMES:
             code = TIMES[slot.type][0]
-            return f"[{_value(self.fixed(code))},{_value(self.fixed(code))}]"
+            return f"[{_delimit(self.add_to_run(code))},{_delimit(self.add_to_run(code))}]"
         code = PRIMITIVES[slot.type]
         # A boolean is written as an atom, and characters are bytes: neither is the value's own text.
         if code in "?c":
             raise UnsupportedLayout
-        return self._float_text([code]) if code in "fd" else _value(self.fixed(code))
+        return self._float_text([code]) if code in "fd" else _delimit(self.add_to_run(code))
 
-    def fixed_array(self, slot: Field) -> str:
+    def read_fixed_array(self, slot: Field) -> str:
         length = slot.length or 0
         if slot.is_bytes or length > MAX_EAGER_ELEMENTS or (length and slot.definition is not None):
             raise UnsupportedLayout
         element = slot._replace(length=None)
         if _is_float(element):
             return f"[{self._float_text([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
-        return f"[{','.join(self.single(element) for _ in range(length))}]"
+        return f"[{','.join(self.read_value(element) for _ in range(length))}]"
 
-    def single_element_list(self, element: str) -> str:
+    def format_single_element_list(self, element: str) -> str:
         return f"[{element}]"
 
-    def finish(self, result: str) -> str:
+    def finish_expression(self, result: str) -> str:
         """Return an f-string that inserts the constant texts by name, and the values between them."""
-        self.names["points"] = _with_decimal_points
+        self.globals["points"] = _with_decimal_points
         # Texts are bound to names instead of being part of the f-string: they may contain braces, quotes, or any
         # other character.
         pieces = result.split(_VALUE_DELIMITER)
-        pieces[::2] = [self.name("p", text) for text in pieces[::2]]
+        pieces[::2] = [self.new_name("p", text) for text in pieces[::2]]
         return 'f"' + "".join(f"{{{piece}}}" for piece in pieces) + '"'
 
-    def cached_value(self, text: Term) -> object:
+    def to_cached_value(self, text: Term) -> object:
         return to_text(text)
 
 
@@ -218,6 +220,6 @@ def _is_float(slot: Field) -> bool:
     return slot.length is None and slot.type in ("float32", "float64")
 
 
-def _value(source: str) -> str:
+def _delimit(source: str) -> str:
     """Return the source of a value in the text."""
     return f"{_VALUE_DELIMITER}{source}{_VALUE_DELIMITER}"

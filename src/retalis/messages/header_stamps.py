@@ -3,8 +3,9 @@
 A stamp is a time with the frame that it belongs to (``frame_id`` and, if it follows, ``child_frame_id``). Stamps are
 read from the message's own header and from the headers of array elements, at offsets that are computed from the type
 definition: nothing is decoded. Every message is inspected, so the common case must be cheap: the observer is called
-only if the second of a frame's stamp differs from the last one observed. For types that `FrameSource` supports, that
-comparison is part of the generated decoding function; for other types it happens when the message's time is read.
+only if the second of a frame's stamp differs from the last one observed. For types that `FrameDecoderGenerator`
+supports, that comparison is part of the generated decoding function; for other types it happens when the message's
+time is read.
 """
 
 from copy import copy
@@ -56,8 +57,8 @@ def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
 def watched(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver) -> Decoder:
     """Return a decoder that passes stamps to an observer if their second differs from the last observed one.
 
-    The observer is called by `Decoder.decode` for types that `FrameSource` supports, otherwise by `Decoder.stamp`:
-    a caller has to call both for each message.
+    The observer is called by `Decoder.decode` for types that `FrameDecoderGenerator` supports, otherwise by
+    `Decoder.stamp`: a caller has to call both for each message.
 
     Args:
         decoder: decoder of the messages' type.

@@ -82,7 +82,7 @@ class Ros2Type(NamedTuple):
     to_ros1: Callable[[bytes], bytes]
 
 
-def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
+def parse_ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
     """Parse a definition of ROS 2.
 
     Args:
@@ -99,7 +99,7 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
             f"the definition of {beginning(name)} has {len(text)} characters: "
             f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
         )
-    types = _read_nested_types(name, _sections(name, text), find)
+    types = _read_nested_types(name, _split_by_type(name, text), find)
     parts = [types[name].text]
     parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
     # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
@@ -108,7 +108,7 @@ def ros2_type(name: str, text: str, find: FindText) -> Ros2Type:
     wide_slots = frozenset(
         (type_name, slot) for type_name, section in types.items() for slot in section.wide_slots
     )
-    return Ros2Type(definition, _converter(definition, wide_slots))
+    return Ros2Type(definition, _make_converter(definition, wide_slots))
 
 
 class _Ros2Section(NamedTuple):
@@ -125,7 +125,7 @@ class _Ros2Section(NamedTuple):
     nested_types: List[str]
 
 
-def _sections(name: str, text: str) -> Dict[str, str]:
+def _split_by_type(name: str, text: str) -> Dict[str, str]:
     return {ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()}
 
 
@@ -144,7 +144,7 @@ def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict
                     f"the type {beginning(type_name)} is not defined in the bag or on this system"
                 )
             # Definitions that came with the bag have priority over installed ones.
-            for nested, section_text in _sections(type_name, text).items():
+            for nested, section_text in _split_by_type(type_name, text).items():
                 texts.setdefault(nested, section_text)
         types[type_name] = section = _Ros2DefinitionReader(type_name, texts).read()
         pending += section.nested_types
@@ -262,7 +262,7 @@ _MAX_PADDING_BYTES = 3
 """Maximum number of bytes after a message: some implementations pad messages to a multiple of four bytes."""
 
 
-def _converter(definition: Definition, wide_slots: _WideSlots) -> Callable[[bytes], bytes]:
+def _make_converter(definition: Definition, wide_slots: _WideSlots) -> Callable[[bytes], bytes]:
     """Return the function `Ros2Type.to_ros1` of a type."""
     widths = (4, 2) if wide_slots else (4,)
     converters: Dict[str, List[_Converter]] = {}
@@ -278,7 +278,7 @@ def _converter(definition: Definition, wide_slots: _WideSlots) -> Callable[[byte
         data = bytes(raw[4:])
         if order not in converters:
             converters[order] = [
-                _ConverterSource(order, width, wide_slots).compile(definition) for width in widths
+                _ConverterGenerator(order, width, wide_slots).compile(definition) for width in widths
             ]
         # The message does not say how wide its characters are: the first width that consumes all bytes is right.
         for convert in converters[order]:
@@ -294,7 +294,7 @@ def _converter(definition: Definition, wide_slots: _WideSlots) -> Callable[[byte
     return to_ros1
 
 
-class _ConverterSource:
+class _ConverterGenerator:
     """Generator of the function that converts messages of one type.
 
     Args:
@@ -312,17 +312,17 @@ class _ConverterSource:
                 "unpack_count": Struct(f"{order}I").unpack_from,
                 "pack": Struct("<I").pack,
                 "swapped": _swap_bytes,
-                "text": _string_converter(order),
-                "wide": _wide_string_converter(order, width),
+                "text": _make_string_converter(order),
+                "wide": _make_wide_string_converter(order, width),
             }
         )
-        self.sizes: List[int] = []
+        self.run_sizes: List[int] = []
         """Sizes of the numbers of the run; 0 for four bytes that only ROS 1 has, -1 for a byte that only CDR has."""
 
     def compile(self, definition: Definition) -> _Converter:
         """Return the function for a type: from bytes and an offset, to the offset after the message."""
-        self.message(definition)
-        self.flush()
+        self.add_message(definition)
+        self.end_run()
         lines = [
             "def convert(data, offset, write):",
             *(f"  {line}" for line in self.lines),
@@ -333,44 +333,44 @@ class _ConverterSource:
         )
         return convert
 
-    def message(self, definition: Definition) -> None:
+    def add_message(self, definition: Definition) -> None:
         """Add a message."""
         fields = definition.fields
         if not fields:
-            self.sizes.append(-1)
+            self.run_sizes.append(-1)
         # `seq` exists in ROS 1 only: four zero bytes are written and nothing is read.
         if definition.name == HEADER:
-            self.sizes.append(0)
+            self.run_sizes.append(0)
             fields = fields[1:]
         for slot in fields:
             is_wide = (definition.name, slot.name) in self.wide_slots
             if slot.length is None:
-                self.single(slot, is_wide)
+                self.add_value(slot, is_wide)
             else:
-                self.array(slot, is_wide, slot.length)
+                self.add_array(slot, is_wide, slot.length)
 
-    def single(self, slot: Field, is_wide: bool) -> None:
+    def add_value(self, slot: Field, is_wide: bool) -> None:
         """Add a slot with a single value."""
         if slot.definition is not None:
-            self.message(slot.definition)
+            self.add_message(slot.definition)
         elif slot.type == "string":
-            self.flush()
-            self.lines.append(self.string(is_wide))
+            self.end_run()
+            self.lines.append(self.copy_string(is_wide))
         else:
-            self.sizes += _number_sizes(slot)
+            self.run_sizes += _number_sizes(slot)
 
     @staticmethod
-    def string(is_wide: bool) -> str:
+    def copy_string(is_wide: bool) -> str:
         """Return the statement that copies a string."""
         return f"offset = {'wide' if is_wide else 'text'}(data, offset, write)"
 
-    def array(self, slot: Field, is_wide: bool, length: int) -> None:
+    def add_array(self, slot: Field, is_wide: bool, length: int) -> None:
         """Add an array."""
         numbers = _number_sizes(slot)
         if numbers and 0 <= length <= _MAX_INLINE_NUMBERS:
-            self.sizes += numbers * length
+            self.run_sizes += numbers * length
             return
-        self.flush()
+        self.end_run()
         count = str(length)
         if length == VARIABLE_LENGTH:
             count = "count"
@@ -383,16 +383,16 @@ class _ConverterSource:
                 "if count > len(data) - offset: raise StructError",
             ]
         if numbers:
-            self.numbers(count, numbers)
+            self.add_numbers(count, numbers)
         elif slot.type == "string":
-            self.lines += [f"for _ in range({count}):", f"  {self.string(is_wide)}"]
+            self.lines += [f"for _ in range({count}):", f"  {self.copy_string(is_wide)}"]
         elif slot.definition is not None:
-            element = _ConverterSource(self.order, self.width, self.wide_slots).compile(slot.definition)
+            element = _ConverterGenerator(self.order, self.width, self.wide_slots).compile(slot.definition)
             name = self.bound_names.name("element", element)
             self.lines += [f"for _ in range({count}):", f"  offset = {name}(data, offset, write)"]
 
-    def numbers(self, count: str, sizes: List[int]) -> None:
-        """Copy an array of numbers of equal size, between which there is no padding."""
+    def add_numbers(self, count: str, sizes: List[int]) -> None:
+        """Add an array of numbers of equal size, between which there is no padding."""
         size = sizes[0]
         self.lines += [
             f"if {count}:",
@@ -403,15 +403,15 @@ class _ConverterSource:
             "  offset = end",
         ]
 
-    def flush(self) -> None:
+    def end_run(self) -> None:
         """End the run: add the statements that copy it."""
-        if not self.sizes:
+        if not self.run_sizes:
             return
         # Padding depends on the offset modulo 8 at which the run begins, which is only known when a message is read.
         output_layout = Struct(
-            "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.sizes)
+            "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.run_sizes)
         )
-        input_layouts = [Struct(self.order + _input_format(self.sizes, phase)) for phase in range(8)]
+        input_layouts = [Struct(self.order + _input_format(self.run_sizes, phase)) for phase in range(8)]
         layouts = self.bound_names.name(
             "layouts", [(layout.unpack_from, layout.size) for layout in input_layouts]
         )
@@ -421,7 +421,7 @@ class _ConverterSource:
             f"write({pack}(*read(data, offset)))",
             "offset += size",
         ]
-        self.sizes = []
+        self.run_sizes = []
 
 
 def _number_sizes(slot: Field) -> List[int]:
@@ -465,7 +465,7 @@ def _swap_bytes(data: bytes, size: int) -> bytes:
     return numbers.tobytes()
 
 
-def _string_converter(order: str) -> _Converter:
+def _make_string_converter(order: str) -> _Converter:
     """Return the function that copies a string."""
     unpack_count, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
 
@@ -482,7 +482,7 @@ def _string_converter(order: str) -> _Converter:
     return convert
 
 
-def _wide_string_converter(order: str, width: int) -> _Converter:
+def _make_wide_string_converter(order: str, width: int) -> _Converter:
     """Return the function that copies a wide string, with characters of ``width`` bytes, as UTF-8."""
     unpack_count, pack = Struct(f"{order}I").unpack_from, Struct("<I").pack
     names = {"<": "le", ">": "be"}

@@ -172,7 +172,7 @@ class Playback:
         self._latched_topics = {strip_slashes(topic) for topic in topic_file.latched}
         # Registered before the program is loaded, because its goals may publish.
         self.engine.on_output(self._collect_output)
-        self.engine.input_topics.begin(self._subscribe, self._topics, self._direct)
+        self.engine.input_topics.set_subscriber(self._subscribe, self._topics, self._direct)
         self.engine.knowledge.transforms.set_feed(self._read_transforms)
         # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
@@ -234,7 +234,7 @@ class Playback:
                 batch = chain((record,), records)
                 messages = self._decode_messages(batch, decoders, lambda: progress(next(message_numbers)))
                 if self._transform_readers:
-                    engine.executor.post_each(engine.event_input.take_input, messages)
+                    engine.executor.post_each(engine.event_input.process_input, messages)
                 else:
                     engine.post_each(messages)
                 yield from outputs
@@ -328,8 +328,8 @@ class Playback:
     def _subscribe(self, request: TopicRequest) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
         name = strip_slashes(request.topic)
-        self._subscriptions.append(TopicType(request.topic, request.kind))
-        self._subscribed_types[name] = request.kind
+        self._subscriptions.append(TopicType(request.topic, request.message_type))
+        self._subscribed_types[name] = request.message_type
         self._event_names[name] = request.event
         self._new_topics.add(name)
 

@@ -30,7 +30,7 @@ from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, 
 
 from ..foundation.errors import MessageError, beginning, counted, place_at, shortened
 from ..foundation.ros_names import ros1_type_name, topic_fault
-from ..messages.ros2_to_ros1 import Ros2Type, ros2_type
+from ..messages.ros2_to_ros1 import Ros2Type, parse_ros2_type
 from ..messages.type_registry import InstalledTypes
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, unpack, zstd_reader
 from .rosbag1 import BagError, PathLike, Record, Topic
@@ -713,7 +713,7 @@ class _Types:
         message_type = self._by_definition.get(key)
         if message_type is None:
             text = self._find_definition(connection)
-            message_type = self._by_definition[key] = ros2_type(connection.type, text, self._find)
+            message_type = self._by_definition[key] = parse_ros2_type(connection.type, text, self._find)
         definition = message_type.definition
         topic = Topic(
             connection.topic,

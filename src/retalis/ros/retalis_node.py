@@ -277,7 +277,7 @@ class RetalisNode:
         # exists.
         subscriptions = DynamicSubscriptions()
         input_topics = self.engine.input_topics
-        input_topics.begin(subscriptions.request, topics, direct, resolve_subscribable_topic)
+        input_topics.set_subscriber(subscriptions.request, topics, direct, resolve_subscribable_topic)
         if not checkpoint_file.resumed:
             self._load()
         epochs = self._time.epochs
@@ -330,7 +330,7 @@ class RetalisNode:
         )
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         StartupWarnings(
-            self._interface.inputs, self._named_topics(input_topics.joined(topics)), check_clock=True
+            self._interface.inputs, self._named_topics(input_topics.merge_with(topics)), check_clock=True
         )
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
@@ -348,7 +348,7 @@ class RetalisNode:
             self.engine,
             self._interface.inputs,
             [*topics.subscribed, *direct],
-            lambda: input_topics.joined(topics).events,
+            lambda: input_topics.merge_with(topics).events,
         )
         checkpoint_file.begin(self.engine)
         if checkpoint_file.resumed:
@@ -363,13 +363,13 @@ class RetalisNode:
 
     def _subscribe_transforms(self) -> None:
         engine = self.engine
-        take_input, post_each = engine.event_input.take_input, engine.executor.post_each
+        process_input, post_each = engine.event_input.process_input, engine.executor.post_each
         rospy.loginfo(
             "the program reads transforms: %s are subscribed, with a history of %g s",
             " and ".join(map(rospy.resolve_name, TRANSFORM_TOPICS)),
             engine.settings.tf_cache,
         )
-        self._interface.subscribe_transforms(lambda messages: post_each(take_input, messages))
+        self._interface.subscribe_transforms(lambda messages: post_each(process_input, messages))
 
     def _run_missed_alarms(self) -> None:
         """Run the alarms that became due while the node was not running, after the interface has connected."""

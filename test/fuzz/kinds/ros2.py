@@ -4,7 +4,7 @@ import struct
 
 from retalis import Definitions
 from retalis.messages.event_text_writer import text_writer
-from retalis.messages.ros2_to_ros1 import ros2_type
+from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import changed_text, soup, to_bytes, to_text
@@ -160,7 +160,7 @@ class Inputs(Kind):
         # Types that differ in arrays of nested types only have one checksum in ROS, which `Definitions` goes by.
         self.known = Definitions()
         name, _, text = to_text(data).partition("\n")
-        found = self.attempt(ros2_type, name, text, FOUND.get)
+        found = self.attempt(parse_ros2_type, name, text, FOUND.get)
         if found is None:
             return
         definition = found.definition
