@@ -112,16 +112,25 @@ def test_predicates_on_arrays_and_messages_are_built_in():
 @pytest.mark.parametrize(
     ("pattern", "told"),
     [
-        ("aggregate(avg(Ranges), msgs__0__Scan(_, Ranges), D, last(5))", []),
+        ("aggregate(avg(Ranges), msgs__0__Scan(_, Ranges, _), D, last(5))", []),
+        ("aggregate(quantile(0.1, Ranges), msgs__0__Scan(_, Ranges, _), D, last(5))", []),
         (
-            "b seq aggregate(avg(Ranges), msgs__0__Scan(_, Ranges), D)",
+            "aggregate(quantile(0.1, Id), msgs__0__Scan{id: Id}, D, last(5))",
+            ["Id is a text (id of msgs/Scan): quantile collects numbers"],
+        ),
+        (
+            "aggregate(stddev(Id), msgs__0__Scan{id: Id}, D, last(5))",
+            ["Id is a text (id of msgs/Scan): stddev collects numbers"],
+        ),
+        (
+            "b seq aggregate(avg(Ranges), msgs__0__Scan(_, Ranges, _), D)",
             ["Ranges is a list (ranges of msgs/Scan): avg collects numbers"],
         ),
     ],
 )
 def test_windows_take_arrays(definitions, pattern, told):
-    definitions.add("msgs/Scan", "float32 a\nfloat32[] ranges\n")
-    engine = Engine()
+    definitions.add("msgs/Scan", "float32 a\nfloat32[] ranges\nstring id\n")
+    engine = Engine(definitions=definitions)
     engine.load(rules=f"a(D) <- {pattern}.")
     program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS)
     assert [one.message for one in find_type_conflicts(program)] == told

@@ -10,7 +10,15 @@ from retalis.prolog.builtins.argument_checks import array_of
 from retalis.prolog.terms.array_terms import array_term
 from retalis.prolog.terms.timestamps import SECOND
 
-KINDS = {"sum": np.sum, "avg": np.mean, "min": np.nanmin, "max": np.nanmax}
+KINDS = {
+    "sum(X)": np.sum,
+    "avg(X)": np.mean,
+    "min(X)": np.nanmin,
+    "max(X)": np.nanmax,
+    "median(X)": np.median,
+    "quantile(0.3, X)": lambda stack, axis: np.percentile(stack, 30, axis=axis),
+    "stddev(X)": lambda stack, axis: np.std(stack, axis=axis, ddof=1),
+}
 WINDOWS = ["last(3)", "last(4, events)", "every(2)", "every(3, events)", "running(every(3, events))"]
 SCAN = functor("scan", 2)
 ROWS = st.lists(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6), min_size=1, max_size=9)
@@ -44,15 +52,17 @@ def send(engine, values, second, key=1):
 @given(ROWS, st.sampled_from(["<f4", "<f8", "<i4"]), st.booleans())
 @pytest.mark.parametrize("kind", KINDS)
 def test_results_are_numpys(kind, rows, dtype, as_lists):
-    engine, results = engine_of(f"out(K, R) <- aggregate({kind}(X), scan(K, X), R, last(3, events)).")
+    engine, results = engine_of(f"out(K, R) <- aggregate({kind}, scan(K, X), R, last(3, events)).")
     arrays = [np.array(row).astype(dtype) for row in rows]
     for second, array in enumerate(arrays):
         send(engine, make_list(array.tolist()) if as_lists else array_term(array), second)
-    assert len(results) == len(arrays)
-    for position, result in enumerate(results):
+    # A deviation needs two elements.
+    first = 1 if kind == "stddev(X)" else 0
+    assert len(results) == len(arrays) - first
+    for position, result in enumerate(results, first):
         stack = np.array(arrays[max(0, position - 2) : position + 1], "f8" if dtype[1] == "f" else "i8")
         np.testing.assert_allclose(result, KINDS[kind](stack, axis=0), rtol=1e-12, atol=1e-9)
-        assert kind == "avg" or (result.dtype.kind == "f") == (dtype[1] == "f")
+        assert kind[:3] not in ("sum", "min", "max") or (result.dtype.kind == "f") == (dtype[1] == "f")
 
 
 @pytest.mark.parametrize("window", WINDOWS)
@@ -66,48 +76,51 @@ def test_every_window_takes_arrays(window):
 
 def test_nan_and_infinity_stay_in_sums_and_not_in_extremes():
     text = "out(K, R) <- aggregate({}(X), scan(K, X), R, last(5)).\n"
-    engine, results = engine_of("".join(map(text.format, KINDS)))
+    engine, results = engine_of("".join(map(text.format, ("sum", "avg", "min", "max", "median", "stddev"))))
     send(engine, array_term(np.array([np.nan, np.inf, 1, 2, 3.0])), 1)
     results.clear()
     send(engine, array_term(np.array([1, 1, 1, 1, 1.0])), 2)
-    total, mean, least, greatest = (result.tolist() for result in results)
+    total, mean, least, greatest, middle, deviation = (result.tolist() for result in results)
     assert np.isnan(total[0]) and total[1:] == [np.inf, 2, 3, 4]
     assert np.isnan(mean[0]) and mean[1:] == [np.inf, 1, 1.5, 2]
     assert least == [1] * 5
     assert greatest == [1, np.inf, 1, 2, 3]
+    assert np.isnan(middle[0]) and middle[1:] == [np.inf, 1, 1.5, 2]
+    assert np.isnan(deviation[:2]).all() and deviation[2:] == [0, 0.5**0.5, 2**0.5]
+
+
+def test_a_median_of_infinite_elements_is_infinite():
+    engine, results = engine_of("out(K, R) <- aggregate(median(X), scan(K, X), R, last(5)).")
+    for second, value in enumerate([np.inf, np.inf, 1.0]):
+        send(engine, array_term(np.array([value, 2.0, -np.inf])), second)
+    assert [result.tolist() for result in results] == [[np.inf, 2.0, -np.inf]] * 3
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_other_values_are_refused_while_arrays_are_in_the_window(kind):
     told = Told()
-    engine, results = engine_of(f"out(K, R) <- aggregate({kind}(X), scan(K, X), R, last(10)).", told)
+    engine, results = engine_of(f"out(K, R) <- aggregate({kind}, scan(K, X), R, last(10)).", told)
+    send(engine, array_term(np.arange(6)), 0)
     send(engine, array_term(np.arange(6)), 1)
+    count = len(results)
     for second, value in enumerate([7, make_list([1, 2, 3]), array_term(np.arange(7))], 2):
         send(engine, value, second)
-    assert len(results) == 1
+    assert len(results) == count
     assert sum("expected an array of 6 elements" in report for report in told.reports) == 3
     send(engine, array_term(np.arange(6)), 5)
-    assert len(results) == 2
+    assert len(results) == count + 1
 
 
-def test_arrays_are_refused_while_numbers_are_in_the_window():
+@pytest.mark.parametrize("kind", KINDS)
+def test_arrays_are_refused_while_numbers_are_in_the_window(kind):
     told = Told()
-    engine, results = engine_of("out(K, R) <- aggregate(sum(X), scan(K, X), R, last(10)).", told)
+    engine, results = engine_of(f"out(K, R) <- aggregate({kind}, scan(K, X), R, last(10)).", told)
     send(engine, array_term(np.arange(6)), 1, key=2)
     engine.event_at(SCAN(1, 5), 2 * SECOND, 2 * SECOND)
     send(engine, array_term(np.arange(6)), 3)
     assert any("expected a number" in report for report in told.reports)
     send(engine, array_term(np.arange(6)), 4, key=2)
-    assert results[-1].tolist() == [0, 2, 4, 6, 8, 10]
-
-
-@pytest.mark.parametrize("kind", ["stddev", "median"])
-def test_other_measures_take_numbers_only(kind):
-    told = Told()
-    engine, results = engine_of(f"out(K, R) <- aggregate({kind}(X), scan(K, X), R, last(10)).", told)
-    send(engine, array_term(np.arange(6)), 1)
-    assert not results
-    assert any("expected a number" in report for report in told.reports)
+    np.testing.assert_allclose(results[-1], KINDS[kind](np.stack([np.arange(6)] * 2), axis=0))
 
 
 def test_timestamps_count_as_numbers():
@@ -120,7 +133,7 @@ def test_timestamps_count_as_numbers():
 
 
 def test_a_restored_window_goes_on():
-    engine, _ = engine_of("out(K, R) <- aggregate([sum(X), min(X)], scan(K, X), [R, _], last(3, events)).")
+    engine, _ = engine_of("out(K, R) <- aggregate([sum(X), median(X)], scan(K, X), [R, _], last(3, events)).")
     for number in range(2):
         send(engine, array_term(np.arange(6.0) * number), number)
     restored = Engine.restore(Engine.restore(engine.snapshot()).snapshot())

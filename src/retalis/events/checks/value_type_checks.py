@@ -20,7 +20,7 @@ from ..language.pattern_parser import EventTerm, PlaceLookup
 from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
 from ..program.event_file_checker import no_place
-from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
+from ..streams.aggregates import AGGREGATES
 from .event_flow_checks import event_of_consumer, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrap_term
 
@@ -59,7 +59,7 @@ _MESSAGE_PREDICATES = {
 """Predicates whose first argument is a message, with its type."""
 
 _NUMERIC_AGGREGATES = frozenset(
-    functor(name, 1) for name, function in SEQUENCE_AGGREGATES.items() if function.is_numeric
+    functor(name, function.arity) for name, function in AGGREGATES.items() if function.is_numeric
 )
 _ELEMENTWISE = frozenset(name for name, function in AGGREGATES.items() if function.accepts_arrays)
 _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
@@ -271,7 +271,8 @@ def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotType], names:
     """Yield values of a numeric aggregate that are not numbers."""
     if subterm.parent[0].name != _AGGREGATE or subterm.number != 1:
         return
-    value: Any = deref(subterm.term[1])
+    position = len(subterm.term) - 1
+    value: Any = deref(subterm.term[position])
     slot = slots.get(value) if value.__class__ is Var else None
     # Windows aggregate arrays element by element.
     if (
@@ -283,7 +284,7 @@ def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotType], names:
         return
     if slot is not None and slot.text in _ADVICE and not slot.is_created:
         text = f"{_variable_name(value, names)} is {slot.text} ({slot.slot}): {subterm.term[0].name} collects numbers"
-        yield RuleError(text, subterm.place_of(subterm.term, 1))
+        yield RuleError(text, subterm.place_of(subterm.term, position))
 
 
 def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:

@@ -11,8 +11,9 @@
 
 A `ValueRule` states which values an aggregate accepts.
 
-`sum`, `avg`, `min` and `max` of arrays are computed element by element from the arrays of the window: removing floats
-from running sums would let errors build up, and an `ExactSum` for each element takes longer than adding the arrays.
+Aggregates of arrays, from `sum` to `quantile`, are computed element by element from the arrays of the window:
+removing floats from running sums would let errors build up, and an `ExactSum` for each element takes longer than
+adding the arrays.
 """
 
 from fractions import Fraction
@@ -349,7 +350,6 @@ class _AverageAccumulator(_SumAccumulator):
 
 
 class _DeviationAccumulator(_SumAccumulator):
-    accepts_arrays = False
     accepts_empty = False
 
     def __init__(self, index: int, name: str, setting: Setting):
@@ -361,16 +361,27 @@ class _DeviationAccumulator(_SumAccumulator):
         self.squares.add_fraction(numerator * numerator, 2 * (denominator.bit_length() - 1), times)
 
     def add(self, item: StreamElement) -> Optional[bool]:
-        super().add(item)
-        self._add_square(item, 1)
-        return None
+        is_array = super().add(item)
+        if not is_array:
+            self._add_square(item, 1)
+        return is_array
 
     def remove(self, item: StreamElement) -> None:
         super().remove(item)
-        self._add_square(item, -1)
+        if item.values[self.index].__class__ in _NUMBER_CLASSES:
+            self._add_square(item, -1)
+
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        return super().result(elements, count) if count > 1 else None
 
     def result_of_numbers(self, count: int) -> Optional[Term]:
-        return standard_deviation(self.sum, self.squares, count) if count > 1 else None
+        return standard_deviation(self.sum, self.squares, count)
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+        result: Array = np.std(np.stack(arrays).astype("f8", copy=False), axis=0, ddof=1)
+        return result
 
 
 class _MinimumAccumulator(_ElementwiseAccumulator):
@@ -423,21 +434,50 @@ class _MaximumAccumulator(_MinimumAccumulator):
         return result
 
 
-class _QuantileAccumulator(Accumulator):
+class _QuantileAccumulator(_ElementwiseAccumulator):
     value_rule = FINITE_NUMBER
+    accepts_arrays = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.heaps = QuantileHeaps(setting)
 
-    def add(self, item: StreamElement) -> None:
-        self.heaps.add(item.values[self.index], item)
+    def check(self, item: StreamElement) -> Optional[bool]:
+        value = item.values[self.index]
+        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
+            return self.check_array(value)
+        check_finite(value, self.name)
+        return None
+
+    def add(self, item: StreamElement) -> Optional[bool]:
+        value = item.values[self.index]
+        if value.__class__ not in _NUMBER_CLASSES:
+            return self.add_array(value)
+        self.heaps.add(value, item)
+        return None
 
     def remove(self, item: StreamElement) -> None:
-        self.heaps.remove(item)
+        if item.values[self.index].__class__ in _NUMBER_CLASSES:
+            self.heaps.remove(item)
+        else:
+            self.array_count -= 1
 
-    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+    def result_of_numbers(self, count: int) -> Optional[Term]:
         return self.heaps.value()
+
+    def combine(self, arrays: "List[Array]") -> "Array":
+        import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+        rows = np.sort(np.stack(arrays).astype("f8", copy=False), axis=0)
+        rank = self.heaps.quantile * (len(rows) - 1)
+        lower, fraction = rows[int(rank)], rank - int(rank)
+        if fraction:
+            upper = rows[int(rank) + 1]
+            # The comparison keeps infinity between two infinite numbers.
+            lower = np.where(lower == upper, lower, lower * (1 - fraction) + upper * fraction)
+        # nan comes last.
+        result: Array = np.where(np.isnan(rows[-1]), np.nan, lower)
+        return result
 
 
 class _MedianAccumulator(_QuantileAccumulator):
