@@ -20,7 +20,7 @@ sys.path.insert(0, str(HERE.parent / "src"))
 from retalis import Engine  # noqa: E402
 from retalis.prolog.terms import timestamps  # noqa: E402
 from retalis.prolog.terms.timestamps import SECOND  # noqa: E402
-from retalis.visualization.timeline import Mark, TimelineLane, draw_lanes  # noqa: E402
+from retalis.visualization.timeline import Mark, TimelineLane, assign_rows, draw_lanes  # noqa: E402
 
 PAGES = HERE / "reference" / "language"
 PICTURE = re.compile(r"^!\[[^\]]*\]\((pictures/[\w-]+\.svg)\)$", re.MULTILINE)
@@ -106,9 +106,18 @@ def draw(example: Example) -> None:
     axes = figure.subplots()
     draw_lanes(axes, lanes)
     for row, lane in enumerate(lanes):
-        for start, end, label in lane.marks:
-            position = ((start + end) / 2, row - 0.34)
-            axes.annotate(label, position, (0, 1), textcoords="offset points", ha="center", fontsize=7)
+        rows = assign_rows(lane.marks)
+        row_count = 1 + max(index or 0 for index in rows)
+        for (start, end, label), index in zip(lane.marks, rows):
+            middle = (start + end) / 2
+            if row_count == 1 or index is None:
+                axes.annotate(
+                    label, (middle, row - 0.34), (0, 1), textcoords="offset points", ha="center", fontsize=7
+                )
+            else:
+                # Above the lane, labels of bars that overlap in time would overlap, too.
+                height = row - 0.32 + (index + 0.45) * 0.64 / row_count
+                axes.text(middle, height, label, ha="center", va="center", fontsize=7)
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": example.path.name}):
         metadata = {"Description": example.text, "Date": None, "Creator": None}
         figure.savefig(example.path, bbox_inches="tight", metadata=metadata)
