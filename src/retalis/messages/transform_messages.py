@@ -17,7 +17,7 @@ TRANSFORM_TOPICS = ("/tf", "/tf_static")
 """Topics of transforms that hold at an instant, and of transforms that hold at every instant."""
 
 _MAX_CACHED_NAMES = 10_000
-_MAX_CACHED_LENGTH = 256
+_MAX_CACHED_LENGTH = 512
 
 Numbers = Tuple[float, float, float, float, float, float, float]
 
@@ -35,10 +35,10 @@ class TransformMessage(NamedTuple):
     is_static: bool
 
 
-_count = Struct("<I").unpack_from
+_length = Struct("<I").unpack_from
 _header = Struct("<4I").unpack_from
 _numbers = Struct("<7d").unpack_from
-_COUNT_BYTES, _HEADER_BYTES, _NUMBERS_BYTES = 4, 16, 56
+_LENGTH_BYTES, _STAMP_BYTES, _NUMBERS_BYTES = 4, 12, 56
 
 
 class TransformReader:
@@ -50,7 +50,8 @@ class TransformReader:
 
     def __init__(self, is_static: bool):
         self._is_static = is_static
-        self._names: Dict[bytes, str] = {}
+        # The names of parent and child by the bytes of both strings: one look-up for two names.
+        self._frames: Dict[bytes, Tuple[str, str]] = {}
 
     def read(self, data: bytes) -> TransformMessage:
         """Return the transforms of a serialized message.
@@ -59,26 +60,22 @@ class TransformReader:
             MessageError: if the bytes are not such a message.
         """
         transforms: List[Tuple[str, str, int, Numbers]] = []
-        names = self._names
+        known = self._frames
         try:
-            (count,) = _count(data)
-            offset = _COUNT_BYTES
+            (count,) = _length(data)
+            offset = _LENGTH_BYTES
             # A message without transforms for a large count ends the loop by an error.
             for _ in range(count):
-                _, seconds, nanoseconds, length = _header(data, offset)
-                offset += _HEADER_BYTES
-                text = data[offset : offset + length]
-                offset += length
-                parent = names.get(text)
-                if parent is None:
-                    parent = self._read_name(text, length)
-                (length,) = _count(data, offset)
-                offset += _COUNT_BYTES
-                text = data[offset : offset + length]
-                offset += length
-                child = names.get(text)
-                if child is None:
-                    child = self._read_name(text, length)
+                _, seconds, nanoseconds, parent_length = _header(data, offset)
+                start = offset + _STAMP_BYTES
+                parent_end = start + _LENGTH_BYTES + parent_length
+                (child_length,) = _length(data, parent_end)
+                offset = parent_end + _LENGTH_BYTES + child_length
+                names = data[start:offset]
+                frames = known.get(names)
+                if frames is None:
+                    frames = self._read_frames(names, parent_length, child_length)
+                parent, child = frames
                 transforms.append(
                     (parent, child, seconds * 1_000_000_000 + nanoseconds, _numbers(data, offset))
                 )
@@ -89,16 +86,25 @@ class TransformReader:
             raise MessageError(f"the message has {len(data)} bytes, but its transforms take {offset}")
         return TransformMessage(transforms, self._is_static)
 
-    def _read_name(self, text: bytes, length: int) -> str:
-        if len(text) != length:
+    def _read_frames(self, names: bytes, parent_length: int, child_length: int) -> Tuple[str, str]:
+        """Return the names of two frames, given the bytes of their strings with the lengths in front."""
+        parent_end = _LENGTH_BYTES + parent_length
+        if len(names) != parent_end + _LENGTH_BYTES + child_length:
             raise StructError
-        try:
-            # tf2 removes one leading slash.
-            name = text[text[:1] == b"/" :].decode("utf-8")
-        except UnicodeDecodeError:
-            raise MessageError("the name of a frame is not UTF-8") from None
-        if len(text) <= _MAX_CACHED_LENGTH:
-            if len(self._names) >= _MAX_CACHED_NAMES:
-                self._names.clear()
-            self._names[text] = name
-        return name
+        frames = (
+            _decode_name(names[_LENGTH_BYTES:parent_end]),
+            _decode_name(names[parent_end + _LENGTH_BYTES :]),
+        )
+        if len(names) <= _MAX_CACHED_LENGTH:
+            if len(self._frames) >= _MAX_CACHED_NAMES:
+                self._frames.clear()
+            self._frames[names] = frames
+        return frames
+
+
+def _decode_name(text: bytes) -> str:
+    """Return the name of a frame as tf2 reads it, which removes one leading slash."""
+    try:
+        return text[text[:1] == b"/" :].decode("utf-8")
+    except UnicodeDecodeError:
+        raise MessageError("the name of a frame is not UTF-8") from None

@@ -345,7 +345,9 @@ def _matching(array: Term, condition: Term) -> "Array":
 @function("array_count/3")
 def array_count(array: Term, condition: Term) -> Term:
     """Return the number of elements that fulfil a condition."""
-    return int(_matching(array, condition).sum())
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    return int(np.count_nonzero(_matching(array, condition)))
 
 
 @function("array_where/3")
