@@ -14,9 +14,9 @@ from retalis.ros.diagnostics import (
     InputRole,
     Level,
     NodeHealth,
-    memory_health,
-    output_health,
-    program_health,
+    evaluate_memory,
+    evaluate_output,
+    evaluate_program,
 )
 from retalis.ros.topic_statistics import InputCounts, InputStatus, OutputStatus
 
@@ -24,7 +24,7 @@ TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, None, None)
 
 
 def engine_levels(engine, now=0.0, health=None, **changed):
-    found = (health or EngineHealth(1.0, 10.0)).of(now, engine.status()._replace(**changed))
+    found = (health or EngineHealth(1.0, 10.0)).evaluate(now, engine.status()._replace(**changed))
     return {one.name: one for one in found}
 
 
@@ -32,7 +32,7 @@ def test_a_topic_has_its_rate():
     trends = CounterTrends()
     health = InputHealth(trends)
     for now, number in ((0.0, 0), (1.0, 50), (2.0, 150)):
-        found = health.of(now, TOPIC._replace(messages=number, age=0.0, lag=250_000_000))
+        found = health.evaluate(now, TOPIC._replace(messages=number, age=0.0, lag=250_000_000))
         trends.remove_unrecorded()
     assert (found.name, found.level, found.message) == ("input /tf", Level.OK, "100.0 messages/s")
     assert dict(found.values)["lag (s)"] == "0.250"
@@ -40,8 +40,8 @@ def test_a_topic_has_its_rate():
 
 def test_a_topic_without_a_publisher_is_worth_a_warning_and_one_without_messages_is_not():
     health = InputHealth(CounterTrends())
-    assert health.of(0.0, TOPIC._replace(publishers=0)).level is Level.WARN
-    assert health.of(1.0, TOPIC).level is Level.OK
+    assert health.evaluate(0.0, TOPIC._replace(publishers=0)).level is Level.WARN
+    assert health.evaluate(1.0, TOPIC).level is Level.OK
 
 
 @pytest.mark.parametrize(
@@ -50,9 +50,9 @@ def test_a_topic_without_a_publisher_is_worth_a_warning_and_one_without_messages
 def test_a_topic_is_stale_by_its_usual_interval(interval, quiet, level):
     health = InputHealth(CounterTrends())
     for number in range(1, 20):
-        health.of(number * interval, TOPIC._replace(messages=number, age=0.0))
+        health.evaluate(number * interval, TOPIC._replace(messages=number, age=0.0))
     last = TOPIC._replace(messages=19, age=float(quiet))
-    assert health.of(19 * interval + quiet, last).level is level
+    assert health.evaluate(19 * interval + quiet, last).level is level
 
 
 @pytest.mark.parametrize(
@@ -67,53 +67,53 @@ def test_a_topic_is_stale_by_its_usual_interval(interval, quiet, level):
 def test_the_level_of_a_topic_depends_on_the_use_that_the_program_has_for_it(role, silent, unpublished, lost):
     health = InputHealth(CounterTrends(), lambda topic: role)
     for number in range(1, 20):
-        health.of(number * 0.1, TOPIC._replace(messages=number, age=0.0))
+        health.evaluate(number * 0.1, TOPIC._replace(messages=number, age=0.0))
     seen = TOPIC._replace(messages=19, age=30.0)
-    assert health.of(32.0, seen).level is silent
-    assert health.of(33.0, seen._replace(publishers=0)).level is unpublished
-    assert health.of(34.0, seen._replace(refused=1)).level is lost
+    assert health.evaluate(32.0, seen).level is silent
+    assert health.evaluate(33.0, seen._replace(publishers=0)).level is unpublished
+    assert health.evaluate(34.0, seen._replace(refused=1)).level is lost
 
 
 def test_a_latched_topic_does_not_become_stale():
     health = InputHealth(CounterTrends())
     for now in range(0, 1000, 100):
-        assert health.of(now, TOPIC._replace(messages=1, age=float(now))).level is Level.OK
+        assert health.evaluate(now, TOPIC._replace(messages=1, age=float(now))).level is Level.OK
     assert STALE_AFTER_SECONDS < 1000
 
 
 def test_a_topic_that_is_subscribed_anew_is_judged_anew():
     health = InputHealth(CounterTrends())
     for number in range(100, 110):
-        health.of(float(number), TOPIC._replace(messages=number, age=0.0))
+        health.evaluate(float(number), TOPIC._replace(messages=number, age=0.0))
     for number in range(1, 20):
-        health.of(200.0 + number, TOPIC._replace(messages=number, age=0.0))
-    assert health.of(300.0, TOPIC._replace(messages=19, age=81.0)).level is Level.STALE
+        health.evaluate(200.0 + number, TOPIC._replace(messages=number, age=0.0))
+    assert health.evaluate(300.0, TOPIC._replace(messages=19, age=81.0)).level is Level.STALE
 
 
 def test_topics_that_are_subscribed_no_more_are_forgotten():
     health = InputHealth(CounterTrends())
     for number in range(1, 20):
-        health.of(float(number), TOPIC._replace(messages=number, age=0.0))
+        health.evaluate(float(number), TOPIC._replace(messages=number, age=0.0))
     late = TOPIC._replace(messages=19, age=81.0)
-    health.forget_others({"/tf"})
-    assert health.of(100.0, late).level is Level.STALE
-    health.forget_others({"/other"})
-    assert health.of(100.0, late).level is Level.OK  # nothing is known of its interval
+    health.retain_topics({"/tf"})
+    assert health.evaluate(100.0, late).level is Level.STALE
+    health.retain_topics({"/other"})
+    assert health.evaluate(100.0, late).level is Level.OK  # nothing is known of its interval
 
 
 def test_a_loss_keeps_its_level_for_a_while():
     health = InputHealth(CounterTrends())
-    health.of(0.0, TOPIC)
-    assert health.of(1.0, TOPIC._replace(refused=1)).level is Level.ERROR
-    assert health.of(RECENT_SECONDS, TOPIC._replace(refused=1)).level is Level.ERROR
-    assert health.of(RECENT_SECONDS + 2, TOPIC._replace(refused=1)).level is Level.OK
+    health.evaluate(0.0, TOPIC)
+    assert health.evaluate(1.0, TOPIC._replace(refused=1)).level is Level.ERROR
+    assert health.evaluate(RECENT_SECONDS, TOPIC._replace(refused=1)).level is Level.ERROR
+    assert health.evaluate(RECENT_SECONDS + 2, TOPIC._replace(refused=1)).level is Level.OK
 
 
 def test_an_output_whose_subscriber_is_slow():
     trends, one = CounterTrends(), OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
-    assert output_health(0.0, trends, one).level is Level.OK
+    assert evaluate_output(0.0, trends, one).level is Level.OK
     trends.remove_unrecorded()
-    assert output_health(1.0, trends, one._replace(dropped=3)).level is Level.WARN
+    assert evaluate_output(1.0, trends, one._replace(dropped=3)).level is Level.WARN
 
 
 def test_an_idle_engine_is_well():
@@ -170,7 +170,7 @@ def test_what_is_listed_is_bounded():
         "further queries",
         str(500 - MAX_STATUS_VALUES),
     )
-    program = program_health([], [str(number) for number in range(100)])
+    program = evaluate_program([], [str(number) for number in range(100)])
     assert program.level is Level.WARN and program.values[-1] == (
         "further ones",
         str(100 - MAX_STATUS_VALUES),
@@ -180,7 +180,7 @@ def test_what_is_listed_is_bounded():
 def test_of_many_topics_those_that_somebody_has_to_look_at_are_told_of():
     wrong = TOPIC._replace(topic="/wrong", dropped=1)
     topics = [*(TOPIC._replace(topic=f"/t{at}") for at in range(300)), TOPIC._replace(publishers=0), wrong]
-    found = NodeHealth(lambda: topics, list, list).statuses()
+    found = NodeHealth(lambda: topics, list, list).evaluate()
     assert [one.name for one in found[:2]] == ["input /wrong", "input /tf"]
     assert len(found) == MAX_REPORTED_TOPICS + 2
     assert found[-2].name == "further inputs" and found[-2].message.startswith("102 ")
@@ -197,12 +197,12 @@ def test_more_rules_with_errors_than_are_looked_at():
 
 
 def test_a_program_that_did_not_load():
-    assert program_health(["mine:1:1: expected a term"], []).level is Level.ERROR
-    assert program_health([], []).level is Level.OK
+    assert evaluate_program(["mine:1:1: expected a term"], []).level is Level.ERROR
+    assert evaluate_program([], []).level is Level.OK
 
 
 def test_the_process_tells_its_memory():
-    values = dict(memory_health().values)
+    values = dict(evaluate_memory().values)
     assert int(values["resident (MB)"]) > 1
 
 
@@ -210,8 +210,8 @@ def test_a_node_tells_of_everything():
     engine = Engine()
     of_engine = EngineHealth(1.0, 10.0)
     output = OutputStatus("/pose", "geometry_msgs/PoseStamped", 1, 5, 0)
-    node = NodeHealth(lambda: [TOPIC], lambda: [output], lambda: of_engine.of(0.0, engine.status()))
-    assert [one.name for one in node.statuses()] == [
+    node = NodeHealth(lambda: [TOPIC], lambda: [output], lambda: of_engine.evaluate(0.0, engine.status()))
+    assert [one.name for one in node.evaluate()] == [
         "input /tf",
         "output /pose",
         "queue",

@@ -97,7 +97,7 @@ def test_a_program_that_is_a_file_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setattr(
         rospy, "get_param", lambda name, default: str(path) if name == "~program" else default
     )
-    with pytest.raises(UsageError, match=r"rules.txt is no folder: give"):
+    with pytest.raises(UsageError, match=r"rules.txt is not a folder: give"):
         read_parameters(["node"])
 
 

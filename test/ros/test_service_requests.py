@@ -17,7 +17,8 @@ def test_a_long_format_is_walked_through_once_and_not_for_each_of_its_variables(
     reader = services.EngineServices.__new__(services.EngineServices)
     reader._engine = Engine()  # noqa: SLF001
     slots = ",".join(f"X{at}" for at in range(200))
-    found = reader._fields(SimpleNamespace(event=f"a({slots})", conditions="", format=f"b({slots},Y)"))
+    request = SimpleNamespace(event=f"a({slots})", conditions="", format=f"b({slots},Y)")
+    found = reader._parse_request(request)  # noqa: SLF001
     assert found.unbound_names == ["Y"]
     assert len(walked) < 5
 

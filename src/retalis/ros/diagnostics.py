@@ -18,7 +18,8 @@ from ..prolog.machine.resource_limits import resident_bytes
 from .topic_statistics import InputStatus, OutputStatus
 
 MAX_STATUS_VALUES = 20
-"""Limit for the rules, queries and warnings that a status names."""
+"""Maximum number of rules, queries and warnings that a status names."""
+
 MAX_LARGEST_RULES = 5
 """Number of rules with the largest buffers that a status names."""
 
@@ -26,7 +27,7 @@ RECENT_SECONDS = 10.0
 """Seconds for which an error or a loss raises the level."""
 
 MAX_REPORTED_TOPICS = 200
-"""Limit for the topics in each direction that are reported."""
+"""Maximum number of topics that are reported in each direction."""
 
 STALE_AFTER_SECONDS = 5.0
 """Seconds without a message after which a topic may be stale."""
@@ -45,13 +46,13 @@ MIN_AVAILABLE_FRACTION = 0.05
 
 
 class InputRole(Enum):
-    """The role of a subscribed topic in a program.
+    """Role of a subscribed topic in a program.
 
     Attributes:
         NEEDED: a topic that a program or a user has named: a missing publisher or a silence is reported.
         LINK: the events between the two nodes: a publisher is required, but a silence is normal.
         OPTIONAL: a topic that needs no publisher.
-        UNREAD: a topic that the node subscribes by default, and that the program does not read.
+        UNREAD: a topic that the node subscribes to by default, and that the program does not read.
     """
 
     NEEDED = 0
@@ -70,7 +71,7 @@ class Level(IntEnum):
 
 
 class Health(NamedTuple):
-    """The status of one part of a node.
+    """Status of one part of a node.
 
     Attributes:
         name: name of the part.
@@ -86,7 +87,7 @@ class Health(NamedTuple):
 
 
 class CounterTrend:
-    """The growth of a counter: its rate, and the instant of its last increase."""
+    """Growth of a counter: its rate, and the instant of its last increase."""
 
     def __init__(self) -> None:
         self._last_sample: Optional[Tuple[float, int]] = None
@@ -111,16 +112,16 @@ class CounterTrend:
 
 
 class CounterTrends:
-    """The trends of several counters by name; `remove_unrecorded` removes counters that have disappeared."""
+    """Trends of several counters by name; `remove_unrecorded` removes counters that have disappeared."""
 
     def __init__(self) -> None:
         self._previous: Dict[object, CounterTrend] = {}
         self._recorded: Dict[object, CounterTrend] = {}
 
     def record(self, now: float, name: object, count: int) -> CounterTrend:
-        """Record a counter's value; return its growth."""
-        known = self._recorded.get(name) or self._previous.get(name)
-        trend = self._recorded[name] = known or CounterTrend()
+        """Record a counter's value at an instant; return its trend."""
+        previous_trend = self._recorded.get(name) or self._previous.get(name)
+        trend = self._recorded[name] = previous_trend or CounterTrend()
         return trend.record(now, count)
 
     def remove_unrecorded(self) -> None:
@@ -140,10 +141,10 @@ class InputHealth:
         self, trends: CounterTrends, role: Callable[[str], InputRole] = lambda topic: InputRole.NEEDED
     ):
         self._trends = trends
-        self._role = role
+        self._get_role = role
         self._first_samples: Dict[str, Tuple[int, float]] = {}
 
-    def of(self, now: float, status: InputStatus) -> Health:
+    def evaluate(self, now: float, status: InputStatus) -> Health:
         """Return the status of a topic."""
         rate = self._trends.record(now, ("in", status.topic), status.messages).rate
         loss = self._trends.record(now, ("lost", status.topic), status.dropped + status.refused)
@@ -160,8 +161,8 @@ class InputHealth:
         level, message = self._level_and_reason(now, status, loss, rate)
         return Health(f"input {status.topic}", level, message, values)
 
-    def forget_others(self, topics: Collection[str]) -> None:
-        """Remove the state of all topics that are not in ``topics``."""
+    def retain_topics(self, topics: Collection[str]) -> None:
+        """Remove the state of topics that are not in ``topics``."""
         self._first_samples = {
             topic: sample for topic, sample in self._first_samples.items() if topic in topics
         }
@@ -169,7 +170,7 @@ class InputHealth:
     def _level_and_reason(
         self, now: float, status: InputStatus, loss: CounterTrend, rate: float
     ) -> Tuple[Level, str]:
-        interval, role = self._mean_interval(now, status), self._role(status.topic)
+        interval, role = self._mean_interval(now, status), self._get_role(status.topic)
         if role is InputRole.UNREAD:
             publisher = "" if status.publishers else "no publisher; "
             return Level.OK, f"{publisher}the program reads no message of it"
@@ -180,12 +181,12 @@ class InputHealth:
                 return Level.OK, "no publisher, and none is needed"
             return Level.WARN, "no publisher"
         # A topic that has not had two messages has no usual interval, and is not stale.
-        silent = (
+        is_silent = (
             status.age is not None
             and interval is not None
             and status.age > max(STALE_AFTER_SECONDS, STALE_AFTER_INTERVALS * interval)
         )
-        if silent and role is InputRole.NEEDED:
+        if is_silent and role is InputRole.NEEDED:
             return Level.STALE, f"no message for {status.age:.0f} s"
         return Level.OK, "no message yet" if status.age is None else f"{rate:.1f} messages/s"
 
@@ -206,7 +207,7 @@ class InputHealth:
         return (now - status.age - first_instant) / further_messages if further_messages > 0 else None
 
 
-def output_health(now: float, trends: CounterTrends, status: OutputStatus) -> Health:
+def evaluate_output(now: float, trends: CounterTrends, status: OutputStatus) -> Health:
     """Return the status of a published topic."""
     rate = trends.record(now, ("out", status.topic), status.sent).rate
     is_losing = trends.record(now, ("slow", status.topic), status.dropped).is_recent(now)
@@ -236,19 +237,19 @@ class EngineHealth:
         self._error_after = error_after
         self._first_seen: Dict[Tuple[str, int], float] = {}
 
-    def of(self, now: float, status: Status) -> List[Health]:
+    def evaluate(self, now: float, status: Status) -> List[Health]:
         """Return the status of each part of the engine."""
         healths = [
-            self._queue(now, status),
-            self._work(status),
-            self._rules(now, status),
-            self._queries(now, status),
-            *self._transforms(now, status),
+            self._evaluate_queue(now, status),
+            self._evaluate_work(status),
+            self._evaluate_rules(now, status),
+            self._evaluate_queries(now, status),
+            *self._evaluate_transforms(now, status),
         ]
         self._trends.remove_unrecorded()
         return healths
 
-    def _queue(self, now: float, status: Status) -> Health:
+    def _evaluate_queue(self, now: float, status: Status) -> Health:
         record = self._trends.record
         event_rate, firing_rate = (
             record(now, "taken", status.taken).rate,
@@ -274,7 +275,7 @@ class EngineHealth:
             return Health("queue", Level.WARN, f"{status.queued} events wait", values)
         return Health("queue", Level.OK, f"{event_rate:.1f} events/s", values)
 
-    def _work(self, status: Status) -> Health:
+    def _evaluate_work(self, status: Status) -> Health:
         work = status.work
         if work is None:
             return Health("work", Level.OK, "idle", [])
@@ -290,24 +291,24 @@ class EngineHealth:
         level = Level.WARN if work.seconds < self._error_after else Level.ERROR
         return Health("work", level, f"{work.what} has taken {work.seconds:.1f} s so far", values)
 
-    def _rules(self, now: float, status: Status) -> Health:
+    def _evaluate_rules(self, now: float, status: Status) -> Health:
         failing = [rule for rule in status.rules if rule.errors]
         errors = sum(rule.errors for rule in failing)
-        recent = self._trends.record(now, "errors", errors).is_recent(now)
-        values = [(_name_of(rule), counted(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]]
+        has_recent_errors = self._trends.record(now, "errors", errors).is_recent(now)
+        values = [(_rule_name(rule), counted(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]]
         if len(failing) > MAX_STATUS_VALUES:
             values.append(("further rules", str(len(failing) - MAX_STATUS_VALUES)))
         # Buffers of partial matches are the usual reason for growing memory.
         largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:MAX_LARGEST_RULES]
-        values += [(f"held by {_name_of(rule)}", _buffer_text(rule)) for rule in largest if rule.waiting]
+        values += [(f"held by {_rule_name(rule)}", _buffer_text(rule)) for rule in largest if rule.waiting]
         total = len(status.rules) + status.left_out.rules
         if not failing:
             return Health("rules", Level.OK, f"{counted(total, 'rule')} without errors", values)
         bound = " or more" if len(failing) == len(status.rules) < total else ""
         text = f"{counted(errors, 'error')} in {counted(len(failing), 'rule')}{bound}"
-        return Health("rules", Level.ERROR if recent else Level.WARN, text, values)
+        return Health("rules", Level.ERROR if has_recent_errors else Level.WARN, text, values)
 
-    def _queries(self, now: float, status: Status) -> Health:
+    def _evaluate_queries(self, now: float, status: Status) -> Health:
         # Waiting is measured by the monotonic clock, from the first status that contains the query: simulated time
         # may stand still or jump.
         waiting_queries = {(query.event, query.since): query for query in status.waiting}
@@ -330,7 +331,7 @@ class EngineHealth:
             )
         return Health("waiting queries", Level.OK, f"{query_count} wait", values)
 
-    def _transforms(self, now: float, status: Status) -> List[Health]:
+    def _evaluate_transforms(self, now: float, status: Status) -> List[Health]:
         transforms = status.transforms
         if transforms is None:
             return []
@@ -348,7 +349,7 @@ def _buffer_text(rule: RuleStatus) -> str:
     return f"{counted(rule.waiting, 'item')}, {counted(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
 
 
-def _name_of(rule: RuleStatus) -> str:
+def _rule_name(rule: RuleStatus) -> str:
     return " ".join(part for part in (rule.label, rule.place) if part) or rule.text
 
 
@@ -356,10 +357,10 @@ def _lag_text(nanoseconds: Optional[int]) -> str:
     return "(has no record)" if nanoseconds is None else f"({nanoseconds / 1e9:.3f} s behind)"
 
 
-def memory_health() -> Health:
+def evaluate_memory() -> Health:
     """Return the status of the memory of the process and the machine."""
     used = resident_bytes()
-    total, available = _machine_memory()
+    total, available = _read_machine_memory()
     values = [("resident (MB)", f"{used / 1e6:.0f}")]
     if total:
         values.append(("available on the machine (MB)", f"{available / 1e6:.0f} of {total / 1e6:.0f}"))
@@ -368,22 +369,22 @@ def memory_health() -> Health:
     return Health("process memory", Level.OK, f"{used / 1e6:.0f} MB", values)
 
 
-def _machine_memory() -> Tuple[int, int]:
+def _read_machine_memory() -> Tuple[int, int]:
     """Return the bytes of total and available memory of the machine; zeros if unknown."""
     sizes = {"MemTotal": 0, "MemAvailable": 0}
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
             for line in file:
-                name, _, rest = line.partition(":")
+                name, _, size_text = line.partition(":")
                 if name in sizes:
-                    sizes[name] = 1024 * int(rest.split()[0])
+                    sizes[name] = 1024 * int(size_text.split()[0])
     except OSError:
         # A system without /proc.
         pass
     return sizes["MemTotal"], sizes["MemAvailable"]
 
 
-def program_health(errors: Sequence[str], warnings: Sequence[str]) -> Health:
+def evaluate_program(errors: Sequence[str], warnings: Sequence[str]) -> Health:
     """Return the status of the program's loading."""
     problems = [("error", text) for text in errors] + [("warning", text) for text in warnings]
     values = problems[:MAX_STATUS_VALUES]
@@ -421,23 +422,23 @@ class NodeHealth:
         self._trends = CounterTrends()
         self._input_health = InputHealth(self._trends, role)
 
-    def statuses(self) -> List[Health]:
+    def evaluate(self) -> List[Health]:
         """Return the status of all parts."""
         now = time.monotonic()
         inputs = self._inputs()
-        self._input_health.forget_others({status.topic for status in inputs})
-        input_healths = [self._input_health.of(now, status) for status in inputs]
-        output_healths = [output_health(now, self._trends, status) for status in self._outputs()]
+        self._input_health.retain_topics({status.topic for status in inputs})
+        input_healths = [self._input_health.evaluate(now, status) for status in inputs]
+        output_healths = [evaluate_output(now, self._trends, status) for status in self._outputs()]
         self._trends.remove_unrecorded()
         return [
-            *_most_severe(input_healths, "inputs"),
-            *_most_severe(output_healths, "outputs"),
+            *_select_most_severe(input_healths, "inputs"),
+            *_select_most_severe(output_healths, "outputs"),
             *self._other_statuses(),
-            memory_health(),
+            evaluate_memory(),
         ]
 
 
-def _most_severe(healths: List[Health], direction: str) -> List[Health]:
+def _select_most_severe(healths: List[Health], direction: str) -> List[Health]:
     """Return the most severe statuses, errors first, and one that counts the omitted ones."""
     if len(healths) <= MAX_REPORTED_TOPICS:
         return healths
@@ -456,10 +457,10 @@ DEFAULT_HARDWARE_ID = "retalis"
 
 
 class Diagnostics:
-    """Publishes the health of a node periodically, in a thread and by wall time: simulated time may stand still.
+    """Periodic publisher of the health of a node, in a thread and by wall time: simulated time may stand still.
 
     Args:
-        period: seconds between two messages; None to publish nothing.
+        period: seconds between two messages; None disables publishing.
         health: status of the node.
         hardware_id: hardware id of each status.
     """
@@ -467,7 +468,7 @@ class Diagnostics:
     def __init__(self, period: Optional[float], health: NodeHealth, hardware_id: str = DEFAULT_HARDWARE_ID):
         self._health = health
         self._hardware_id = hardware_id
-        self._ended = threading.Event()
+        self._is_shut_down = threading.Event()
         if period is None:
             return
         try:
@@ -479,13 +480,13 @@ class Diagnostics:
             return
         self._msg = msg
         self._publisher = rospy.Publisher(DIAGNOSTICS_TOPIC, msg.DiagnosticArray, queue_size=2)
-        rospy.on_shutdown(self._ended.set)
+        rospy.on_shutdown(self._is_shut_down.set)
         threading.Thread(target=self._run, args=(period,), name="retalis diagnostics", daemon=True).start()
 
     def _run(self, period: float) -> None:
-        while not self._ended.wait(period):
+        while not self._is_shut_down.wait(period):
             try:
-                self._publisher.publish(self._array(self._health.statuses()))
+                self._publisher.publish(self._make_message(self._health.evaluate()))
             except rospy.ROSException:
                 # The node is being shut down.
                 if not rospy.is_shutdown():
@@ -494,7 +495,7 @@ class Diagnostics:
             except Exception as error:
                 rospy.logerr_throttle(60, f"{DIAGNOSTICS_TOPIC}: {error!r}")
 
-    def _array(self, healths: List[Health]) -> Any:
+    def _make_message(self, healths: List[Health]) -> Any:
         message = self._msg.DiagnosticArray()
         message.header.stamp = rospy.get_rostime()
         node = rospy.get_name().strip("/")
@@ -502,10 +503,10 @@ class Diagnostics:
             self._msg.DiagnosticStatus(
                 level=int(health.level),
                 name=f"{node}: {health.name}",
-                message=_single_line(health.message),
+                message=_to_single_line(health.message),
                 hardware_id=self._hardware_id,
                 values=[
-                    self._msg.KeyValue(key=_single_line(key), value=_single_line(value))
+                    self._msg.KeyValue(key=_to_single_line(key), value=_to_single_line(value))
                     for key, value in health.values
                 ],
             )
@@ -514,10 +515,10 @@ class Diagnostics:
         return message
 
 
-def _single_line(text: str) -> str:
+def _to_single_line(text: str) -> str:
     """Return a text as one line, without control characters."""
     return " ".join(printable(beginning(text, MAX_VALUE_CHARACTERS)).split("\n"))
 
 
 MAX_VALUE_CHARACTERS = 1000
-"""Limit for the characters of one text."""
+"""Maximum number of characters of one text."""

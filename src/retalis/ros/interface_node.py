@@ -19,7 +19,7 @@ from ..messages.event_text_writer import text_without, text_writer
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref
-from .diagnostics import Diagnostics, InputRole, NodeHealth, program_health
+from .diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
 from .dynamic_subscriptions import SubscriptionReceiver
 from .generated_classes import installed_types
 from .internal_topics import INPUT, OUTPUT
@@ -94,14 +94,14 @@ class InterfaceNode:
             self._interface.learn(topic, message_type)
         self._subscriptions = SubscriptionReceiver(self._interface, reports)
         InterfaceServices(self._interface)
-        ListService(self._interface.inputs, reports=reports)
+        ListService(self._interface.input_statuses, reports=reports)
         # After the services: they identify this node to node retalis as soon as it connects; see `late_joiners`.
         self._interface.subscribe_texts(OUTPUT, self._publish_output)
-        program_status = program_health(errors, [])
-        StartupWarnings(self._interface.inputs, [topic for topic, _ in topics.subscribed])
+        program_status = evaluate_program(errors, [])
+        StartupWarnings(self._interface.input_statuses, [topic for topic, _ in topics.subscribed])
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
-            NodeHealth(self._interface.inputs, self._outputs, lambda: [program_status], _input_role),
+            NodeHealth(self._interface.input_statuses, self._outputs, lambda: [program_status], _input_role),
             parameters.hardware_id,
         )
 

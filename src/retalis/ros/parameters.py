@@ -62,17 +62,17 @@ class Parameters(NamedTuple):
         program: folder with pub_sub.xml and goalPredicates.txt.
         direct: ``auto``, True, False, or the topics that node retalis subscribes to itself.
         embedded: whether the ROS interface runs inside node retalis.
-        queue: length of each queue, in events or messages.
+        queue: maximum length of each queue, in events or messages.
         settings: settings of the engine.
         max_empty_elements: limit for the elements of a message that occupy no bytes.
-        explain: whether to record the causes of events.
+        explain: whether the causes of events are recorded.
         max_skew: largest difference in seconds between a stamp and the expected time of its topic and frame; None
             for no limit.
-        diagnostics: seconds between two messages on ``/diagnostics``; None for none.
+        diagnostics: seconds between two messages on ``/diagnostics``; None disables them.
         hardware_id: hardware id of the node's statuses on ``/diagnostics``.
         dashboard: port of the dashboard; None for no dashboard.
         dashboard_queries: whether users of the dashboard may ask goals.
-        checkpoint: file for the engine's state; None for none.
+        checkpoint: file for the engine's state; None if the state is not saved.
     """
 
     program: Path
@@ -99,50 +99,50 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
     _warn_about_unknown()
     limits = Limits(
-        _limit("~max_seconds", float, DEFAULT_LIMITS.seconds),
-        _limit("~max_inferences", int, DEFAULT_LIMITS.inferences),
-        _limit("~max_megabytes", float, DEFAULT_LIMITS.megabytes),
-        _limit("~max_output_megabytes", float, DEFAULT_LIMITS.output_megabytes),
+        _read_limit("~max_seconds", float, DEFAULT_LIMITS.seconds),
+        _read_limit("~max_inferences", int, DEFAULT_LIMITS.inferences),
+        _read_limit("~max_megabytes", float, DEFAULT_LIMITS.megabytes),
+        _read_limit("~max_output_megabytes", float, DEFAULT_LIMITS.output_megabytes),
     )
-    depth = _number("~max_depth", int)
-    queue = _number("~queue", int)
+    depth = _read_positive_number("~max_depth", int)
+    queue = _read_positive_number("~queue", int)
     settings = Settings(
         limits=limits,
         limit_start=False,
-        watchdog=_limit("~watchdog", float, DEFAULT_WATCHDOG_SECONDS),
-        allow_goals=_flag("~allow_goals"),
-        allow_flags=_flag("~allow_flags"),
-        allow_foreign=_flag("~allow_foreign"),
-        allow_swi=_flag("~allow_swi"),
-        folders=_folders("~folders"),
-        write_folders=_folders("~write_folders"),
-        max_gap=_limit("~max_gap", float, None),
-        tf_cache=_number("~tf_cache", float) or DEFAULT_CACHE_SECONDS,
+        watchdog=_read_limit("~watchdog", float, DEFAULT_WATCHDOG_SECONDS),
+        allow_goals=_read_flag("~allow_goals"),
+        allow_flags=_read_flag("~allow_flags"),
+        allow_foreign=_read_flag("~allow_foreign"),
+        allow_swi=_read_flag("~allow_swi"),
+        folders=_read_folders("~folders"),
+        write_folders=_read_folders("~write_folders"),
+        max_gap=_read_limit("~max_gap", float, None),
+        tf_cache=_read_positive_number("~tf_cache", float) or DEFAULT_CACHE_SECONDS,
     )
-    file_size = _number("~max_file_megabytes", int)
+    file_size = _read_positive_number("~max_file_megabytes", int)
     if file_size is not None:
         settings = settings._replace(max_file_megabytes=file_size)
     if depth is not None:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
         settings = settings._replace(queue=queue)
-    max_empty_elements = _number("~max_elements", int) or MAX_EMPTY_ELEMENTS
+    max_empty_elements = _read_positive_number("~max_elements", int) or MAX_EMPTY_ELEMENTS
     parameters = Parameters(
-        _program(argv),
-        _direct(),
-        _flag("~embedded"),
+        _read_program_folder(argv),
+        _read_direct_topics(),
+        _read_flag("~embedded"),
         settings.queue,
         settings,
         max_empty_elements,
-        _flag("~explain"),
+        _read_flag("~explain"),
     )
     return parameters._replace(
-        max_skew=_limit("~max_skew", float, None), diagnostics=_limit("~diagnostics", float, 1.0)
+        max_skew=_read_limit("~max_skew", float, None), diagnostics=_read_limit("~diagnostics", float, 1.0)
     )._replace(
-        hardware_id=_text("~hardware_id", DEFAULT_HARDWARE_ID),
-        dashboard=_port("~dashboard"),
-        dashboard_queries=_flag("~dashboard_queries"),
-        checkpoint=_file("~checkpoint"),
+        hardware_id=_read_text("~hardware_id", DEFAULT_HARDWARE_ID),
+        dashboard=_read_port("~dashboard"),
+        dashboard_queries=_read_flag("~dashboard_queries"),
+        checkpoint=_read_path("~checkpoint"),
     )
 
 
@@ -159,30 +159,30 @@ def _warn_about_unknown() -> None:
             rospy.logwarn("there is no parameter ~%s; %s", printable(beginning(name)), hint)
 
 
-def _program(argv: List[str]) -> Path:
+def _read_program_folder(argv: List[str]) -> Path:
     folder = rospy.get_param("~program", "")
     if not isinstance(folder, str):
         raise UsageError(f"parameter ~program: expected the path of a folder, found {folder!r}")
     if folder:
-        return _existing_folder(Path(folder), "parameter ~program")
+        return _check_folder(Path(folder), "parameter ~program")
     # The argument is the folder of a package, with the program in its folder `application_source`.
     if len(argv) > 1:
-        return _existing_folder(Path(argv[1]) / "application_source", "the program's folder")
-    return _existing_folder(Path(_package_folder()) / "application_source", "the program's folder")
+        return _check_folder(Path(argv[1]) / "application_source", "the program's folder")
+    return _check_folder(Path(_find_package_folder()) / "application_source", "the program's folder")
 
 
-def _existing_folder(folder: Path, description: str) -> Path:
+def _check_folder(folder: Path, description: str) -> Path:
     if folder.is_dir():
         return folder
-    problem = "is no folder" if folder.exists() else "does not exist"
-    shown = printable(beginning(str(folder)))
+    problem = "is not a folder" if folder.exists() else "does not exist"
+    folder_text = printable(beginning(str(folder)))
     raise UsageError(
-        f"{description}: {shown} {problem}: give the absolute path of the folder with goalPredicates.txt "
+        f"{description}: {folder_text} {problem}: give the absolute path of the folder with goalPredicates.txt "
         "and pub_sub.xml, as program:=/path of retalis.launch or as parameter ~program"
     )
 
 
-def _package_folder() -> str:
+def _find_package_folder() -> str:
     try:
         return str(rospkg.RosPack().get_path("retalis"))
     except rospkg.ResourceNotFound:
@@ -191,14 +191,14 @@ def _package_folder() -> str:
         ) from None
 
 
-def _direct() -> DirectTopics:
+def _read_direct_topics() -> DirectTopics:
     try:
         return read_direct(rospy.get_param("~direct", AUTO))
     except UsageError as error:
         raise UsageError(f"parameter ~direct: {error.message}") from None
 
 
-def _folders(name: str) -> Tuple[str, ...]:
+def _read_folders(name: str) -> Tuple[str, ...]:
     """Return the folders that a parameter lists."""
     value = rospy.get_param(name, [])
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
@@ -206,7 +206,7 @@ def _folders(name: str) -> Tuple[str, ...]:
     return tuple(value)
 
 
-def _file(name: str) -> Optional[Path]:
+def _read_path(name: str) -> Optional[Path]:
     """Return the absolute path in a parameter; None if it is empty."""
     value = rospy.get_param(name, "")
     if not isinstance(value, str) or "\0" in value:
@@ -214,7 +214,7 @@ def _file(name: str) -> Optional[Path]:
     return Path(value).expanduser().absolute() if value else None
 
 
-def _text(name: str, default: str) -> str:
+def _read_text(name: str, default: str) -> str:
     """Return the text of a parameter; ``default`` if it is empty."""
     value = rospy.get_param(name, default)
     if not isinstance(value, str):
@@ -222,14 +222,14 @@ def _text(name: str, default: str) -> str:
     return value or default
 
 
-def _flag(name: str) -> bool:
+def _read_flag(name: str) -> bool:
     value = rospy.get_param(name, False)
     if not isinstance(value, bool):
         raise UsageError(f"parameter {name}: expected true or false, found {value!r}")
     return value
 
 
-def _port(name: str) -> Optional[int]:
+def _read_port(name: str) -> Optional[int]:
     """Return the port in a parameter: the default port for true, None for false."""
     value = rospy.get_param(name, False)
     if isinstance(value, bool):
@@ -239,7 +239,7 @@ def _port(name: str) -> Optional[int]:
     return value
 
 
-def _limit(name: str, number_type: Type[Number], default: Optional[Number]) -> Optional[Number]:
+def _read_limit(name: str, number_type: Type[Number], default: Optional[Number]) -> Optional[Number]:
     """Return a number of 0 or more; None for 0, which means no limit."""
     return (
         checked_number(
@@ -249,7 +249,7 @@ def _limit(name: str, number_type: Type[Number], default: Optional[Number]) -> O
     )
 
 
-def _number(name: str, number_type: Type[Number]) -> Optional[Number]:
+def _read_positive_number(name: str, number_type: Type[Number]) -> Optional[Number]:
     value = rospy.get_param(name, None)
     if value is None:
         return None

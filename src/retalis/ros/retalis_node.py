@@ -44,7 +44,7 @@ from .diagnostics import (
     Health,
     InputRole,
     NodeHealth,
-    program_health,
+    evaluate_program,
 )
 from .dynamic_subscriptions import DynamicSubscriptions, resolve_subscribable_topic
 from .generated_classes import installed_types
@@ -81,7 +81,7 @@ MAX_INTERFACE_WAIT_SECONDS = 5.0
 
 
 class CheckpointFile:
-    """The file of parameter ``~checkpoint``, which may be unset: restored at the start, then written periodically.
+    """File of parameter ``~checkpoint``, if it is set: restored at the start, then written periodically.
 
     A file that does not fit the program is renamed, and the node starts without state.
 
@@ -100,7 +100,7 @@ class CheckpointFile:
         self._is_usable = parameters.checkpoint is not None
         self._files: Optional[ProgramFiles] = None
 
-    def engine(self, clock: Callable[[], Clock], definitions: Definitions) -> Engine:
+    def create_engine(self, clock: Callable[[], Clock], definitions: Definitions) -> Engine:
         """Return the engine of the node: restored from the file, or a new one.
 
         Args:
@@ -148,7 +148,7 @@ class CheckpointFile:
             counted(len(engine.knowledge.pending_queries), "waiting query", "waiting queries"),
         )
 
-    def begin(self, engine: Engine) -> None:
+    def start_writing(self, engine: Engine) -> None:
         """Start to write the engine's state periodically, until the node ends."""
         path = self._parameters.checkpoint
         if path is None or not self._is_usable:
@@ -180,7 +180,7 @@ class RosClock(Clock):
         self.resumed = False
         self.engine: Optional[Engine] = None
         self._timer: Optional[rospy.Timer] = None
-        self._timer_for: Optional[int] = None
+        self._timer_instant: Optional[int] = None
 
     def _time_of_epoch(self, epochs: ClockEpochs) -> int:
         """Return the time of the engine's epoch; messages of an older epoch may still be queued."""
@@ -228,18 +228,18 @@ class RosClock(Clock):
             return
         instant = self.next_alarm()
         # `_wake` may reset both in another thread.
-        timer, timer_for = self._timer, self._timer_for
-        if instant is None or (timer_for is not None and timer_for <= instant):
+        timer, timer_instant = self._timer, self._timer_instant
+        if instant is None or (timer_instant is not None and timer_instant <= instant):
             return
         if timer is not None:
             timer.shutdown()
-        self._timer_for = instant
+        self._timer_instant = instant
         # At least 1 ms: rospy rejects negative durations, and the alarm may be due by now.
-        wait = max(1_000_000, instant - self.now())
-        self._timer = rospy.Timer(rospy.Duration.from_sec(wait / 1e9), self._wake, oneshot=True, reset=True)
+        delay = max(1_000_000, instant - self.now())
+        self._timer = rospy.Timer(rospy.Duration.from_sec(delay / 1e9), self._wake, oneshot=True, reset=True)
 
     def _wake(self, event: object) -> None:
-        self._timer = self._timer_for = None
+        self._timer = self._timer_instant = None
         if self.engine is not None:
             self.engine.advance()
 
@@ -256,7 +256,7 @@ class RetalisNode:
         self._time = SimulatedTime(self._reports)
         definitions = Definitions(installed_types(), parameters.max_empty_elements)
         checkpoint_file = CheckpointFile(parameters, self._reports)
-        self.engine = checkpoint_file.engine(lambda: RosClock(self._time.epochs), definitions)
+        self.engine = checkpoint_file.create_engine(lambda: RosClock(self._time.epochs), definitions)
         print_goal_output(self.engine.logic)
         # Now the engine can be woken, and its alarms get a timer.
         clock: Any = self.engine.clock
@@ -271,7 +271,7 @@ class RetalisNode:
         rospy.on_shutdown(self._reports.sum_up)
         if parameters.explain:
             record_origins(self.engine)
-        topics = self._topics()
+        topics = self._read_topics()
         direct = direct_topics(parameters.direct, topics, rospy.resolve_name)
         # Before the program is loaded: its goals may subscribe to topics, which are queued until the interface
         # exists.
@@ -282,7 +282,7 @@ class RetalisNode:
             self._load()
         epochs = self._time.epochs
         self._latched = LatchedMessageDeduplicator(int if epochs is None else lambda: epochs.epoch)
-        self._texts = self._output_texts(topics)
+        self._texts = self._make_output_publisher(topics)
         self._interface = RosInterface(
             self._handler_factory,
             parameters.queue,
@@ -305,7 +305,7 @@ class RetalisNode:
             ProjectionPublisher(self.engine)
         transforms = self.engine.knowledge.transforms
         transforms.require_if_mentioned(self.engine.rules.terms())
-        transforms.set_feed(self._begin_transforms)
+        transforms.set_feed(self._start_transform_feed)
         for topic, message_type in direct:
             self._subscribe(topic, message_type, topics.event_of(topic, rospy.resolve_name))
         subscriptions.start(self._interface if parameters.embedded else None)
@@ -313,32 +313,34 @@ class RetalisNode:
         EngineServices(
             self.engine,
             self._untyped_topics,
-            lambda pattern: self._missing_source(pattern, topics, direct),
-            lambda goal, topic: self._type_mismatch(goal, topic, types, definitions),
+            lambda pattern: self._explain_missing_source(pattern, topics, direct),
+            lambda goal, topic: self._explain_type_mismatch(goal, topic, types, definitions),
         )
         QueryServices(self.engine)
         RuleServices(self.engine)
         ReloadService(
-            self.engine, parameters.program, parameters.settings.write_folders, topics, self._reloaded
+            self.engine, parameters.program, parameters.settings.write_folders, topics, self._on_reload
         )
-        ListService(self._interface.inputs, self.engine.status)
+        ListService(self._interface.input_statuses, self.engine.status)
         text_lock = self._interface.subscribe_texts(INPUT, self.engine.post_text, epochs, self._latched)
         self._time.begin(
             [self._interface.processing_lock, text_lock],
             skew.begin_epoch,
-            lambda end: self._begin_epoch(clock),
+            lambda end: self._schedule_epoch(clock),
         )
         rospy.loginfo("%s: %s", parameters.program, self.engine.summary())
         StartupWarnings(
-            self._interface.inputs, self._named_topics(input_topics.merge_with(topics)), check_clock=True
+            self._interface.input_statuses,
+            self._named_topics(input_topics.merge_with(topics)),
+            check_clock=True,
         )
         self._diagnostics = Diagnostics(
             parameters.diagnostics,
             NodeHealth(
-                self._interface.inputs,
-                self._outputs,
-                self._engine_health(),
-                self._input_roles(topics, direct),
+                self._interface.input_statuses,
+                self._output_statuses,
+                self._make_engine_health(),
+                self._make_role_lookup(topics, direct),
             ),
             parameters.hardware_id,
         )
@@ -346,15 +348,15 @@ class RetalisNode:
             parameters.dashboard,
             parameters.dashboard_queries,
             self.engine,
-            self._interface.inputs,
+            self._interface.input_statuses,
             [*topics.subscribed, *direct],
             lambda: input_topics.merge_with(topics).events,
         )
-        checkpoint_file.begin(self.engine)
+        checkpoint_file.start_writing(self.engine)
         if checkpoint_file.resumed:
             threading.Thread(target=self._run_missed_alarms, daemon=True).start()
 
-    def _begin_transforms(self) -> None:
+    def _start_transform_feed(self) -> None:
         """Subscribe to the topics of transforms, because the program reads transforms.
 
         A goal may be the first that does, and must not wait for the master.
@@ -378,39 +380,39 @@ class RetalisNode:
             time.sleep(0.05)
         self.engine.advance()
 
-    def _begin_epoch(self, clock: RosClock) -> None:
+    def _schedule_epoch(self, clock: RosClock) -> None:
         """Enter a new clock epoch after the engine has processed its queue, which belongs to the former one."""
         if self._time.epochs is not None:
             self.engine.advance(partial(clock.begin_epoch, self._time.epochs.epoch))
 
-    def _engine_health(self) -> Callable[[], List[Health]]:
+    def _make_engine_health(self) -> Callable[[], List[Health]]:
         settings = self._parameters.settings
         engine_health = EngineHealth(
             settings.watchdog or DEFAULT_WATCHDOG_SECONDS, settings.limits.seconds or DEFAULT_LATE_SECONDS
         )
 
-        def health() -> List[Health]:
+        def evaluate() -> List[Health]:
             status = self.engine.status()
             status = status._replace(
                 errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
             )
             return [
-                *engine_health.of(time.monotonic(), status),
-                program_health(list(self._errors), list(self._program_warnings)),
+                *engine_health.evaluate(time.monotonic(), status),
+                evaluate_program(list(self._errors), list(self._program_warnings)),
             ]
 
-        return health
+        return evaluate
 
-    def _input_roles(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
+    def _make_role_lookup(self, topics: Topics, direct: Iterable[TopicType]) -> Callable[[str], InputRole]:
         """Return a function from a topic to its present role in the program, whose rules may change."""
         embedded, is_read = self._parameters.embedded, self.engine.dispatcher.has_listener_for_name
         resolve_name = rospy.resolve_name
-        named = set(map(resolve_name, self._named_topics(topics)))
-        # Topics that the node subscribes by default, with the names of their events.
+        named_topics = set(map(resolve_name, self._named_topics(topics)))
+        # Topics that the node subscribes to by default, with the names of their events.
         default_events = {
             resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(message_type)
             for topic, message_type in direct
-            if resolve_name(topic) not in named
+            if resolve_name(topic) not in named_topics
         }
         text_topic = resolve_name(INPUT)
         transforms = self.engine.knowledge.transforms
@@ -419,7 +421,7 @@ class RetalisNode:
             zip(map(resolve_name, TRANSFORM_TOPICS), (InputRole.NEEDED, InputRole.OPTIONAL))
         )
 
-        def role(topic: str) -> InputRole:
+        def get_role(topic: str) -> InputRole:
             if topic == text_topic:
                 return InputRole.OPTIONAL if embedded else InputRole.LINK
             if transforms.is_required and topic in transform_roles:
@@ -427,12 +429,12 @@ class RetalisNode:
             event = default_events.get(topic)
             return InputRole.NEEDED if event is None or is_read(event) else InputRole.UNREAD
 
-        return role
+        return get_role
 
-    def _outputs(self) -> List[OutputStatus]:
+    def _output_statuses(self) -> List[OutputStatus]:
         return [self._texts.status(), *self._interface.outputs.status()]
 
-    def _reloaded(self, topics: Topics) -> None:
+    def _on_reload(self, topics: Topics) -> None:
         self._errors.clear()
         self._program_warnings.clear()
         engine = self.engine
@@ -452,16 +454,16 @@ class RetalisNode:
     def _named_topics(self, topics: Topics) -> List[str]:
         """Return the topics of this node that its program or parameters name, without those subscribed by default."""
         direct = self._parameters.direct
-        named = [*(topics.subscribed if self._parameters.embedded else ())]
-        named += direct if isinstance(direct, tuple) else ()
-        return [topic for topic, _ in named]
+        topic_types = [*(topics.subscribed if self._parameters.embedded else ())]
+        topic_types += direct if isinstance(direct, tuple) else ()
+        return [topic for topic, _ in topic_types]
 
-    def _missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
+    def _explain_missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
         definitions = Definitions(installed_types(include_rosbags=False))
         return explain_missing_source(self.engine, pattern, definitions, topics, direct)
 
-    def _type_mismatch(
+    def _explain_type_mismatch(
         self, goal: CompoundTerm, topic: str, types: Mapping[str, str], definitions: Definitions
     ) -> str:
         """Return the reason why no output of a subscription fits its topic's type; "" if some may."""
@@ -486,7 +488,7 @@ class RetalisNode:
         except RetalisError as error:
             self._errors += log_error(error)
 
-    def _topics(self) -> Topics:
+    def _read_topics(self) -> Topics:
         try:
             return read_topics(self._parameters.program / TOPICS)
         except RetalisError as error:
@@ -520,7 +522,7 @@ class RetalisNode:
 
         return handle
 
-    def _output_texts(self, topics: Topics) -> OutputTextPublisher:
+    def _make_output_publisher(self, topics: Topics) -> OutputTextPublisher:
         """Return the publisher of output texts; with an embedded interface, no other node requires them."""
         if self._parameters.embedded:
             topics = Topics()

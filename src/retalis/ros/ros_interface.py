@@ -14,6 +14,7 @@ A message that cannot be converted is dropped, counted and reported; the connect
 import threading
 import time
 from collections import deque
+from functools import partial
 from typing import Any, Callable, ContextManager, Dict, Iterable, Iterator, List, Optional, Set, Tuple
 
 import rospy
@@ -52,7 +53,7 @@ HandlerFactory = Callable[[Decoder], MessageHandler]
 """Returns the handler of messages that a decoder reads."""
 
 MAX_CACHED_CONNECTIONS = 1000
-"""Limit for the connections of a topic whose handlers are cached."""
+"""Maximum number of connections of a topic whose handlers are cached."""
 
 BatchHandler = Callable[[List[bytes]], None]
 """Handler of messages that were read together."""
@@ -101,7 +102,7 @@ class RosInterface:
     ):
         self._clock_epochs = clock_epochs
         self._handler_factory = handler_factory
-        self._latched = None if latched is None else self._latched_handler_factory(latched)
+        self._latched = None if latched is None else self._wrap_latched_factory(latched)
         self._consume_results = consume_results
         self._max_delay = max_delay
         self._skew = skew
@@ -156,7 +157,7 @@ class RosInterface:
             )
 
     def publishers(self) -> Set[Publisher]:
-        """Return all connected publishers of the subscribed topics."""
+        """Return the topic and node of each connected publisher."""
         with self._lock:
             topics = list(self._inputs.items())
         return {(name, node) for name, topic in topics for node in topic.publishers()}
@@ -166,7 +167,7 @@ class RosInterface:
         self.outputs.advertise_learned()
         return self._handler_factory(decoder)
 
-    def _latched_handler_factory(self, latched_handler: LatchedHandlerFactory) -> LatchedHandlerFactory:
+    def _wrap_latched_factory(self, latched_handler: LatchedHandlerFactory) -> LatchedHandlerFactory:
         """Return the equivalent of `_create_handler` for latched connections."""
 
         def handler_factory(
@@ -235,7 +236,7 @@ class RosInterface:
         self._excluded = {rospy.resolve_name(topic) for topic, _ in topics}
 
     def learn(self, topic: str, message_type: str) -> None:
-        """Learn an unknown type from a publisher of a topic that node retalis subscribes; process no messages."""
+        """Learn an unknown type from a publisher of a topic that node retalis subscribes to; process no messages."""
         if self.outputs.knows(message_type):
             return
         is_learned = threading.Event()
@@ -262,7 +263,7 @@ class RosInterface:
 
         threading.Thread(target=close, daemon=True, name=f"learning {message_type}").start()
 
-    def inputs(self) -> List[InputStatus]:
+    def input_statuses(self) -> List[InputStatus]:
         """Return the counters of each subscribed topic."""
         topics = {**self._transform_topics, **self._inputs}
         return [topic.status() for topic in [*topics.values(), *self._text_topics]]
@@ -281,7 +282,7 @@ class RosInterface:
 
 
 class InputTopic:
-    """One subscribed topic.
+    """Subscribed topic.
 
     A type that is not installed is learned from the publisher's connection header. ``event`` is the name of the
     events; by default it is derived from the type. The other arguments are those of `RosInterface`.
@@ -369,12 +370,12 @@ class InputTopic:
             cached = self._add_connection(header)
         return cached[1]
 
-    def _batch_handler(
+    def _make_batch_handler(
         self, handler: MessageHandler, stamp: Callable[[bytes], Optional[int]], publisher: str
     ) -> BatchHandler:
         """Return the handler of messages that were read together, which queues those of a coming epoch."""
         processing_lock, counts, clock_epochs = self._processing_lock, self.counts, self._clock_epochs
-        handle_batch = self._reporting_handler(handler, publisher)
+        handle_batch = self._make_reporting_handler(handler, publisher)
 
         def handle_messages(messages: List[bytes]) -> None:
             counts.count(len(messages))
@@ -392,11 +393,11 @@ class InputTopic:
 
         return handle_messages
 
-    def _reporting_handler(self, handler: MessageHandler, publisher: str) -> BatchHandler:
+    def _make_reporting_handler(self, handler: MessageHandler, publisher: str) -> BatchHandler:
         """Return a handler that converts messages, passes on the results, and reports failures."""
         consume_results, counts = self._consume_results, self.counts
 
-        def results(messages: List[bytes]) -> Iterator[Any]:
+        def convert(messages: List[bytes]) -> Iterator[Any]:
             for position, data in enumerate(messages):
                 try:
                     result = handler(data)
@@ -411,17 +412,17 @@ class InputTopic:
                         return
                 except Exception as error:
                     # rospy would close the connection.
-                    self._drop(error)
+                    self._report_failure(error)
                 else:
                     if result is not None:
                         yield result
 
         def handle_batch(messages: List[bytes]) -> None:
-            consume_results(results(messages))
+            consume_results(convert(messages))
 
         return handle_batch
 
-    def _drop(self, error: Exception) -> None:
+    def _report_failure(self, error: Exception) -> None:
         """Count and report a message that cannot be converted."""
         self.counts.dropped += 1
         if isinstance(error, MessageError):
@@ -440,8 +441,8 @@ class InputTopic:
             stamp = decoder.stamp
             if self._skew is not None:
                 decoder = self._skew.watch(decoder, self._name, header.get("callerid", ""))
-            handler = self._batch_handler(
-                self._message_handler(header, decoder), stamp, header.get("callerid", "")
+            handler = self._make_batch_handler(
+                self._make_message_handler(header, decoder), stamp, header.get("callerid", "")
             )
         # Without a handler, rospy would close the connection and connect again at once, forever. A publisher of the
         # wrong type is therefore connected to a handler that drops its messages.
@@ -450,20 +451,22 @@ class InputTopic:
                 self._reports.error(error)
             reason = getattr(error, "message", "internal error")
             publisher = header.get("callerid", "somebody")
-            handler = self._dropping_handler(
+            handler = self._make_dropping_handler(
                 f"topic {self._name}: {reason}: a message of {publisher} is dropped"
             )
         size = sum(map(len, header.values()))
         return self._cached_handlers.store(id(header), (header, handler), 2 * size)
 
-    def _message_handler(self, header: Dict[str, str], decoder: Decoder) -> MessageHandler:
+    def _make_message_handler(self, header: Dict[str, str], decoder: Decoder) -> MessageHandler:
         """Return the handler of a connection's messages, latched or not."""
         if self._latched is not None and header.get("latching") == "1":
             publisher = (self._name, header.get("callerid", ""))
-            return self._latched(decoder, publisher, LatchedConnection(*publisher, self._address(header)))
+            return self._latched(
+                decoder, publisher, LatchedConnection(*publisher, self._find_publisher_address(header))
+            )
         return self._handler_factory(decoder)
 
-    def _address(self, header: Dict[str, str]) -> str:
+    def _find_publisher_address(self, header: Dict[str, str]) -> str:
         """Return the XML-RPC address of a connection's publisher; "" if unknown."""
         topic = getattr(self._subscriber, "impl", None)
         connections = getattr(topic, "connections", None) or ()
@@ -471,16 +474,16 @@ class InputTopic:
             (str(connection.endpoint_id) for connection in connections if connection.header is header), ""
         )
 
-    def _dropping_handler(self, reason: str) -> BatchHandler:
+    def _make_dropping_handler(self, reason: str) -> BatchHandler:
         """Return a handler that drops, counts and reports messages."""
 
-        def refuse(messages: List[bytes]) -> None:
+        def reject(messages: List[bytes]) -> None:
             self.counts.count(len(messages))
             self.counts.refused += len(messages)
             for _ in messages:
                 self._reports.warning(reason)
 
-        return refuse
+        return reject
 
     def _decoder_for(self, header: Dict[str, str]) -> Decoder:
         """Return the decoder for a publisher's messages.
@@ -512,7 +515,7 @@ OUTPUT_EVENT = functor("event", 3)
 
 
 def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[TopicType] = ()) -> None:
-    """Subscribe and advertise the topics of ``pub_sub.xml``, except those that node retalis subscribes to itself."""
+    """Subscribe to and advertise the topics of ``pub_sub.xml``, except those that node retalis has subscribed to."""
     direct_topics = tuple(direct_topics)
     direct_names = {rospy.resolve_name(topic) for topic, _ in direct_topics}
     may_be_learned = any(
@@ -520,13 +523,15 @@ def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[Top
     )
     for topic, message_type in topics.published:
         latched = topic in topics.latched
-        _try(lambda: interface.outputs.advertise(topic, message_type, latched), topic, may_be_learned)  # noqa: B023
+        advertise = partial(interface.outputs.advertise, topic, message_type, latched)
+        _apply_configuration(advertise, topic, may_be_learned)
     for topic, message_type in topics.subscribed:
         if rospy.resolve_name(topic) not in direct_names:
-            _try(lambda: interface.subscribe(topic, message_type, topics.event_of(topic)), topic)  # noqa: B023
+            subscribe = partial(interface.subscribe, topic, message_type, topics.event_of(topic))
+            _apply_configuration(subscribe, topic)
 
 
-def _try(work: Callable[[], None], topic: str, may_be_learned: bool = False) -> None:
+def _apply_configuration(work: Callable[[], None], topic: str, may_be_learned: bool = False) -> None:
     """Apply a line of ``pub_sub.xml``; log a failure, as information if a publisher may still define the type."""
     try:
         work()

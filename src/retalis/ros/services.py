@@ -52,7 +52,7 @@ MAX_REQUEST_CHARACTERS = 100_000
 _SUBSCRIBE = functor("subscribe", 5)
 
 
-def quoted_text(text: str) -> str:
+def quote_text(text: str) -> str:
     """Return the field of a request in the form in which responses quote it."""
     return printable(beginning(text.strip()))
 
@@ -67,7 +67,7 @@ def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) 
     """
 
     def handle(request: Any) -> Any:
-        size = sum(len(value) for value in _texts(request))
+        size = sum(len(value) for value in _iterate_texts(request))
         if size > MAX_REQUEST_CHARACTERS:
             limit = MAX_REQUEST_CHARACTERS
             return {"result": f"error: the request has {size} characters: expected at most {limit}"}
@@ -76,7 +76,7 @@ def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) 
     rospy.Service(name, service_class, handle)
 
 
-def _texts(request: Any) -> Iterator[str]:
+def _iterate_texts(request: Any) -> Iterator[str]:
     for field in request.__slots__:
         value = getattr(request, field)
         if isinstance(value, str):
@@ -85,16 +85,16 @@ def _texts(request: Any) -> Iterator[str]:
             yield from value
 
 
-def result_of(execute: Callable[[], None]) -> str:
+def execute_request(execute: Callable[[], None]) -> str:
     """Execute a request; return ``ok``, or ``error: `` and the reason in one line with the position in the text."""
     try:
         execute()
     except RetalisError as error:
-        return error_result(error)
+        return format_error(error)
     return OK
 
 
-def error_result(error: RetalisError) -> str:
+def format_error(error: RetalisError) -> str:
     """Return the result of a request that failed with an error."""
     return "error: " + " ".join(
         beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines()
@@ -151,9 +151,9 @@ class EngineServices:
             topic, key = name_term(request.topic, "topic"), name_term(request.id, "id")
             if self._engine.has_subscription(topic, key):
                 raise UsageError(
-                    f"a subscription {quoted_text(request.id)} of topic {quoted_text(request.topic)} already exists"
+                    f"a subscription {quote_text(request.id)} of topic {quote_text(request.topic)} already exists"
                 )
-            fields = self._fields(request)
+            fields = self._parse_request(request)
             goal = (_SUBSCRIBE, fields.event, make_list(fields.conditions), fields.template, topic, key)
             # Checked before the subscription is added: a response with an error must leave the engine unchanged.
             type_mismatch = self._type_mismatch(goal, request.topic.strip())
@@ -165,38 +165,38 @@ class EngineServices:
             self._log_missing_source("subscribe", request.id, matched_fields)
             self._untyped_topics.check(request.topic.strip())
 
-        return result_of(lambda: run_restricted(self._engine, execute))
+        return execute_request(lambda: run_restricted(self._engine, execute))
 
     def _add_memory(self, request: Any) -> str:
         def execute() -> None:
-            key, size = name_term(request.id, "id"), self._size(request.size)
+            key, size = name_term(request.id, "id"), self._parse_size(request.size)
             if self._engine.has_memory(key):
-                raise UsageError(f"a memory {quoted_text(request.id)} already exists")
-            fields = self._fields(request)
+                raise UsageError(f"a memory {quote_text(request.id)} already exists")
+            fields = self._parse_request(request)
             self._engine.add_memory(fields.event, fields.conditions, fields.template, key, size)
             self._log_unbound("memorize", request.id, fields)
             self._log_missing_source("memorize", request.id, fields)
 
-        return result_of(lambda: run_restricted(self._engine, execute))
+        return execute_request(lambda: run_restricted(self._engine, execute))
 
     def _delete_subscription(self, request: Any) -> str:
         def execute() -> None:
             topic, key = name_term(request.topic, "topic"), name_term(request.id, "id")
             if not self._engine.delete_subscription(topic, key):
                 raise UsageError(
-                    f"there is no subscription {quoted_text(request.id)} of topic {quoted_text(request.topic)}"
+                    f"there is no subscription {quote_text(request.id)} of topic {quote_text(request.topic)}"
                 )
 
-        return result_of(execute)
+        return execute_request(execute)
 
     def _delete_memory(self, request: Any) -> str:
         def execute() -> None:
             if not self._engine.delete_memory(name_term(request.id, "id")):
-                raise UsageError(f"there is no memory {quoted_text(request.id)}")
+                raise UsageError(f"there is no memory {quote_text(request.id)}")
 
-        return result_of(execute)
+        return execute_request(execute)
 
-    def _fields(self, request: Any) -> _Fields:
+    def _parse_request(self, request: Any) -> _Fields:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
         (event, conditions, template), names = self._parse_fields({**fields, "format": request.format})
         goals = [] if conditions is TRUE else list(conjuncts(conditions))
@@ -214,7 +214,7 @@ class EngineServices:
             rospy.logwarn(
                 "%s %s: nothing in event or conditions gives %s in the format a value",
                 goal,
-                quoted_text(text),
+                quote_text(text),
                 " and ".join(fields.unbound_names),
             )
 
@@ -222,7 +222,7 @@ class EngineServices:
         """Log that the pattern's events have no source."""
         missing_source = self._missing_source(fields.event)
         if missing_source:
-            rospy.logwarn("%s %s: %s", goal, quoted_text(text), printable(missing_source))
+            rospy.logwarn("%s %s: %s", goal, quote_text(text), printable(missing_source))
 
     def _check(self, field: str, expected: str, term: Term, types: Tuple[type, ...]) -> None:
         if not isinstance(deref(term), types):
@@ -248,7 +248,7 @@ class EngineServices:
             terms.append(parsed.term)
         return terms, shared
 
-    def _size(self, text: str) -> int:
+    def _parse_size(self, text: str) -> int:
         try:
             size = int(text)
         except ValueError:
@@ -279,21 +279,21 @@ class InterfaceServices:
             # An unknown type is not an error: a publisher's connection header contains its definition.
             if suggestion and not _is_published(topic, message_type):
                 raise UsageError(
-                    f"message_type: there is no type '{quoted_text(message_type)}' here; did you mean {suggestion}? "
+                    f"message_type: there is no type '{quote_text(message_type)}' here; did you mean {suggestion}? "
                     "If a publisher is to bring the type, start the publisher first"
                 )
             self._interface.subscribe(topic, message_type)
             if not is_known:
                 rospy.logwarn(
                     "topic %s is subscribed as %s, which is not known here: it is learned from a publisher",
-                    quoted_text(topic),
+                    quote_text(topic),
                     message_type,
                 )
 
-        return result_of(execute)
+        return execute_request(execute)
 
     def _delete(self, request: Any) -> str:
-        return result_of(lambda: self._interface.unsubscribe(request.topic.strip()))
+        return execute_request(lambda: self._interface.unsubscribe(request.topic.strip()))
 
 
 def _is_published(topic: str, message_type: str) -> bool:
@@ -340,10 +340,10 @@ class RuleServices:
                 f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", ""
             )  # with the source lines and the carets below them
         except RetalisError as error:
-            return self._response(error_result(error), "")
+            return self._response(format_error(error), "")
 
     def _delete(self, request: Any) -> str:
-        return result_of(lambda: delete_rule(self._engine, request.label))
+        return execute_request(lambda: delete_rule(self._engine, request.label))
 
 
 DEFAULT_LISTED_ITEMS = 100
@@ -353,7 +353,7 @@ MAX_LISTED_ITEMS = 10_000
 """Limit for the items that ``~list`` returns of each kind."""
 
 NO_DURATION = -1
-"""Duration in nanoseconds that stands for an absent value."""
+"""Duration in nanoseconds that represents an absent value."""
 
 _TIME_LIMIT_SECONDS = 1 << 32
 """First second that a time in a ROS message cannot represent."""
@@ -378,8 +378,8 @@ class ListService:
     ):
         from .. import msg, srv  # noqa: PLC0415 - generated when the package is built
 
-        self._inputs = inputs
-        self._status = status
+        self._get_inputs = inputs
+        self._get_status = status
         self._reports = reports
         self._msg = msg
         self._response = srv.ListResponse
@@ -389,66 +389,68 @@ class ListService:
         # Each kind is cut separately, and the response has the number of omitted items.
         limit = min(request.most or DEFAULT_LISTED_ITEMS, MAX_LISTED_ITEMS)
         response = self._response(result=OK)
-        inputs = self._inputs()
-        response.inputs = [self._input(status) for status in inputs[:limit]]
+        inputs = self._get_inputs()
+        response.inputs = [self._to_input_message(status) for status in inputs[:limit]]
         response.more_inputs = max(0, len(inputs) - limit)
-        if self._status is None:
+        if self._get_status is None:
             response.now = rospy.get_rostime()
             if self._reports is not None:
                 response.errors, response.warnings = self._reports.errors, self._reports.warnings
         else:
-            self._fill(response, self._status(limit))
+            self._fill_engine_status(response, self._get_status(limit))
         # `Reports` counts the problems of events, and `log_counts` all other records of the log; see `ros_log`.
         response.errors += log_counts.errors
         response.warnings += log_counts.warnings
         return response
 
-    def _fill(self, response: Any, status: Status) -> None:
-        response.now = _time(status.now)
+    def _fill_engine_status(self, response: Any, status: Status) -> None:
+        response.now = _to_ros_time(status.now)
         if status.work is not None:
             response.work, response.work_goal = status.work.what, status.work.goal
             response.work_place = status.work.place
-            response.work_time = _duration(int(status.work.seconds * SECOND))
+            response.work_time = _to_ros_duration(int(status.work.seconds * SECOND))
         for field in ("taken", "fired", "queued", "dropped", "errors", "warnings", "alarms"):
             setattr(response, field, getattr(status, field))
-        response.rules = [self._rule(status) for status in status.rules]
-        response.memories = [self._memory(status) for status in status.memories]
-        response.subscriptions = [self._subscription(status) for status in status.subscriptions]
-        response.waiting = [self._query(status) for status in status.waiting]
+        response.rules = [self._to_rule_message(status) for status in status.rules]
+        response.memories = [self._to_memory_message(status) for status in status.memories]
+        response.subscriptions = [self._to_subscription_message(status) for status in status.subscriptions]
+        response.waiting = [self._to_query_message(status) for status in status.waiting]
         for field, count in status.left_out._asdict().items():
             setattr(response, f"more_{field}", count)
 
-    def _rule(self, rule: RuleStatus) -> Any:
-        return self._msg.RuleStatus(**rule._replace(last_fired=_time(rule.last_fired))._asdict())
+    def _to_rule_message(self, rule: RuleStatus) -> Any:
+        return self._msg.RuleStatus(**rule._replace(last_fired=_to_ros_time(rule.last_fired))._asdict())
 
-    def _memory(self, memory: MemoryStatus) -> Any:
+    def _to_memory_message(self, memory: MemoryStatus) -> Any:
         return self._msg.MemoryStatus(
-            **memory._replace(oldest=_time(memory.oldest), newest=_time(memory.newest))._asdict()
+            **memory._replace(
+                oldest=_to_ros_time(memory.oldest), newest=_to_ros_time(memory.newest)
+            )._asdict()
         )
 
-    def _subscription(self, subscription: SubscriptionStatus) -> Any:
+    def _to_subscription_message(self, subscription: SubscriptionStatus) -> Any:
         return self._msg.SubscriptionStatus(**subscription._asdict())
 
-    def _query(self, query: WaitingStatus) -> Any:
+    def _to_query_message(self, query: WaitingStatus) -> Any:
         memories = [
-            self._msg.AwaitedMemory(memory.id, _time(memory.instant), _duration(memory.behind))
+            self._msg.AwaitedMemory(memory.id, _to_ros_time(memory.instant), _to_ros_duration(memory.behind))
             for memory in query.memories
         ]
-        return self._msg.WaitingStatus(query.event, _time(query.since), memories, query.left_out)
+        return self._msg.WaitingStatus(query.event, _to_ros_time(query.since), memories, query.left_out)
 
-    def _input(self, status: InputStatus) -> Any:
+    def _to_input_message(self, status: InputStatus) -> Any:
         age = None if status.age is None else int(status.age * SECOND)
         return self._msg.InputStatus(
-            **status._replace(age=_duration(age), lag=_duration(status.lag or 0))._asdict()
+            **status._replace(age=_to_ros_duration(age), lag=_to_ros_duration(status.lag or 0))._asdict()
         )
 
 
-def _time(instant: Optional[int]) -> Any:
+def _to_ros_time(instant: Optional[int]) -> Any:
     """Return an instant as ROS time: zero for None, and the nearest representable one if it is out of range."""
     return rospy.Time(0, min(max(instant or 0, 0), _TIME_LIMIT_SECONDS * SECOND - 1))
 
 
-def _duration(nanoseconds: Optional[int]) -> Any:
+def _to_ros_duration(nanoseconds: Optional[int]) -> Any:
     """Return a time span as ROS duration: -1 ns for None, and the nearest representable one if it is out of range."""
     span = NO_DURATION if nanoseconds is None else nanoseconds
     return rospy.Duration(
@@ -495,7 +497,7 @@ class QueryServices:
 
         self._engine = engine
         self._msg, self._srv = msg, srv
-        self._waiting = BoundedSemaphore(MAX_WAITING_QUERIES)
+        self._waiting_slots = BoundedSemaphore(MAX_WAITING_QUERIES)
         offer_service("~query", srv.Query, self._query)
         offer_service("~explain", srv.Explain, self._explain)
 
@@ -503,32 +505,32 @@ class QueryServices:
         response = self._srv.QueryResponse
         try:
             seconds = checked_number("seconds", request.seconds, float)
-            # Zero stands for an absent value in a ROS message. The output limit is the engine's.
+            # Zero represents an absent value in a ROS message. The output limit is the engine's.
             limits = Limits(seconds or None, request.inferences or None, output_megabytes=None)
             solution_limit = min(request.max_solutions or DEFAULT_MAX_SOLUTIONS, MAX_SOLUTIONS)
             if request.wait_for:
-                self._await(request)
+                self._wait_for_memories(request)
             answers = ask(self._engine, request.goal, solution_limit, limits)
         except SyntaxFault as fault:
             return response(f"error: goal: {fault.brief()}", False, [])
         except RetalisError as error:
-            return response(error_result(error), False, [])
+            return response(format_error(error), False, [])
         solutions = [
             self._msg.Solution([self._msg.Binding(*binding) for binding in solution])
             for solution in answers.solutions
         ]
         return response(OK, answers.complete, solutions)
 
-    def _await(self, request: Any) -> None:
+    def _wait_for_memories(self, request: Any) -> None:
         names = [name_term(text, "wait_for") for text in request.wait_for]
         seconds = checked_number("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
         # A query beyond the limit fails at once instead of waiting: a blocked thread is what the limit avoids.
-        if not self._waiting.acquire(blocking=False):
+        if not self._waiting_slots.acquire(blocking=False):
             raise UsageError(f"{MAX_WAITING_QUERIES} queries wait already")
         try:
             wait_for_memories(self._engine, names, request.stamp.to_nsec(), seconds)
         finally:
-            self._waiting.release()
+            self._waiting_slots.release()
 
     def _explain(self, request: Any) -> Any:
         response = self._srv.ExplainResponse
@@ -537,7 +539,7 @@ class QueryServices:
         try:
             explanation = explain(self._engine, request.event, MAX_EXPLANATION_SECONDS)
         except RetalisError as error:
-            return response(error_result(error), False, [])
+            return response(format_error(error), False, [])
         lines: List[str] = []
         for tree in explanation.lines:
             lines += tree.indented()
@@ -585,7 +587,7 @@ class ReloadService:
     def _reload(self, request: Any) -> Any:
         try:
             check_not_writable(self._folder, self._writable)
-            topics = current_topics(self._folder)
+            topics = read_current_topics(self._folder)
             # The engine replaces the program completely, or not at all if there are errors.
             changes = self._engine.reload(self._folder)
         except RetalisError as error:
@@ -619,7 +621,7 @@ def check_not_writable(folder: Path, writable: Optional[Tuple[str, ...]]) -> Non
             )
 
 
-def current_topics(folder: Path) -> Topics:
+def read_current_topics(folder: Path) -> Topics:
     """Return the topics of a program; none if its file of topics does not exist, as when the node starts.
 
     Raises:
