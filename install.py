@@ -162,7 +162,7 @@ def default_workspace(source: Path, environ: Mapping[str, str]) -> Path:
     """
     cache = Path(environ.get("XDG_CACHE_HOME") or Path(environ.get("HOME", "/tmp")) / ".cache")
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", source.name)
-    return cache / "retalis" / f"{name}-{digest(str(source))[:8]}"
+    return cache / "retalis" / f"{name}-{short_digest(str(source))[:8]}"
 
 
 def parse_os_release(text: str) -> Dict[str, str]:
@@ -188,25 +188,25 @@ def choose_platform(release: Dict[str, str]) -> Platform:
     return PLATFORMS[key]
 
 
-def installed_packages(names: Iterable[str]) -> str:
+def query_installed_packages(names: Iterable[str]) -> str:
     """Return dpkg-query's lines of package and status for packages."""
     query = ["dpkg-query", "-W", "-f=${Package} ${Status}\\n", *names]
     return subprocess.run(query, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
 
 
-def missing_packages(wanted: Iterable[str], report: str) -> List[str]:
+def find_missing_packages(required: Iterable[str], report: str) -> List[str]:
     """Return the packages that are not installed, given dpkg-query's lines of package and status."""
     installed = {line.split()[0] for line in report.splitlines() if line.endswith("install ok installed")}
-    return [name for name in wanted if name not in installed]
+    return [name for name in required if name not in installed]
 
 
-def dpkg_was_interrupted() -> bool:
+def is_dpkg_interrupted() -> bool:
     """Return whether an installation was interrupted: apt installs nothing until dpkg has configured the packages."""
     audit = subprocess.run(["dpkg", "--audit"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     return bool(audit.stdout.strip()) or any(Path("/var/lib/dpkg/updates").glob("[0-9]*"))
 
 
-def localhost_is_known() -> bool:
+def is_localhost_known() -> bool:
     """Return whether the name localhost has an address."""
     try:
         return bool(socket.gethostbyname("localhost"))
@@ -214,18 +214,18 @@ def localhost_is_known() -> bool:
         return False
 
 
-def as_root(command: Sequence[str], uid: int) -> List[str]:
+def prefix_sudo(command: Sequence[str], uid: int) -> List[str]:
     """Return a command with sudo before it, unless the user is root."""
     return list(command) if uid == 0 else ["sudo", *command]
 
 
-def digest(*parts: str) -> str:
+def short_digest(*parts: str) -> str:
     """Return a short digest of several texts."""
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
 class Installation:
-    """Installation steps; each does only what is missing."""
+    """Installation steps; each step installs only what is missing."""
 
     def __init__(self, platform: Platform, workspace: Path, shell: Shell, system: bool = True) -> None:
         self.platform = platform
@@ -237,7 +237,9 @@ class Installation:
 
     def install_system_packages(self) -> None:
         """Print and install the missing system packages."""
-        missing = missing_packages(self.platform.packages, installed_packages(self.platform.packages))
+        missing = find_missing_packages(
+            self.platform.packages, query_installed_packages(self.platform.packages)
+        )
         if INSTALLED_PYTHON_VARIABLE in os.environ:
             self._record_packages([os.environ.pop(INSTALLED_PYTHON_VARIABLE)])
         if not missing:
@@ -248,8 +250,8 @@ class Installation:
         uid = os.getuid()
         if uid and not self.shell.dry and self.shell.run_visible(["sudo", "-v"]):
             raise Problem("installing system packages needs root or sudo")
-        noninteractive = as_root(["env", "DEBIAN_FRONTEND=noninteractive"], uid)
-        if dpkg_was_interrupted():
+        noninteractive = prefix_sudo(["env", "DEBIAN_FRONTEND=noninteractive"], uid)
+        if is_dpkg_interrupted():
             finish = [*noninteractive, "dpkg", "--configure", "-a"]
             self.shell.run_logged("Finishing an installation that was interrupted", "dpkg", finish)
         apt = [*noninteractive, "apt-get"]
@@ -272,8 +274,8 @@ class Installation:
         try:
             self.shell.run_logged(title, name, command)
         except Problem as problem:
-            log, lists = (self.shell.logs / f"{each}.log" for each in (name, "apt-update"))
-            texts = [each.read_text(errors="replace") if each.exists() else "" for each in (log, lists)]
+            log, list_log = (self.shell.logs / f"{step}.log" for step in (name, "apt-update"))
+            texts = [path.read_text(errors="replace") if path.exists() else "" for path in (log, list_log)]
             reason = network_problem(*texts)
             if reason is None:
                 raise
@@ -323,33 +325,33 @@ class Installation:
         source = self.shell.logs / Path(target).name
         source.write_bytes(text)
         self.shell.run_logged(
-            target, "apt-source", as_root(["install", "-m", "644", str(source), target], uid)
+            target, "apt-source", prefix_sudo(["install", "-m", "644", str(source), target], uid)
         )
 
     def add_localhost(self) -> None:
         """Add localhost to /etc/hosts, which a minimal system lacks; ROS nodes call each other by this name."""
-        if localhost_is_known():
+        if is_localhost_known():
             return
         if not self.system:
             raise Problem(f"the name localhost is unknown: add the line '{LOCAL_HOST}' to {HOSTS}")
         print(f"The name localhost is unknown: the line '{LOCAL_HOST}' will be added to {HOSTS}", flush=True)
         add = ["sh", "-c", 'echo "$0" >> "$1"', LOCAL_HOST, HOSTS]
-        self.shell.run_logged(HOSTS, "hosts", as_root(add, os.getuid()))
+        self.shell.run_logged(HOSTS, "hosts", prefix_sudo(add, os.getuid()))
         self._record_packages([HOSTS])
 
     def install_python_packages(self, requirements: Sequence[str]) -> None:
         """Install the Python packages that the distribution lacks into a virtual environment of the workspace."""
         texts = [(HERE / name).read_text() for name in requirements]
-        stamp = self.venv / ("done-" + digest(self.platform.name, str(self.venv), *texts))
+        stamp = self.venv / ("done-" + short_digest(self.platform.name, str(self.venv), *texts))
         if stamp.exists():
             return
         print(f"Python packages that the distribution lacks will be installed into {self.venv}", flush=True)
-        make = [SYSTEM_PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
-        self.shell.run_logged("Creating a virtual environment", "venv", make)
+        create_venv = [SYSTEM_PYTHON, "-m", "venv", "--system-site-packages", str(self.venv)]
+        self.shell.run_logged("Creating a virtual environment", "venv", create_venv)
         pip = [str(self.venv / "bin" / "python3"), "-m", "pip", "--disable-pip-version-check"]
-        files = [part for name in requirements for part in ("-r", str(HERE / name))]
+        files = [argument for name in requirements for argument in ("-r", str(HERE / name))]
         self.shell.run_logged("Installing Python packages", "pip", [*pip, "install", *files])
-        # catkin needs the distribution's setuptools, which lays packages out as the distribution does
+        # catkin needs the distribution's setuptools, which uses the folder layout of the distribution.
         remove = [*pip, "uninstall", "-y", "setuptools"]
         self.shell.run_logged("Leaving setuptools to the distribution", "pip-setuptools", remove)
         if not self.shell.dry:
@@ -359,24 +361,27 @@ class Installation:
         """Build the workspace, and its install space on request."""
         if not self.package.exists() and not self.shell.dry:
             self.package.parent.mkdir(parents=True, exist_ok=True)
-            if self.package.is_symlink():  # the copy it led to is gone
+            if self.package.is_symlink():  # the target of the link was removed
                 self.package.unlink()
             self.package.symlink_to(HERE)
         if self.package.exists() and self.package.resolve() != HERE:
             raise Problem(f"{self.package} is another copy of retalis; choose another --workspace")
-        packages = f"-Dretalis_PYTHON_PACKAGES={self.site_packages()}"
-        make = [
+        packages = f"-Dretalis_PYTHON_PACKAGES={self.find_site_packages()}"
+        catkin_make = [
             "catkin_make",
             "-DPYTHON_EXECUTABLE=" + SYSTEM_PYTHON,
             packages,
             *(["install"] if install else []),
         ]
-        before = [source_line(self.platform.setup)] if self.platform.setup else []
+        setup_lines = [format_source_line(self.platform.setup)] if self.platform.setup else []
         self.shell.run_logged(
-            "Building", "catkin_make", bash_command([*before, 'exec "$@"'], make), cwd=self.workspace
+            "Building",
+            "catkin_make",
+            make_bash_command([*setup_lines, 'exec "$@"'], catkin_make),
+            cwd=self.workspace,
         )
 
-    def site_packages(self) -> Path:
+    def find_site_packages(self) -> Path:
         """Return the package folder of the virtual environment."""
         version = subprocess.run(
             [SYSTEM_PYTHON, "-c", "import sys; print('python%d.%d' % sys.version_info[:2])"],
@@ -388,10 +393,12 @@ class Installation:
     def run(self, command: Sequence[str], cwd: Optional[Path] = HERE) -> int:
         """Run a command in the built workspace with its output on the terminal; return its exit status."""
         script = str(self.workspace / "devel" / "setup.bash")
-        return self.shell.run_visible(bash_command([source_line(script), 'exec "$@"'], command), cwd)
+        return self.shell.run_visible(
+            make_bash_command([format_source_line(script), 'exec "$@"'], command), cwd
+        )
 
 
-def source_line(script: str) -> str:
+def format_source_line(script: str) -> str:
     """Return a line of bash that sources a script.
 
     A sourced script sees the arguments of the shell, and catkin's acts on options such as ``--help``; inside a
@@ -400,7 +407,7 @@ def source_line(script: str) -> str:
     return "sourced() { source " + shlex.quote(script) + "; } && sourced"
 
 
-def bash_command(lines: Sequence[str], command: Sequence[str]) -> List[str]:
+def make_bash_command(lines: Sequence[str], command: Sequence[str]) -> List[str]:
     """Return a command that runs a shell script with another command as its arguments."""
     return ["bash", "-c", " && ".join(lines), "bash", *command]
 
@@ -438,11 +445,11 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     commands.add_parser("docs", help="build the documentation site, which needs no ROS, and say where it is")
     commands.add_parser("uninstall", help="remove what was built; say what is left")
     options, remaining = parser.parse_known_args(argv)
-    later_options, options.rest = create_option_parser().parse_known_args(remaining)
+    later_options, options.passed_arguments = create_option_parser().parse_known_args(remaining)
     for name, value in vars(later_options).items():
         setattr(options, name, value or getattr(options, name))
-    if options.rest and options.command not in ("demo", "test"):
-        parser.error("unknown argument: " + options.rest[0])
+    if options.passed_arguments and options.command not in ("demo", "test"):
+        parser.error("unknown argument: " + options.passed_arguments[0])
     options.command = options.command or "build"
     options.workspace = (options.workspace or default_workspace(HERE, os.environ)).expanduser().resolve()
     if options.workspace == HERE or HERE in options.workspace.parents:
@@ -456,7 +463,7 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-def lint(installation: Installation) -> int:
+def run_lint(installation: Installation) -> int:
     """Run the checks that need no master; return the number of failures."""
     python = str(installation.venv / "bin" / "python3")
     checks = [
@@ -469,25 +476,25 @@ def lint(installation: Installation) -> int:
     for check in checks:
         print("$ " + " ".join(["python3", *check[1:]]), flush=True)
         failed_checks += bool(installation.run(check))
-    problems = dependency_problems((HERE / "package.xml").read_text())
+    problems = find_dependency_problems((HERE / "package.xml").read_text())
     if installation.platform is DEBIAN_12:
         packages = [name for name in DEPENDENCIES.values() if name != "pip"]
-        missing = missing_packages(packages, installed_packages(packages))
+        missing = find_missing_packages(packages, query_installed_packages(packages))
         problems += [f"DEPENDENCIES in install.py: '{name}' is not installed" for name in missing]
     for problem in problems:
         print(problem)
     return failed_checks + bool(problems)
 
 
-def dependency_problems(manifest: str) -> List[str]:
+def find_dependency_problems(manifest: str) -> List[str]:
     """Return an error message for each wrong dependency in a package.xml."""
     tags = ("depend", "build_depend", "build_export_depend", "buildtool_depend", "buildtool_export_depend")
     tags += ("exec_depend", "run_depend", "test_depend", "doc_depend")
     root = ElementTree.fromstring(manifest)
-    named = [(tag, (element.text or "").strip()) for tag in tags for element in root.iter(tag)]
+    dependencies = [(tag, (element.text or "").strip()) for tag in tags for element in root.iter(tag)]
     return [
         f"package.xml: unknown {tag} '{name}': expected a key of rosdep that DEPENDENCIES in install.py lists"
-        for tag, name in named
+        for tag, name in dependencies
         if name not in DEPENDENCIES
     ]
 
@@ -539,11 +546,11 @@ def create_docs_venv(workspace: Path, shell: Shell) -> str:
     venv = workspace / DOCS_VENV_PATTERN.replace("*", "{}.{}".format(*sys.version_info))
     python = str(venv / "bin" / "python3")
     texts = [(HERE / name).read_text() for name in DOCS_REQUIREMENTS]
-    stamp = venv / ("done-" + digest(sys.version, str(venv), *texts))
+    stamp = venv / ("done-" + short_digest(sys.version, str(venv), *texts))
     if not stamp.exists():
-        make = [sys.executable, "-m", "venv", "--clear", str(venv)]
-        shell.run_logged("Creating a virtual environment", "docs-venv", make)
-        files = [part for name in DOCS_REQUIREMENTS for part in ("-r", str(HERE / name))]
+        create_venv = [sys.executable, "-m", "venv", "--clear", str(venv)]
+        shell.run_logged("Creating a virtual environment", "docs-venv", create_venv)
+        files = [argument for name in DOCS_REQUIREMENTS for argument in ("-r", str(HERE / name))]
         install = [python, "-m", "pip", "--disable-pip-version-check", "install", *files]
         shell.run_logged("Installing Sphinx", "docs-pip", install)
         if not shell.dry:
@@ -571,7 +578,7 @@ _ONE_PROCESS = {
 }
 
 
-def parallel_options(options: Sequence[str]) -> Sequence[str]:
+def choose_parallel_options(options: Sequence[str]) -> Sequence[str]:
     """Return the pytest options that distribute tests over processes.
 
     They are empty if the user's options determine the distribution, require a single process, or name single files,
@@ -607,7 +614,7 @@ def uninstall(workspace: Path, dry: bool) -> None:
         raise Problem(f"{link} does not lead to this copy of retalis: {workspace} was not built from it")
     other_packages = sorted({path.name for path in link.parent.glob("*")} - {"retalis", "CMakeLists.txt"})
     logs = [path for path in (workspace / "log").glob("*") if path.is_file()]
-    record = recorded_packages(workspace)
+    record = read_recorded_packages(workspace)
     built_paths = [
         link,
         workspace / "venv",
@@ -621,8 +628,8 @@ def uninstall(workspace: Path, dry: bool) -> None:
         if not dry:
             remove(path)
     for folder in (workspace / "log", workspace / "src", workspace, workspace.parent):
-        is_own = folder != workspace.parent or folder.name == "retalis"
-        if not dry and is_own and folder.is_dir() and not any(folder.iterdir()):
+        may_be_removed = folder != workspace.parent or folder.name == "retalis"
+        if not dry and may_be_removed and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     if other_packages:
         print(
@@ -635,11 +642,11 @@ def uninstall(workspace: Path, dry: bool) -> None:
     print_remaining(record)
 
 
-def recorded_packages(workspace: Path) -> List[str]:
+def read_recorded_packages(workspace: Path) -> List[str]:
     """Return the system packages that were installed for a workspace and still are, and changed system files."""
     record = workspace / PACKAGE_RECORD
     names = list(dict.fromkeys(record.read_text().split())) if record.exists() else []
-    missing = missing_packages(names, installed_packages(names))
+    missing = find_missing_packages(names, query_installed_packages(names))
     return [name for name in names if name == HOSTS or name not in missing]
 
 
@@ -673,7 +680,7 @@ def main(argv: Sequence[str]) -> int:
     )
     os.environ.clear()
     os.environ.update(environment, PATH=search_path(environment.get("PATH", "")))
-    if options.command == "demo" and {"-h", "--help"} & set(options.rest):
+    if options.command == "demo" and {"-h", "--help"} & set(options.passed_arguments):
         return subprocess.call([sys.executable, DEMO_SCRIPT, "--help"])
     setup = options.workspace / "devel" / "setup.bash"
     if options.command == "where":
@@ -698,22 +705,28 @@ def main(argv: Sequence[str]) -> int:
 
 def run_command(options: argparse.Namespace, installation: Installation) -> int:
     """Install the dependencies of a command, build, and run the command; return its exit status."""
-    if options.command == "test" and not options.rest:
+    if options.command == "test" and not options.passed_arguments:
         print(TEST_DURATION_TEXT, flush=True)
-    develop = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
+    development_requirements = ["requirements-dev.txt"] if options.command in ("test", "lint") else []
     installation.install_system_packages()
     installation.add_localhost()
-    installation.install_python_packages(["requirements.txt", *develop])
+    installation.install_python_packages(["requirements.txt", *development_requirements])
     installation.build(install=options.install or options.command == "test")
     if options.command == "demo":
-        return installation.run([SYSTEM_PYTHON, DEMO_SCRIPT, *options.rest], cwd=None)
+        return installation.run([SYSTEM_PYTHON, DEMO_SCRIPT, *options.passed_arguments], cwd=None)
     if options.command == "test":
         os.environ["RETALIS_WORKSPACE"] = str(options.workspace)
         return installation.run(
-            [SYSTEM_PYTHON, "-m", "pytest", *parallel_options(options.rest), *options.rest]
+            [
+                SYSTEM_PYTHON,
+                "-m",
+                "pytest",
+                *choose_parallel_options(options.passed_arguments),
+                *options.passed_arguments,
+            ]
         )
     if options.command == "lint":
-        return lint(installation)
+        return run_lint(installation)
     setup = options.workspace / "devel" / "setup.bash"
     print(f"retalis is built. To use it:  source {setup}")
     return 0

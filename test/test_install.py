@@ -57,40 +57,40 @@ def test_platforms_name_each_package_once(install):
 
 def test_missing_packages_keeps_the_order_and_counts_removed_ones(install):
     report = "b install ok installed\nc deinstall ok config-files\n"
-    assert install.missing_packages(["d", "c", "b", "a"], report) == ["d", "c", "a"]
+    assert install.find_missing_packages(["d", "c", "b", "a"], report) == ["d", "c", "a"]
 
 
 def test_sudo_only_where_it_is_needed(install):
-    assert install.as_root(["apt-get", "update"], 0) == ["apt-get", "update"]
-    assert install.as_root(["apt-get", "update"], 1000) == ["sudo", "apt-get", "update"]
+    assert install.prefix_sudo(["apt-get", "update"], 0) == ["apt-get", "update"]
+    assert install.prefix_sudo(["apt-get", "update"], 1000) == ["sudo", "apt-get", "update"]
 
 
 def test_digest_tells_texts_apart(install):
-    assert install.digest("ab", "c") != install.digest("a", "bc")
-    assert install.digest("ab", "c") == install.digest("ab", "c")
+    assert install.short_digest("ab", "c") != install.short_digest("a", "bc")
+    assert install.short_digest("ab", "c") == install.short_digest("ab", "c")
 
 
 def test_bash_keeps_arguments_apart(install):
-    command = install.bash_command(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
+    command = install.make_bash_command(["X=1", 'exec "$@"'], ["printf", "%s|", "a b", "$X", "'"])
     assert subprocess.check_output(command) == b"a b|$X|'|"
 
 
 def test_a_sourced_script_does_not_see_the_options_of_the_command(install, tmp_path):
     script = tmp_path / "set up.bash"
     script.write_text('seen="$*"\n', encoding="utf-8")
-    command = install.bash_command(
-        [install.source_line(str(script)), 'printf "%s|" "$seen" "$@"'], ["--help", "a b"]
+    command = install.make_bash_command(
+        [install.format_source_line(str(script)), 'printf "%s|" "$seen" "$@"'], ["--help", "a b"]
     )
     assert subprocess.check_output(command) == b"|--help|a b|"
 
 
 def test_arguments(install):
     options = install.parse_arguments([])
-    assert (options.command, options.rest, options.dry_run) == ("build", [], False)
+    assert (options.command, options.passed_arguments, options.dry_run) == ("build", [], False)
     assert options.workspace == install.default_workspace(HERE, os.environ).resolve()
     options = install.parse_arguments(["--workspace", "~/ws", "demo", "--bag", "x.bag", "--seconds", "5"])
     assert options.workspace == Path.home().resolve() / "ws"
-    assert (options.command, options.rest) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
+    assert (options.command, options.passed_arguments) == ("demo", ["--bag", "x.bag", "--seconds", "5"])
 
 
 def test_each_copy_of_the_sources_has_its_own_workspace(install):
@@ -433,14 +433,14 @@ def test_without_system_the_missing_packages_are_named(install, noetic):
 )
 def test_lint_checks_types_on_every_python(install, noetic, monkeypatch, version, options):
     monkeypatch.setattr(install, "sys", SimpleNamespace(version_info=version))
-    assert install.lint(noetic) == 0
+    assert install.run_lint(noetic) == 0
     (types,) = [command for command in noetic.shell.commands if "mypy" in command]
     assert types[types.index("mypy") + 1 :] == options
 
 
 def test_each_dependency_of_the_manifest_is_known(install):
     manifest = (HERE / "package.xml").read_text()
-    assert install.dependency_problems(manifest) == []
+    assert install.find_dependency_problems(manifest) == []
     assert set(re.findall(r"<\w*depend>([^<]+)<", manifest)) == set(install.DEPENDENCIES)
 
 
@@ -450,7 +450,7 @@ def test_lint_fails_on_an_unknown_dependency(install, noetic, monkeypatch, tmp_p
     wrong = manifest.replace("</package>", f"<{tag}>rosppy</{tag}></package>")
     (tmp_path / "package.xml").write_text(wrong)
     monkeypatch.setattr(install, "HERE", tmp_path)
-    assert install.lint(noetic) == 1
+    assert install.run_lint(noetic) == 1
     assert f"package.xml: unknown {tag} 'rosppy': expected a key of rosdep" in capsys.readouterr().out
 
 
@@ -459,9 +459,9 @@ def test_lint_fails_where_the_package_of_a_dependency_is_not_installed(
 ):
     packages = {*install.DEPENDENCIES.values()} - {"python3-tf2"}
     status = "".join(f"{name} install ok installed\n" for name in packages)
-    monkeypatch.setattr(install, "installed_packages", lambda names: status)
+    monkeypatch.setattr(install, "query_installed_packages", lambda names: status)
     installation = install.Installation(install.DEBIAN_12, tmp_path, Recorder(tmp_path / "log"))
-    assert install.lint(installation) == 1
+    assert install.run_lint(installation) == 1
     assert "DEPENDENCIES in install.py: 'python3-tf2' is not installed\n" in capsys.readouterr().out
 
 
@@ -507,14 +507,14 @@ def test_all_the_tests_say_first_how_long_they_take(ran, capsys):
 
 @pytest.mark.parametrize("options", [[], ["test/ros"], ["-m", "not slow", "--ignore", "test/test_api.py"]])
 def test_both_cores_run_tests(install, options):
-    assert install.parallel_options(options) == ("-n", "2", "--dist", "loadfile")
+    assert install.choose_parallel_options(options) == ("-n", "2", "--dist", "loadfile")
 
 
 @pytest.mark.parametrize(
     "options", [["-n", "4"], ["-n0"], ["--pdb"], ["test/test_api.py"], ["test/test_api.py::test_x"], ["--co"]]
 )
 def test_a_single_file_and_what_the_user_says_are_left_to_pytest(install, options):
-    assert install.parallel_options(options) == ()
+    assert install.choose_parallel_options(options) == ()
 
 
 def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_path):
@@ -539,7 +539,7 @@ def test_swi_prolog_is_installed_for_who_asks_for_it(install, monkeypatch, tmp_p
 def test_what_is_not_for_the_installation_goes_on(install):
     options = install.parse_arguments(["test", "-k", "a or b", "--dry-run", "--no-summary", "--inst"])
     assert (options.dry_run, options.no_system, options.install) == (True, False, False)
-    assert options.rest == ["-k", "a or b", "--no-summary", "--inst"]
+    assert options.passed_arguments == ["-k", "a or b", "--no-summary", "--inst"]
 
 
 @pytest.fixture
@@ -577,7 +577,7 @@ def test_uninstall_removes_what_was_made_and_says_what_is_left(install, workspac
 def test_uninstall_names_the_packages_that_it_leaves(install, workspace, capsys, monkeypatch):
     (workspace / install.PACKAGE_RECORD).write_text("python3\ncatkin\ngone\ncatkin\n")
     status = "catkin install ok installed\npython3 install ok installed\ngone deinstall ok config-files\n"
-    monkeypatch.setattr(install, "installed_packages", lambda names: status)
+    monkeypatch.setattr(install, "query_installed_packages", lambda names: status)
     install.main(["uninstall", "--workspace", str(workspace)])
     assert "and are left, since other programs may need them:\n  python3 catkin\n" in capsys.readouterr().out
     assert not workspace.exists()
@@ -708,7 +708,7 @@ def test_docs_ends_with_the_status_of_sphinx(install, site, tmp_path, capsys):
 def test_docs_installs_what_makes_virtual_environments(install, site, tmp_path, monkeypatch):
     monkeypatch.setattr(install.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(install, "parse_os_release", lambda text: {"ID": "debian", "VERSION_ID": "12"})
-    monkeypatch.setattr(install, "installed_packages", lambda names: "")
+    monkeypatch.setattr(install, "query_installed_packages", lambda names: "")
     monkeypatch.setattr(install.os, "getuid", lambda: 0)
     install.main(["docs", "--workspace", str(tmp_path / "workspace")])
     assert site.commands[1][-3:] == ["-y", "--no-install-recommends", "python3-venv"]

@@ -13,8 +13,8 @@ def run_task(task, scratch):
     kind, _, name = task.partition(" ")
     if kind == "pid":
         return os.getpid()
-    record_message = Path(scratch, name).exists()
-    if kind == "die" or not record_message:
+    has_failed_before = Path(scratch, name).exists()
+    if kind == "die" or not has_failed_before:
         Path(scratch, name).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return task
