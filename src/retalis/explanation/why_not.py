@@ -417,8 +417,8 @@ class WhyNot:
         results = []
         for output in outputs:
             values = None
-            if node.spec.result is not None:
-                values = node.spec.result(output.elements[-1].by, output.results)
+            if node.spec.match_values is not None:
+                values = node.spec.match_values(output.elements[-1].by, output.results)
             extended = (
                 None if values is None else self._extend(self._rule_variables, list(zip(node.vars, values)))
             )
@@ -639,7 +639,7 @@ class _WindowEvaluation:
 
     def __init__(self, node: StreamNode, steps: int, instantiate: Callable[[Term, Term], Term]):
         self._node = node
-        self._stream = node.spec.stream(NetworkOptions())
+        self._stream = node.spec.create_operator(NetworkOptions())
         self._stream.set_bounds(node.stream.bounds)
         self._instantiate = instantiate
         self._outputs: List[StreamOutput] = []

@@ -100,7 +100,7 @@ def _run_fits(node: KleeneNode, run: Any) -> bool:
     return (
         first.fits(run.first)
         and len(run.values) == width
-        and (run.fixed_values is None or len(run.fixed_values) == len(node.fixed))
+        and (run.fixed_values is None or len(run.fixed_values) == len(node.fixed_vars))
         and len(run.free_vars) == len(node.open_vars)
         and len(run.repetitions) == len(run.step_values)
         and run.valid_count <= len(run.repetitions)

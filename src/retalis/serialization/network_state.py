@@ -358,7 +358,9 @@ def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
 def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
     keys, values = node.spec.key_and_values((1,) * len(child.vars))
-    needs_match = node.spec.result is None and not isinstance(node.stream, (Throttle, DistinctUntilChanged))
+    needs_match = node.spec.match_values is None and not isinstance(
+        node.stream, (Throttle, DistinctUntilChanged)
+    )
     shapes = [MatchShape(child) for child in node.children]
     stream = StreamCheck(
         graph,

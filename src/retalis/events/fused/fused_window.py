@@ -152,7 +152,7 @@ def fused_window(
     node: Any,
     general_path: EventAction,
     complete: EventAction,
-    too_large: Callable[[Any, Any], Any],
+    on_overflow: Callable[[Any, Any], Any],
     values_are_arguments: bool,
 ) -> EventAction:
     """Return the action that adds the values of an event to a sliding window.
@@ -163,7 +163,7 @@ def fused_window(
         node: the stream node: its ``stream`` is the `SlidingTimeWindow`, its network limits the number of elements.
         general_path: the general path.
         complete: receives the values of the key and the results.
-        too_large: reports a window whose results exceed the range of floats.
+        on_overflow: reports a window whose results exceed the range of floats.
         values_are_arguments: whether the values are the arguments of the event, so that the action accepts None for
             them.
     """
@@ -174,7 +174,7 @@ def fused_window(
         "limit": limit,
         "general_path": general_path,
         "complete": complete,
-        "too_large": too_large,
+        "on_overflow": on_overflow,
         "new": object.__new__,
         "StreamElement": StreamElement,
         "SELF_KEYED": SELF_KEYED,
@@ -260,7 +260,7 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
         "element_count = len(elements)",
         *(statement for measure in measures for statement in measure.add),
         Block("try:", [f"results = {tuple_source(results)}"]),
-        Block("except OverflowError:", ["return too_large(keyed_window, frame)"]),
+        Block("except OverflowError:", ["return on_overflow(keyed_window, frame)"]),
         *([Block("if end - elements[0].start > limit:", ["return frame"])] if limited else []),
         "return complete(None, results, elements[0].start, end, frame)",
     ]

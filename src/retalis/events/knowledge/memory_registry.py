@@ -232,8 +232,8 @@ class MemoryInstances:
         """Return the recorder of the newest memory if it records the same of the same events, else a new one.
 
         Only the newest one is considered, because memories record an event in the order in which they were created.
-        While an event is served, a new recorder is made, because a memory that is created then must not record that
-        event.
+        While an event is dispatched, a new recorder is created, because a memory that is created then must not record
+        that event.
         """
         # Conditions may have side effects or depend on time, so their memories never share a recorder.
         can_share = conditions is NIL and pattern.__class__ is not Var

@@ -96,7 +96,7 @@ class OutputRateLimiter:
         self._stream = self._create_stream()
 
     def _create_stream(self) -> StreamOperator:
-        stream = self._spec.stream(NetworkOptions())
+        stream = self._spec.create_operator(NetworkOptions())
         stream.compute_max_timestamp = self._rules.compute_max_timestamp
         stream.set_bounds(self._rules.key_bounds)
         self._evicted_count = 0

@@ -76,7 +76,7 @@ def store_only(side: MatchSide) -> Emit:
     """Return the action for a match that is only stored, because no stored partner can complete it."""
     store, key_of = side.own_buffer.add, side.own_buffer.key
 
-    def arrive(match: PartialMatch, frame: Frame) -> Frame:
+    def on_match(match: PartialMatch, frame: Frame) -> Frame:
         try:
             key = key_of(match.values)
         except ValueError:
@@ -84,7 +84,7 @@ def store_only(side: MatchSide) -> Emit:
         store(match, key)
         return frame
 
-    return arrive
+    return on_match
 
 
 def join_one_partner(
@@ -117,7 +117,7 @@ def join_one_partner(
     join_first_of = _join_first_of(side, finish_join)
     try_others = _join_other_than(side, newest, join_first_of)
 
-    def arrive(match: PartialMatch, frame: Frame) -> Frame:
+    def on_match(match: PartialMatch, frame: Frame) -> Frame:
         try:
             key = key_of(match.values)
         # A shared value with variables has no hash key. All stored matches are candidates, and each of them is
@@ -146,8 +146,8 @@ def join_one_partner(
         return frame
 
     if completed is not None and side.is_left:
-        return _store_after_completion(arrive, own_buffer, completed)
-    return arrive
+        return _store_after_completion(on_match, own_buffer, completed)
+    return on_match
 
 
 def join_one_of_others(side: MatchSide, newest: bool, emit: Emit) -> _JoinOtherThan:
@@ -220,19 +220,19 @@ def _finish_join(
     return finish_join
 
 
-def _store_after_completion(arrive: Emit, own_buffer: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
+def _store_after_completion(on_match: Emit, own_buffer: MatchBuffer, completed: Dict[Hashable, None]) -> Emit:
     """Return an action that only stores an event at the left operand if it has completed a pair as the right operand.
 
     Otherwise one event would complete two pairs of an operator such as ``and``.
     """
 
-    def arrive_at_left(match: PartialMatch, frame: Frame) -> Frame:
+    def on_left_match(match: PartialMatch, frame: Frame) -> Frame:
         if match.event is not None and match.event in completed:
             own_buffer.add(match, own_buffer.key_of(match))
             return frame
-        return arrive(match, frame)
+        return on_match(match, frame)
 
-    return arrive_at_left
+    return on_left_match
 
 
 def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
@@ -242,7 +242,7 @@ def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
     key_of = own_buffer.key_of
     meter = own_buffer.rule.meter
 
-    def arrive(match: PartialMatch, frame: Frame) -> Frame:
+    def on_match(match: PartialMatch, frame: Frame) -> Frame:
         key = key_of(match)
         partners = other_buffer.partner_list(key, match.start, match.end)
         # The match is stored before results are emitted. Events that follow from them may be partners of it, and
@@ -266,7 +266,7 @@ def join_all_partners(side: MatchSide, emit: Emit) -> Emit:
         )
         return emit_each(results, emit, frame)
 
-    return arrive
+    return on_match
 
 
 def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
@@ -280,7 +280,7 @@ def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
     store = own_buffer.add if side.store is None else side.store
     meter = own_buffer.rule.meter
 
-    def arrive(match: PartialMatch, frame: Frame) -> Frame:
+    def on_match(match: PartialMatch, frame: Frame) -> Frame:
         key = own_buffer.key_of(match)
         # All pairs are joined before any result is emitted: an event that follows from the first result must not
         # add a partner to the same set.
@@ -295,7 +295,7 @@ def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
             store(match, key)
         return emit_each(iter(results), emit, frame)
 
-    return arrive
+    return on_match
 
 
 def unify_and_join(

@@ -134,7 +134,7 @@ class NegationBuffer:
 
     def bind(self, negated: "NetworkNode", options: NetworkOptions) -> None:
         """Receive the matches of a node, and connect the buffers that the conditions contain."""
-        negated.bind(self.arrive, options)
+        negated.bind(self.on_match, options)
         self.bind_carried(options)
 
     def bind_carried(self, options: NetworkOptions) -> None:
@@ -146,7 +146,7 @@ class NegationBuffer:
         """Return the buffers of negated matches, including those of its conditions."""
         return [self.buffer, *(buffer for absence, _ in self.carried for buffer in absence.buffers())]
 
-    def arrive(self, match: PartialMatch, frame: Frame) -> Frame:
+    def on_match(self, match: PartialMatch, frame: Frame) -> Frame:
         """Store a negated match, unless stored matches dominate it."""
         key = self.buffer.key_of(match)
         if key is not None and self.uses_frontiers() and not self._is_needed(key, match):

@@ -79,7 +79,7 @@ def join_revived_first(
     """
     own_buffer, other_buffer = side.own_buffer, side.other_buffer
 
-    def arrive(match: PartialMatch, frame: Frame) -> Frame:
+    def on_match(match: PartialMatch, frame: Frame) -> Frame:
         key = own_buffer.key_of(match)
         arrival_number = arrival_number_of(match)
         results: List[PartialMatch] = []
@@ -104,7 +104,7 @@ def join_revived_first(
             own_buffer.add(match, key)
         return emit_each(iter(results), emit, frame)
 
-    return arrive
+    return on_match
 
 
 def join_in_order(tracker: "LineageTracker", join: Join) -> Join:

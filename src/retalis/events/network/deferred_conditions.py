@@ -75,7 +75,7 @@ class BuiltPattern(NamedTuple):
     Attributes:
         node: the node.
         deferred: conditions below that have not been tested.
-        joined: event nodes whose events complete matches of several events, in the order in which they are served.
+        joined: event nodes whose events complete matches of several events, in the order of dispatch.
         single: event nodes whose matches are passed on one by one.
         branches: all event nodes of an ``or``, branch by branch; else None.
     """
@@ -88,7 +88,7 @@ class BuiltPattern(NamedTuple):
 
     @property
     def leaves(self) -> List[EventNode]:
-        """All event nodes, in the order in which they are served; those of an ``or`` branch by branch."""
+        """All event nodes, in the order of dispatch; those of an ``or`` branch by branch."""
         return [*self.joined, *self.single] if self.branches is None else self.branches
 
     def with_negated(
@@ -105,7 +105,7 @@ class RepetitionItems:
 
     Attributes:
         var: variable that is bound to the list, newest repetition first.
-        names: variables that have separate values in each repetition.
+        value_vars: variables that have separate values in each repetition.
         same: variables with one value in the whole match, because they are used elsewhere in the rule.
     """
 
@@ -190,9 +190,9 @@ class DeferredConditions(NamedTuple):
         """Return the same condition for each repetition of a run."""
         return self._replace(items=items, each=self)
 
-    def may_be_tried(self, names: List[Var]) -> bool:
+    def may_be_tried(self, value_vars: List[Var]) -> bool:
         """Return whether a match with these variables may already bind all variables that the condition requires."""
-        return self.items is None and self.needs.issubset(names)
+        return self.items is None and self.needs.issubset(value_vars)
 
 
 def split_ready(
@@ -221,7 +221,7 @@ def append_item(items: Term, values: Values) -> Term:
 
 
 def deferred_test(
-    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, value_vars: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all of its variables, and the variables after it.
 
@@ -229,35 +229,35 @@ def deferred_test(
         rule: the rule of the condition.
         node: the node, or negation buffer, that tests it and owns its negation buffers.
         condition: the condition.
-        names: variables that are known there.
+        value_vars: variables that are known there.
     """
     if condition.items is not None and condition.each is not None:
-        return _test_of_each(rule, node, condition.items, condition.each, names)
-    interval_positions = (names.index(condition.start), names.index(condition.end))
+        return _test_of_each(rule, node, condition.items, condition.each, value_vars)
+    interval_positions = (value_vars.index(condition.start), value_vars.index(condition.end))
     if condition.goal is not None:
-        call = RuleGoal(rule, condition.goal, names)
+        call = RuleGoal(rule, condition.goal, value_vars)
         return goal_test(call, condition.timed, interval_positions), call.result_vars
     assert condition.absent is not None
     negated, ever = condition.absent
     built = negated.make()
-    absence = negation_buffer_for(rule, built, names, ever)
+    absence = negation_buffer_for(rule, built, value_vars, ever)
     node.carried.append((absence, built.node))
-    return _absence_test(absence, interval_positions, ever), names
+    return _absence_test(absence, interval_positions, ever), value_vars
 
 
 def early_test(
-    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, names: List[Var]
+    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, value_vars: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return a test like `deferred_test`, for a node where some required variables may be unbound.
 
     A match with such variables is passed on untested. A match that has passed is marked, and is not tested further
     up.
     """
-    test, result_vars = deferred_test(rule, node, condition, names)
-    position_of = positions(names)
+    test, result_vars = deferred_test(rule, node, condition, value_vars)
+    position_of = positions(value_vars)
     needed = [position_of[var] for var in condition.needs]
     mark = position_of[condition.start]
-    new = result_vars[len(names) :]
+    new = result_vars[len(value_vars) :]
 
     def early(values: Values, start: int, end: int) -> Optional[Values]:
         if any(deref(values[position]).__class__ is Var for position in needed):
@@ -275,14 +275,14 @@ def _test_of_each(
     node: NegationOwner,
     items: RepetitionItems,
     condition: DeferredConditions,
-    names: List[Var],
+    value_vars: List[Var],
 ) -> Tuple[Test, List[Var]]:
     # Each repetition is tested with its own values after those of the match. Bindings of variables that belong to
     # the whole match are passed from one repetition to the next.
-    list_position = names.index(items.var)
+    list_position = value_vars.index(items.var)
     mentioned = [] if condition.goal is None else variables(condition.goal)
-    match_vars = set(names)
-    known_vars = [*names, *(var for var in mentioned if var in items.same and var not in match_vars)]
+    match_vars = set(value_vars)
+    known_vars = [*value_vars, *(var for var in mentioned if var in items.same and var not in match_vars)]
     width = len(known_vars)
     test_one, result_vars = deferred_test(rule, node, condition, [*known_vars, *items.names])
     items.names = result_vars[width:]
@@ -310,26 +310,26 @@ def _test_of_each(
 
 
 def negation_buffer_for(
-    rule: "EventRule", negated: BuiltPattern, names: List[Var], ever: bool
+    rule: "EventRule", negated: BuiltPattern, value_vars: List[Var], ever: bool
 ) -> NegationBuffer:
     """Return the negation buffer for the matches of a negated node.
 
     Args:
         rule: the rule that owns it.
         negated: result of building the negated pattern; deferred conditions in it use the variables of the pair.
-        names: variables of the pair.
+        value_vars: variables of the pair.
         ever: whether any time before counts.
     """
     conditions = negated.deferred
     own_vars = negated.node.vars
-    position_of = positions(names)
+    position_of = positions(value_vars)
     shared = [(position, position_of[var]) for position, var in enumerate(own_vars) if var in position_of]
     absence = NegationBuffer(rule, shared, ever)
     if not conditions:
         return absence
     new = [var for var in own_vars if var not in position_of]
     new_positions = [position for position, var in enumerate(own_vars) if var not in position_of]
-    known_vars = [*names, *new]
+    known_vars = [*value_vars, *new]
     tests = []
     for deferred in conditions:
         test, known_vars = deferred_test(rule, absence, deferred, known_vars)

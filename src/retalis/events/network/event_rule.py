@@ -77,7 +77,7 @@ class RuleState(NamedTuple):
         nodes: class and state of each node.
         arrivals: stored matches in order of arrival, the positions of their buffers (-1: in a run group), and their
             orders.
-        deferred_matches: matches that are stored when the next event is served: position of the buffer, and the
+        deferred_matches: matches that are stored when the next event is dispatched: position of the buffer, and the
             match.
         deferring_event: the event after which that happens.
         skipped: state of the after-match skip strategy; None if nothing is skipped.
@@ -108,7 +108,7 @@ class EventRule:
 
     Attributes:
         name: its name in reports.
-        serial: position among the rules; older ones are served first.
+        serial: position among the rules; older ones receive events first.
         meter: counts its pattern work; None if nothing is counted.
         from_outside: whether it was added by a service or topic instead of the program.
         options: its options, see `configure`.
@@ -436,7 +436,7 @@ class EventRule:
         self._end_sweep()
 
     def defer_storage(self, buffer: MatchBuffer, match: PartialMatch, key: Hashable) -> None:
-        """Store a match in a buffer when the next event is served; immediately if no event is being served."""
+        """Store a match in a buffer when the next event is dispatched; immediately outside of a dispatch."""
         if self.network.dispatcher.current is None:
             buffer.add(match, key)
             return
@@ -444,7 +444,7 @@ class EventRule:
         self.deferred_matches.append((buffer, match, key))
 
     def store_deferred_of_earlier_events(self, event: object) -> None:
-        """Store the matches that were deferred until another event is served."""
+        """Store the matches that were deferred until another event is dispatched."""
         if self._deferring_event != event:
             self.store_deferred()
         if self.skip_state is not None:

@@ -14,7 +14,7 @@ An error in a goal is reported and counts as failure; the engine continues. A co
 have conditions that make events; the depth of this is limited. `Evaluators` compiles the expressions and goals of
 aggregates and windows.
 
-The protocols describe buffers and the nodes that the clock wakes, which have several implementations.
+The protocols describe buffers and the nodes with alarms, which have several implementations.
 """
 
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
@@ -53,10 +53,10 @@ class Buffer(Protocol):
 
 
 class TimedOwner(Protocol):
-    """Owner of nodes that the clock wakes: a rule, or the output rate limiter of a subscription.
+    """Owner of nodes with alarms: a rule, or the output rate limiter of a subscription.
 
     Attributes:
-        serial: position among the owners; lower ones are served first.
+        serial: position among the owners; alarms of lower ones run first.
     """
 
     serial: int
@@ -67,7 +67,7 @@ class TimedOwner(Protocol):
 
 
 class TimedNode(Protocol):
-    """A node that the clock wakes.
+    """A node with an alarm of the clock.
 
     Attributes:
         alarm_instant: the instant of its next alarm; None without one.
@@ -342,7 +342,7 @@ class Evaluators:
         self._rule = rule
 
     def compile_expression(
-        self, aggregate: str, measured: Term, names: Sequence[Var], may_be_array: bool = False
+        self, aggregate: str, measured: Term, value_vars: Sequence[Var], may_be_array: bool = False
     ) -> Evaluate:
         """Return a function that evaluates the expression of an aggregate by `is`.
 
@@ -352,14 +352,14 @@ class Evaluators:
         Args:
             aggregate: name of the aggregate.
             measured: the expression in the rule.
-            names: variables of the matches.
+            value_vars: variables of the matches.
             may_be_array: whether a variable may have an array as its value, which is returned unchanged.
         """
         # In an expression, a list would have the arithmetic value of its only item.
         may_be_array = may_be_array and deref(measured).__class__ is Var
         number, expression = Var(), Var()
         goal: List[CompiledGoal] = []
-        position_of = positions(names)
+        position_of = positions(value_vars)
         inputs = [position_of[var] for var in variables(measured) if var in position_of]
         is_suitable = (
             is_number_expression if AGGREGATES[aggregate].value_rule.accepts_expressions else is_number
@@ -386,9 +386,9 @@ class Evaluators:
 
         return evaluate
 
-    def compile_test(self, goal: Term, names: Sequence[Var], called: str) -> GoalTest:
+    def compile_test(self, goal: Term, value_vars: Sequence[Var], called: str) -> GoalTest:
         """Return a function that calls a goal, given the values of some variables."""
-        compiled = self._rule.network.logic.compile_goal(goal, list(names), [])
+        compiled = self._rule.network.logic.compile_goal(goal, list(value_vars), [])
 
         def is_satisfied(values: Values) -> bool:
             try:
@@ -399,7 +399,7 @@ class Evaluators:
 
         return is_satisfied
 
-    def compile_fold(self, names: Tuple[Atom, Atom, Atom]) -> FoldFunction:
+    def compile_fold(self, predicate_names: Tuple[Atom, Atom, Atom]) -> FoldFunction:
         """Return a function that calls the predicates of a user-defined aggregate.
 
         It returns None if one predicate fails.
@@ -409,9 +409,11 @@ class Evaluators:
         """
         logic = self._rule.network.logic
         value, state, output = Var(), Var(), Var()
-        begin = logic.compile_goal((functor(names[0].name, 1), output), [], [output])
-        step = logic.compile_goal((functor(names[1].name, 3), value, state, output), [value, state], [output])
-        show = logic.compile_goal((functor(names[2].name, 2), state, output), [state], [output])
+        begin = logic.compile_goal((functor(predicate_names[0].name, 1), output), [], [output])
+        step = logic.compile_goal(
+            (functor(predicate_names[1].name, 3), value, state, output), [value, state], [output]
+        )
+        show = logic.compile_goal((functor(predicate_names[2].name, 2), state, output), [state], [output])
 
         def fold(values: Sequence[Term]) -> Optional[Term]:
             try:

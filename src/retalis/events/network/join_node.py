@@ -9,9 +9,10 @@ policy selects the partners and decides which matches remain stored. A pair is a
 3. no negated match lies in the gap between the operands, and
 4. its conditions succeed.
 
-These tests and the construction of the result are compiled to one Python function per direction (`JoinNode._join`).
-If an operand is a plain event and nothing inspects its matches, the join is also fused with the dispatch of the
-event (`fused_join`), and creates no match object for an event that completes a pair immediately.
+These tests and the construction of the result are compiled to one Python function per direction
+(`JoinNode._compile_join`). If an operand is a plain event and nothing inspects its matches, the join is also fused
+with the dispatch of the event (`fused_join`), and creates no match object for an event that completes a pair
+immediately.
 
 For ``seq`` and other operators that order their operands, only left operands are stored if events arrive in order.
 Right operands are stored only if the left one may be late (``out_of_order``) or revived by a retraction.
@@ -56,9 +57,9 @@ class JoinNode(NetworkNode):
         right: node of the right operand.
         shared_vars: variables that are used elsewhere in the rule.
         gap: variables that receive the gap between the operands, for a negation that is tested further up; or None.
-        captured: pairs of variables that receive the interval of the result, for conditions tested further up.
+        interval_vars: pairs of variables that receive the interval of the result, for conditions tested further up.
         shares_events: whether one event may be in both operands.
-        names: functions that return the identity of the matches of the left and of the right operand.
+        identity_functions: functions that return the identity of the matches of the left and of the right operand.
 
     Attributes:
         can_be_revived: whether a match of the left and of the right operand can be revived by a retraction.
@@ -74,9 +75,9 @@ class JoinNode(NetworkNode):
         right: NetworkNode,
         shared_vars: AbstractSet[Var],
         gap: Optional[Tuple[Var, Var]],
-        captured: Sequence[Tuple[Var, Var]],
+        interval_vars: Sequence[Tuple[Var, Var]],
         shares_events: bool,
-        names: Tuple[IdentityFunction, IdentityFunction],
+        identity_functions: Tuple[IdentityFunction, IdentityFunction],
     ):
         self.rule = rule
         self.operator = operator
@@ -84,11 +85,19 @@ class JoinNode(NetworkNode):
         self.right = right
         self.gap = gap
         self.shared_vars = shared_vars
-        self._names = names
-        in_left, in_right = positions(left.vars), positions(right.vars)
-        self.pairs = tuple((position, in_right[var]) for var, position in in_left.items() if var in in_right)
-        self.left_buffer = MatchBuffer(rule, tuple(left_position for left_position, _ in self.pairs))
-        self.right_buffer = MatchBuffer(rule, tuple(right_position for _, right_position in self.pairs))
+        self._identity_functions = identity_functions
+        position_in_left, position_in_right = positions(left.vars), positions(right.vars)
+        self.shared_positions = tuple(
+            (position, position_in_right[var])
+            for var, position in position_in_left.items()
+            if var in position_in_right
+        )
+        self.left_buffer = MatchBuffer(
+            rule, tuple(left_position for left_position, _ in self.shared_positions)
+        )
+        self.right_buffer = MatchBuffer(
+            rule, tuple(right_position for _, right_position in self.shared_positions)
+        )
         # Values of the result as source expressions: variables that nothing above uses are dropped here (projection).
         value_sources = [
             (f"lv[{position}]", var) for position, var in enumerate(left.vars) if var in shared_vars
@@ -96,11 +105,11 @@ class JoinNode(NetworkNode):
         value_sources += [
             (f"rv[{position}]", var)
             for position, var in enumerate(right.vars)
-            if var in shared_vars and var not in in_left
+            if var in shared_vars and var not in position_in_left
         ]
         if gap is not None:
             value_sources += [("e1", gap[0]), ("s2", gap[1])]
-        for first, last in captured:
+        for first, last in interval_vars:
             value_sources += [("start", first), ("end", last)]
         self.value_sources = [source for source, _ in value_sources]
         self.vars = [var for _, var in value_sources]
@@ -113,12 +122,12 @@ class JoinNode(NetworkNode):
         self.span: Optional[int] = None
         self.retained_matches = RetainedMatches(self.right_buffer)
 
-    def test(self, test: Test, names: Sequence[Var]) -> None:
-        """Add a condition; ``names`` are the variables after it."""
+    def add_test(self, test: Test, value_vars: Sequence[Var]) -> None:
+        """Add a condition; ``value_vars`` are the variables after it."""
         self.tests.append(test)
-        self.vars = list(names)
+        self.vars = list(value_vars)
 
-    def absent(self, absence: NegationBuffer, negated: NetworkNode) -> None:
+    def add_absence(self, absence: NegationBuffer, negated: NetworkNode) -> None:
         """Add a pattern that must not match between the operands."""
         self.absences.append(absence)
         self.negated.append(negated)
@@ -148,9 +157,9 @@ class JoinNode(NetworkNode):
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         self.left_buffer.retention = self.right_buffer.retention = retention
-        late = self.rule.options.out_of_order
+        accepts_late = self.rule.options.out_of_order
         for absence in self.absences:
-            absence.buffer.retention = retention_for_late(span, retention) if late else retention
+            absence.buffer.retention = retention_for_late(span, retention) if accepts_late else retention
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -176,7 +185,7 @@ class JoinNode(NetworkNode):
         """Connect all but the left operand; return the action for its matches, and the function that fuses it."""
         operator = self.operator
         self.emit = emit
-        self.joined = self._join(True)
+        self.join_pair = self._compile_join(True)
         self.left_buffer.partner_bounds = interval_bounds(operator.name, self.span, False)
         self.right_buffer.partner_bounds = interval_bounds(operator.name, self.span, True)
         self.left_buffer.min_end_for = None
@@ -184,45 +193,66 @@ class JoinNode(NetworkNode):
             # Without shared variables the bound is the same for all first operands, so the search can use it.
             if absence.uses_frontiers() and not absence.shared:
                 self.left_buffer.min_end_for = absence.min_first_end
-        left_name, right_name = self._names if options.policy.replaces_identical else (None, None)
-        self.left_buffer.set_identity_function(None if operator.joins_all else left_name)
-        self.right_buffer.set_identity_function(None if self._keeps(options) else right_name)
+        identify_left, identify_right = (
+            self._identity_functions if options.policy.replaces_identical else (None, None)
+        )
+        self.left_buffer.set_identity_function(None if operator.joins_all else identify_left)
+        self.right_buffer.set_identity_function(None if self._retains_right(options) else identify_right)
         left_action = self._bind_sides(self._left_side(), self._right_side(options), emit, options)
         for negated, absence in zip(self.negated, self.absences):
-            _bind(negated, absence.arrive, options, self._fuse_absence(negated, absence, options))
+            _bind(negated, absence.on_match, options, self._fuse_absence(negated, absence, options))
             absence.bind_carried(options)
         for absence, node in self.carried:
             absence.bind(node, options)
         return left_action
 
-    def _is_late(self, options: NetworkOptions) -> bool:
+    def _accepts_late_left(self, options: NetworkOptions) -> bool:
         """Return whether the first operand of a sequence may arrive after the second one."""
         return options.out_of_order and not self.operator.either
 
-    def _is_revised(self, options: NetworkOptions) -> bool:
+    def _revives_operands(self, options: NetworkOptions) -> bool:
         """Return whether a retraction can revive operands of a sequence that arrive in order."""
         return options.emits_revisions and not self.operator.either and not options.out_of_order
 
-    def _keeps(self, options: NetworkOptions) -> bool:
+    def _retains_right(self, options: NetworkOptions) -> bool:
         """Return whether second operands are kept for a first one that a retraction may revive."""
-        return self._is_revised(options) and self.can_be_revived[0]
+        return self._revives_operands(options) and self.can_be_revived[0]
 
     def _left_side(self) -> MatchSide:
         # A left operand is always stored, even after it has joined with a partner: later right operands may use it.
-        return MatchSide(self.left_buffer, self.right_buffer, self.joined, self.pairs, True, True, False)
+        return MatchSide(
+            self.left_buffer, self.right_buffer, self.join_pair, self.shared_positions, True, True, False
+        )
 
     def _right_side(self, options: NetworkOptions) -> MatchSide:
-        any_order, late, retains_right = self.operator.either, self._is_late(options), self._keeps(options)
-        flipped = tuple((right_position, left_position) for left_position, right_position in self.pairs)
-        join = self._join(False)
-        if self._is_revised(options) and self.can_be_revived[1]:
+        is_unordered, accepts_late, retains_right = (
+            self.operator.either,
+            self._accepts_late_left(options),
+            self._retains_right(options),
+        )
+        flipped_positions = tuple(
+            (right_position, left_position) for left_position, right_position in self.shared_positions
+        )
+        join = self._compile_join(False)
+        if self._revives_operands(options) and self.can_be_revived[1]:
             join = join_in_order(self.rule.network.tracker, join)
-        waits, stays = any_order or late or retains_right, late or retains_right
-        right = MatchSide(self.right_buffer, self.left_buffer, join, flipped, False, waits, stays)
+        stores_unmatched, stores_matched = (
+            is_unordered or accepts_late or retains_right,
+            accepts_late or retains_right,
+        )
+        right = MatchSide(
+            self.right_buffer,
+            self.left_buffer,
+            join,
+            flipped_positions,
+            False,
+            stores_unmatched,
+            stores_matched,
+        )
         if retains_right:
             right = right._replace(store=self.retained_matches.add)
-        if self.shares_events and options.policy.replaces_identical and (any_order or late):
-            right = right._replace(store=self._wait_later)
+        if self.shares_events and options.policy.replaces_identical and (is_unordered or accepts_late):
+            right = right._replace(store=self._store_later)
         return right
 
     def _bind_sides(
@@ -232,19 +262,19 @@ class JoinNode(NetworkNode):
 
         Return the action of the left one, and the function that fuses it.
         """
-        policy, operator, late = options.policy, self.operator, self._is_late(options)
-        any_order = operator.either
-        only_waits = store_only(left), self._fuse(left, False, emit, options)
-        if self._keeps(options):
+        policy, operator, accepts_late = options.policy, self.operator, self._accepts_late_left(options)
+        is_unordered = operator.either
+        store_left = store_only(left), self._fuse(left, False, emit, options)
+        if self._retains_right(options):
             tracker = self.rule.network.tracker
-            only_waits = (
+            store_left = (
                 join_revived_first(tracker, left, policy.consumes_partners, operator.joins_all, emit),
                 None,
             )
         if operator.joins_all:
             self.right.bind(join_all_at_once(right, True, emit), options)
-            if not late:
-                return only_waits
+            if not accepts_late:
+                return store_left
             if policy.consumes_partners:
                 return join_one_partner(left, policy.prefers_newest, True, emit), self._fuse(
                     left, True, emit, options
@@ -255,19 +285,24 @@ class JoinNode(NetworkNode):
             _bind(self.right, join_all_partners(right, emit), options, fuse)
             return (
                 (join_all_partners(left, emit), self._fuse(left, True, emit, options))
-                if any_order or late
-                else only_waits
+                if is_unordered or accepts_late
+                else store_left
             )
         # `and` with one event in both operands: each event may complete one pair only.
-        once = self.completed if self.shares_events and any_order and operator.alone else None
-        _bind(self.right, join_one_partner(right, policy.prefers_newest, True, emit, once), options, fuse)
-        if not any_order and not late:
-            return only_waits
-        arrive = join_one_partner(left, policy.prefers_newest, True, emit, once)
-        # The event of a right operand is stored when it has been tried as a left operand too; see `_wait_later`.
-        if right.store and any_order:
-            return self._after_waiting(arrive), None
-        return arrive, self._fuse(left, True, emit, options)
+        completed_events = self.completed if self.shares_events and is_unordered and operator.alone else None
+        _bind(
+            self.right,
+            join_one_partner(right, policy.prefers_newest, True, emit, completed_events),
+            options,
+            fuse,
+        )
+        if not is_unordered and not accepts_late:
+            return store_left
+        on_match = join_one_partner(left, policy.prefers_newest, True, emit, completed_events)
+        # The event of a right operand is stored when it has been tried as a left operand too; see `_store_later`.
+        if right.store and is_unordered:
+            return self._store_deferred_first(on_match), None
+        return on_match, self._fuse(left, True, emit, options)
 
     def _fuse(self, side: MatchSide, joins: bool, emit: Emit, options: NetworkOptions) -> Optional[Fuse]:
         """Return the function that fuses an operand with the dispatch of its events; None if it cannot be fused.
@@ -317,7 +352,7 @@ class JoinNode(NetworkNode):
             return None
         return lambda general_path: fused_absence(absence, rule, negated.values_are_arguments, general_path)
 
-    def _wait_later(self, match: PartialMatch, key: Hashable) -> None:
+    def _store_later(self, match: PartialMatch, key: Hashable) -> None:
         """Store a right operand when its event has been tried as a left operand too.
 
         Stored immediately, it would replace an older one of the same event that the left operand must still join
@@ -329,7 +364,7 @@ class JoinNode(NetworkNode):
         else:
             self.rule.defer_storage(self.right_buffer, match, key)
 
-    def _after_waiting(self, arrive: Emit) -> Emit:
+    def _store_deferred_first(self, on_match: Emit) -> Emit:
         """Return an action that first stores the right operands of the current event.
 
         A left operand that consists of several events may join with the right operand of its own last event.
@@ -337,17 +372,19 @@ class JoinNode(NetworkNode):
         rule = self.rule
         buffer = self.right_buffer
 
-        def arrive_after_waiting(match: PartialMatch, frame: Frame) -> Frame:
+        def store_and_join(match: PartialMatch, frame: Frame) -> Frame:
             if match.event is None and rule.deferred_matches:
                 rule.store_deferred(buffer)
-            return arrive(match, frame)
+            return on_match(match, frame)
 
-        return arrive_after_waiting
+        return store_and_join
 
-    def _join(self, left_arrives: bool) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
+    def _compile_join(
+        self, left_arrives: bool
+    ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
         """Compile the tests and the result of a pair; the arriving match is the first argument."""
         operator = self.operator
-        names: Dict[str, Any] = {"Match": PartialMatch}
+        namespace: Dict[str, Any] = {"Match": PartialMatch}
         # The order of the lines is from cheap to expensive: interval, span, negations, conditions.
         lines = [
             f"def generated({'l, r' if left_arrives else 'r, l'}):",
@@ -366,30 +403,30 @@ class JoinNode(NetworkNode):
             f"    values = ({', '.join(self.value_sources)}{',' if len(self.value_sources) == 1 else ''})"
         )
         for number, absence in enumerate(self.absences):
-            names[f"absence{number}"] = absence.forbids_pair
+            namespace[f"absence{number}"] = absence.forbids_pair
             lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
         for number, test in enumerate(self.tests):
-            names[f"test{number}"] = test
+            namespace[f"test{number}"] = test
             lines += [
                 f"    values = test{number}(values, start, end)",
                 "    if values is None:",
                 "        return None",
             ]
         received_count = len(self.value_sources)
-        names["ComputedValues"], names["own"] = (
+        namespace["ComputedValues"], namespace["own"] = (
             ComputedValues,
             computed_values_getter(self.vars, received_count, self.shared_vars),
         )
         parts = "(l, r, ComputedValues(own(values)))" if len(self.vars) > received_count else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
-            "\n".join(lines) + "\n", names, f"join by {operator.name}"
+            "\n".join(lines) + "\n", namespace, f"join by {operator.name}"
         )
         if self.rule.network.options.tracks_events and (self.absences or self.carried):
-            return self._recording_suppressed(join, left_arrives)
+            return self._record_suppressed_joins(join, left_arrives)
         return join
 
-    def _recording_suppressed(
+    def _record_suppressed_joins(
         self, join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]], left_arrives: bool
     ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
         tracker = self.rule.network.tracker
@@ -410,11 +447,11 @@ class JoinNode(NetworkNode):
         # Meanwhile the operands may have been consumed by other pairs, or retracted themselves.
         if left.buffer is None or right.consumed_by is not None:
             return frame
-        if right.buffer is None and self._right_waits(options):
+        if right.buffer is None and self._stores_right(options):
             return frame
         if is_retracted(left) or is_retracted(right):
             return frame
-        result = self.joined(left, right)
+        result = self.join_pair(left, right)
         if result is None:
             return frame
         if options.policy.consumes_partners or self.operator.joins_all:
@@ -424,7 +461,7 @@ class JoinNode(NetworkNode):
                 right.discard()
         return self.emit(result, frame)
 
-    def _right_waits(self, options: NetworkOptions) -> bool:
+    def _stores_right(self, options: NetworkOptions) -> bool:
         return self.operator.either or options.out_of_order
 
 

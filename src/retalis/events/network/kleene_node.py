@@ -72,7 +72,7 @@ class KleeneValues(NetworkNode):
 
     Attributes:
         step_vars: variables that the step tests of a repetition know, and those that these tests bind.
-        fixed: those of them that have one value in a run, because they are used elsewhere in the rule.
+        fixed_vars: those of them that have one value in a run, because they are used elsewhere in the rule.
     """
 
     _computed_values: Callable[[Values], Values]
@@ -82,26 +82,26 @@ class KleeneValues(NetworkNode):
         self.first = first
         self.repeated = repeated
         self.span: Optional[int] = None
-        self.result_new: List[Var] = []
-        self._captures = 0
+        self.new_result_vars: List[Var] = []
+        self._interval_count = 0
         self.tests: List[Test] = []
         self.late_tests: List[Test] = []
         first_vars = set(first.vars)
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first_vars)]
         self.open_vars: List[Var] = []
 
-    def open(self, names: Sequence[Var]) -> None:
+    def set_open_vars(self, value_vars: Sequence[Var]) -> None:
         """Add variables that no repetition binds and that are used elsewhere.
 
         They are the same in all repetitions.
         """
         known_vars = set(self.step_vars)
-        self.open_vars = [var for var in names if var not in known_vars]
+        self.open_vars = [var for var in value_vars if var not in known_vars]
         self.step_vars = [*self.step_vars, *self.open_vars]
 
-    def finish(
+    def set_result_layout(
         self,
-        outside: AbstractSet[Var],
+        outside_vars: AbstractSet[Var],
         aggregate: Optional[SequenceAggregate],
         result: Optional[Term],
         items: Optional[RepetitionItems],
@@ -109,7 +109,7 @@ class KleeneValues(NetworkNode):
         """Set the values of the result, when all conditions on repetitions are known.
 
         Args:
-            outside: variables that are used elsewhere in the rule.
+            outside_vars: variables that are used elsewhere in the rule.
             aggregate: accumulator of an aggregate; None for ``star_times``.
             result: term of an aggregate's result.
             items: layout of the values of each repetition, if conditions on repetitions are tested further up; else
@@ -117,65 +117,65 @@ class KleeneValues(NetworkNode):
         """
         first_vars = self.first.vars
         first_var_set = set(first_vars)
-        of_step = positions(self.step_vars)
+        position_in_step = positions(self.step_vars)
         self.aggregate = aggregate
         self.initial_state = None if aggregate is None else aggregate.initial_state
-        self.fixed = [var for var in self.step_vars if var in outside and var not in first_var_set]
-        self.fixed_positions = [of_step[var] for var in self.fixed]
+        self.fixed_vars = [var for var in self.step_vars if var in outside_vars and var not in first_var_set]
+        self.fixed_positions = [position_in_step[var] for var in self.fixed_vars]
         self.items = items
-        self._same_at = len(first_vars)
-        result_vars = [*first_vars, *self.fixed]
+        self._received_count = len(first_vars)
+        result_vars = [*first_vars, *self.fixed_vars]
         if items is not None:
-            given_vars = set(result_vars)
-            items.names = [var for var in self.step_vars if var not in given_vars]
-            self._item_positions = [of_step[var] for var in items.names]
-            result_vars.insert(self._same_at, items.var)
-            self._same_at += 1
-        places = positions(result_vars)
-        self._open_positions = [places[var] for var in self.open_vars]
+            known_vars = set(result_vars)
+            items.names = [var for var in self.step_vars if var not in known_vars]
+            self._item_positions = [position_in_step[var] for var in items.names]
+            result_vars.insert(self._received_count, items.var)
+            self._received_count += 1
+        position_by_var = positions(result_vars)
+        self._open_positions = [position_by_var[var] for var in self.open_vars]
         if aggregate is not None and result is not None:
-            self.result_is_open = result.__class__ is Var and result not in places
-            self.result_new = [var for var in variables(result) if var not in places]
+            self.is_result_variable = result.__class__ is Var and result not in position_by_var
+            self.new_result_vars = [var for var in variables(result) if var not in position_by_var]
             self._result_position = len(result_vars)
-            result_vars += self.result_new
+            result_vars += self.new_result_vars
             self.make_result = compile_builder(result, result_vars, "result of an aggregate")
         self.vars = result_vars
 
-    def capture(self, start: Var, end: Var) -> None:
+    def add_interval_vars(self, start: Var, end: Var) -> None:
         """Add the interval to the values, for a condition that may have to be tested further up too."""
         self.vars = [*self.vars, start, end]
-        self._captures += 1
+        self._interval_count += 1
 
-    def test(self, test: Test, names: Sequence[Var], late: bool) -> None:
-        """Add a condition; ``names`` are the variables after it.
+    def add_test(self, test: Test, value_vars: Sequence[Var], late: bool) -> None:
+        """Add a condition; ``value_vars`` are the variables after it.
 
         A condition on an aggregate's result (``late``) decides whether the result is emitted; any other is part of
         the match.
         """
         (self.late_tests if late else self.tests).append(test)
-        self.vars = list(names)
+        self.vars = list(value_vars)
 
     def _result_without(self, run: Run) -> Optional[PartialMatch]:
         """Return the result of a run that has no repetitions yet."""
         span = self.span
         if span is not None and run.end - run.start > span:
             return None
-        values = self._fit(run.values, NO_ITEMS, None, run.start, run.end)
+        values = self._apply_tests(run.values, NO_ITEMS, None, run.start, run.end)
         return None if values is None else self.result_of(run, values)
 
-    def _fit(
+    def _apply_tests(
         self, first: Values, items: Term, fixed: Optional[Values], start: int, end: int
     ) -> Optional[Values]:
         """Return the values of a run after its conditions, with the result unbound; None if a condition fails."""
         values: Any = first
         if self.items is not None:
             values += (items,)
-        if self.fixed:
-            values += tuple([Var() for _ in self.fixed]) if fixed is None else fixed
-        if self.result_new:
-            values += tuple([Var() for _ in self.result_new])
-        if self._captures:
-            values += (start, end) * self._captures
+        if self.fixed_vars:
+            values += tuple([Var() for _ in self.fixed_vars]) if fixed is None else fixed
+        if self.new_result_vars:
+            values += tuple([Var() for _ in self.new_result_vars])
+        if self._interval_count:
+            values += (start, end) * self._interval_count
         for test in self.tests:
             values = test(values, start, end)
             if values is None:
@@ -190,8 +190,8 @@ class KleeneValues(NetworkNode):
         if aggregate is not None:
             value = aggregate.result(run.state)
             if self.open_vars:
-                result_values, value = self._with_open(run, result_values, value)
-            result_values = self._with_result(result_values, value)
+                result_values, value = self._bind_open_vars(run, result_values, value)
+            result_values = self._insert_result(result_values, value)
             for test in self.late_tests:
                 if result_values is None:
                     return None
@@ -204,7 +204,7 @@ class KleeneValues(NetworkNode):
         # around its start.
         return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, computed_values))
 
-    def _with_open(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
+    def _bind_open_vars(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
         for var, position in zip(run.free_vars, self._open_positions):
@@ -213,9 +213,9 @@ class KleeneValues(NetworkNode):
         undo(trail, 0)
         return bound
 
-    def _with_result(self, values: Values, value: Term) -> Optional[Values]:
+    def _insert_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result in the place of its variables in the values."""
-        if self.result_is_open:
+        if self.is_result_variable:
             position = self._result_position
             return (*values[:position], value, *values[position + 1 :])
         return self._unify_result(values, value)
@@ -238,7 +238,7 @@ class KleeneNode(KleeneValues):
         first: node of P.
         repeated: node of Q.
         shares_events: whether one event may be in both.
-        names: functions that return the identity of the matches of P and of Q.
+        identity_functions: functions that return the identity of the matches of P and of Q.
         shared_vars: variables that are used elsewhere in the rule.
 
     Attributes:
@@ -253,35 +253,41 @@ class KleeneNode(KleeneValues):
         first: NetworkNode,
         repeated: NetworkNode,
         shares_events: bool,
-        names: Tuple[IdentityFunction, IdentityFunction],
+        identity_functions: Tuple[IdentityFunction, IdentityFunction],
         shared_vars: AbstractSet[Var],
     ):
         super().__init__(first, repeated)
         self.rule = rule
-        self._first_name, self._repeated_name = names
+        self._identify_first, self._identify_repeated = identity_functions
         self._shared_vars = shared_vars
         self.shares_events = shares_events
-        in_first, in_repeated = positions(first.vars), positions(repeated.vars)
-        self.pairs = tuple(
-            (position, in_repeated[var]) for var, position in in_first.items() if var in in_repeated
+        position_in_first, position_in_repeated = positions(first.vars), positions(repeated.vars)
+        self.shared_positions = tuple(
+            (position, position_in_repeated[var])
+            for var, position in position_in_first.items()
+            if var in position_in_repeated
         )
-        self.buffer = MatchBuffer(rule, tuple(first_position for first_position, _ in self.pairs))
-        self.incoming = MatchBuffer(rule, tuple(repeated_position for _, repeated_position in self.pairs))
+        self.buffer = MatchBuffer(rule, tuple(first_position for first_position, _ in self.shared_positions))
+        self.repetition_buffer = MatchBuffer(
+            rule, tuple(repeated_position for _, repeated_position in self.shared_positions)
+        )
         self.step_tests: List[Test] = []
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
-        self._step_positions = [position for position, var in enumerate(repeated.vars) if var not in in_first]
-        self.retained_matches = RetainedMatches(self.incoming)
+        self._step_positions = [
+            position for position, var in enumerate(repeated.vars) if var not in position_in_first
+        ]
+        self.retained_matches = RetainedMatches(self.repetition_buffer)
 
     def buffers(self) -> Sequence[Buffer]:
         """Return the buffers of the node."""
         carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
-        return (self.buffer, self.incoming, *carried)
+        return (self.buffer, self.repetition_buffer, *carried)
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         self.buffer.retention = retention
-        self.incoming.retention = retention
+        self.repetition_buffer.retention = retention
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -295,42 +301,44 @@ class KleeneNode(KleeneValues):
         """Connect the node; see `NetworkNode.bind`."""
         policy = options.policy
         self.tracked = options.tracks_events
-        self.extending: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
-        self.extending = self._extend_and_record if options.tracks_events and self.carried else self.extend
-        self.consuming = policy.consumes_partners
-        self.late = options.out_of_order
-        self.waits_later = self.late and self.shares_events and policy.replaces_identical
-        revised = options.emits_revisions and not self.late
-        self.retains_right, self.ordered = (
-            revised and self.can_be_revived[0],
-            revised and self.can_be_revived[1],
+        self.extend_run: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
+        self.extend_run = self._extend_and_record if options.tracks_events and self.carried else self.extend
+        self.consumes_partners = policy.consumes_partners
+        self.accepts_late_starts = options.out_of_order
+        self.defers_storage = self.accepts_late_starts and self.shares_events and policy.replaces_identical
+        revises = options.emits_revisions and not self.accepts_late_starts
+        self.retains_repetitions, self.joins_in_order = (
+            revises and self.can_be_revived[0],
+            revises and self.can_be_revived[1],
         )
         self.buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
-        self.incoming.partner_bounds = interval_bounds(SEQ, self.span, True)
+        self.repetition_buffer.partner_bounds = interval_bounds(SEQ, self.span, True)
         self.buffer.set_identity_function(
-            (identity_by_start if policy.replaces_identical else identity_by_start_interval)(self._first_name)
+            (identity_by_start if policy.replaces_identical else identity_by_start_interval)(
+                self._identify_first
+            )
         )
-        self.incoming.set_identity_function(
-            self._repeated_name if policy.replaces_identical and not self.retains_right else None
+        self.repetition_buffer.set_identity_function(
+            self._identify_repeated if policy.replaces_identical and not self.retains_repetitions else None
         )
-        self._computed_values = computed_values_getter(self.vars, self._same_at, self._shared_vars)
+        self._computed_values = computed_values_getter(self.vars, self._received_count, self._shared_vars)
         self.emit = emit
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
         # ones.
         if policy.consumes_partners:
-            self.repeated.bind(self._extend_one(emit, policy.prefers_newest), options)
+            self.repeated.bind(self._extend_one_action(emit, policy.prefers_newest), options)
         else:
-            self.repeated.bind(self._extend_all(emit), options)
-        self.first.bind(self._start(emit), options)
+            self.repeated.bind(self._extend_all_action(emit), options)
+        self.first.bind(self._start_action(emit), options)
         for absence, negated in self.carried:
             absence.bind(negated, options)
 
-    def _start(self, emit: Emit) -> Emit:
+    def _start_action(self, emit: Emit) -> Emit:
         buffer = self.buffer
         aggregate = self.aggregate
         fires = aggregate is None or aggregate.empty_result is not None
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             run = Run(match, self.initial_state, len(self.open_vars))
             key = buffer.key_of(run)
             older = buffer.find_identical(run, key)
@@ -340,15 +348,15 @@ class KleeneNode(KleeneValues):
                 return frame
             buffer.add(run, key)
             result = self._result_without(run) if fires else None
-            if self.late or (
-                self.retains_right and is_revived(self.rule.network.tracker, arrival_number_of(run))
+            if self.accepts_late_starts or (
+                self.retains_repetitions and is_revived(self.rule.network.tracker, arrival_number_of(run))
             ):
                 results = [] if result is None else [result]
                 results += self._results_of_earlier(run, key)
                 return emit_each(iter(results), emit, frame)
             return frame if result is None else emit(result, frame)
 
-        return arrive
+        return on_match
 
     def _results_of_earlier(self, run: Run, key: Hashable) -> List[PartialMatch]:
         """Return the results of a late start with the repetitions that arrived before it, in their order.
@@ -356,65 +364,74 @@ class KleeneNode(KleeneValues):
         A revived start takes the repetitions that arrived after it and are still available.
         """
         results = []
-        arrival_number = arrival_number_of(run) if self.retains_right else 0
-        for match in metered(self.incoming.partner_list(key, run.start, run.end), self.rule.meter):
-            if self.retains_right and (
-                arrival_number_of(match) <= arrival_number or (self.consuming and is_valid(match.consumed_by))
+        arrival_number = arrival_number_of(run) if self.retains_repetitions else 0
+        for match in metered(self.repetition_buffer.partner_list(key, run.start, run.end), self.rule.meter):
+            if self.retains_repetitions and (
+                arrival_number_of(match) <= arrival_number
+                or (self.consumes_partners and is_valid(match.consumed_by))
             ):
                 continue
-            extended, result = self.extending(run, match, has_equal_key(key, match))
+            extended, result = self.extend_run(run, match, has_equal_key(key, match))
             if extended:
                 match.consumed_by = run
-                if self.consuming and self.late:
+                if self.consumes_partners and self.accepts_late_starts:
                     match.discard()
             if result is not None:
                 results.append(result)
         return results
 
-    def _wait(self, match: PartialMatch, key: Hashable) -> None:
+    def _store_repetition(self, match: PartialMatch, key: Hashable) -> None:
         """Store a repetition for late starts."""
         # An event that may also be a start is stored after it was tried as such; else it would replace an older
         # repetition that the start needs.
-        if self.waits_later:
-            self.rule.defer_storage(self.incoming, match, key)
-        elif self.late:
-            self.incoming.add(match, key)
-        elif self.retains_right:
+        if self.defers_storage:
+            self.rule.defer_storage(self.repetition_buffer, match, key)
+        elif self.accepts_late_starts:
+            self.repetition_buffer.add(match, key)
+        elif self.retains_repetitions:
             self.retained_matches.add(match, key)
 
-    def _extend_one(self, emit: Emit, newest: bool) -> Emit:
-        waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
+    def _extend_one_action(self, emit: Emit, newest: bool) -> Emit:
+        stores_repetition, joins_in_order, extend = (
+            self.accepts_late_starts or self.retains_repetitions,
+            self.joins_in_order,
+            self.extend_run,
+        )
         meter = self.rule.meter
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
-            key = self.incoming.key_of(match)
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
+            key = self.repetition_buffer.key_of(match)
             extended, result = False, None
             runs: Iterable[PartialMatch] = self.buffer.partners(key, match.start, match.end, newest)
-            if ordered:
+            if joins_in_order:
                 runs = earlier_partners(match, runs, self.rule.network.tracker)
             for run in metered(runs, meter):
                 extended, result = extend(run, match, has_equal_key(key, run))
                 if extended:
                     match.consumed_by = run
                     break
-            if waits:
-                self._wait(match, key)
+            if stores_repetition:
+                self._store_repetition(match, key)
             return frame if result is None else emit(result, frame)
 
-        return arrive
+        return on_match
 
-    def _extend_all(self, emit: Emit) -> Emit:
-        waits, ordered, extend = self.late or self.retains_right, self.ordered, self.extending
+    def _extend_all_action(self, emit: Emit) -> Emit:
+        stores_repetition, joins_in_order, extend = (
+            self.accepts_late_starts or self.retains_repetitions,
+            self.joins_in_order,
+            self.extend_run,
+        )
         meter = self.rule.meter
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
-            key = self.incoming.key_of(match)
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
+            key = self.repetition_buffer.key_of(match)
             runs: Iterable[PartialMatch] = self.buffer.partner_list(key, match.start, match.end)
-            if ordered:
+            if joins_in_order:
                 runs = earlier_partners(match, runs, self.rule.network.tracker)
             # The repetition is stored before results are emitted: a start that follows from a result must find it.
-            if waits:
-                self._wait(match, key)
+            if stores_repetition:
+                self._store_repetition(match, key)
             if not runs:
                 return frame
             results = (
@@ -426,7 +443,7 @@ class KleeneNode(KleeneValues):
             )
             return emit_each(results, emit, frame)
 
-        return arrive
+        return on_match
 
     def extend(self, run: Run, match: PartialMatch, keyed: bool) -> Tuple[bool, Optional[PartialMatch]]:
         """Extend a run if the match satisfies all tests; return whether it did, and the result to emit.
@@ -446,20 +463,20 @@ class KleeneNode(KleeneValues):
             return False, None
         values: Any = run.values
         if not keyed:
-            sides = unify_sides(run, match, self.pairs)
+            sides = unify_sides(run, match, self.shared_positions)
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
-        step: Any = (
+        step_values: Any = (
             values + tuple([match.values[position] for position in self._step_positions]) + run.free_vars
         )
         for test in self.step_tests:
-            step = test(step, match.start, match.end)
-            if step is None:
+            step_values = test(step_values, match.start, match.end)
+            if step_values is None:
                 return False, None
             # The test may have bound variables of the start.
-            values = step[: len(values)]
-        extended, result = self._take(run, match, values, step, last)
+            values = step_values[: len(values)]
+        extended, result = self._add_repetition(run, match, values, step_values, last)
         if extended and self.tracked:
             self.rule.network.tracker.register_repetition(run, match, self)
         return extended, result
@@ -478,25 +495,27 @@ class KleeneNode(KleeneValues):
             tracker.record_suppressed(self, (run, match))
         return extended, result
 
-    def _take(
-        self, run: Run, match: PartialMatch, values: Values, step: Values, last: int
+    def _add_repetition(
+        self, run: Run, match: PartialMatch, values: Values, step_values: Values, last: int
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Add a repetition to a run if the values together satisfy the tests; return as `extend`."""
-        fixed: Any = tuple([step[position] for position in self.fixed_positions])
+        fixed: Any = tuple([step_values[position] for position in self.fixed_positions])
         if run.fixed_values is not None:
             fixed = unify_values(run.fixed_values, fixed)
             if fixed is None:
                 return False, None
         items: Term = NO_ITEMS
         if self.items is not None:
-            items = append_item(run.items, tuple([step[position] for position in self._item_positions]))
-        fitted = self._fit(values, items, fixed, run.start, last)
-        if fitted is None:
+            items = append_item(
+                run.items, tuple([step_values[position] for position in self._item_positions])
+            )
+        tested_values = self._apply_tests(values, items, fixed, run.start, last)
+        if tested_values is None:
             return False, None
         state = run.state
         if self.aggregate is not None:
             try:
-                state = self.aggregate.add(state, step)
+                state = self.aggregate.add(state, step_values)
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None
@@ -505,9 +524,9 @@ class KleeneNode(KleeneValues):
         if self.tracked:
             run.repetitions.append(match)
             run.tracked = RepetitionChain(match, run.tracked)
-            run.step_values.append((values, step))
+            run.step_values.append((values, step_values))
             run.valid_count += 1
-        return True, self.result_of(run, fitted)
+        return True, self.result_of(run, tested_values)
 
     def remove_retracted(self, run: Run, match: PartialMatch) -> bool:
         """Return True: `recompute_results` removes repetitions whose events were retracted."""
@@ -524,13 +543,13 @@ class KleeneNode(KleeneValues):
         if len(repetitions) == len(run.repetitions):
             return []
         # Results before the first retracted repetition remain valid and are not emitted again.
-        sound = next(index for index, match in enumerate(run.repetitions) if not is_valid(match))
+        first_invalid = next(index for index, match in enumerate(run.repetitions) if not is_valid(match))
         # Accumulators cannot remove a value, so the run is computed from the start.
         run.restart(self.initial_state)
         results = []
-        for number, (match, (values, step)) in enumerate(metered(repetitions, self.rule.meter)):
-            _, result = self._take(run, match, values, step, max(run.last, match.end))
-            if number >= sound and result is not None:
+        for number, (match, (values, step_values)) in enumerate(metered(repetitions, self.rule.meter)):
+            _, result = self._add_repetition(run, match, values, step_values, max(run.last, match.end))
+            if number >= first_invalid and result is not None:
                 results.append(result)
         return results if self.rule.active else []
 
@@ -545,9 +564,9 @@ class KleeneNode(KleeneValues):
             result = retried
         else:
             run, match = retried
-            if run.buffer is None or (self.consuming and match.consumed_by is not None):
+            if run.buffer is None or (self.consumes_partners and match.consumed_by is not None):
                 return frame
-            extended, result = self.extending(run, match, False)
+            extended, result = self.extend_run(run, match, False)
             if extended:
                 match.consumed_by = run
         if result is None or is_retracted(result):

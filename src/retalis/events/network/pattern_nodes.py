@@ -77,9 +77,9 @@ class MatchKeys:
         self.carried: Set[Var] = set(shared)
         self._event_bound_vars: Dict[int, FrozenSet[Var]] = {}
 
-    def identity_function(self, names: Sequence[Var], pattern: Pattern) -> IdentityFunction:
+    def identity_function(self, value_vars: Sequence[Var], pattern: Pattern) -> IdentityFunction:
         """Return the identity function of a pattern's matches, given the variables of their values."""
-        carried = [(position, var) for position, var in enumerate(names) if var in self.carried]
+        carried = [(position, var) for position, var in enumerate(value_vars) if var in self.carried]
         return identity_by_values(
             [position for position, var in carried if var not in self._vars_bound_by_events(pattern)]
         )
@@ -115,19 +115,19 @@ def identity_by_values(positions: List[int]) -> IdentityFunction:
 
 
 def computed_values_getter(
-    names: Sequence[Var], received_count: int, carried: AbstractSet[Var]
+    value_vars: Sequence[Var], received_count: int, carried: AbstractSet[Var]
 ) -> Callable[[Values], Values]:
     """Return a function for the values that a node has computed itself and does not pass on; see `ComputedValues`.
 
     Args:
-        names: variables of its values.
+        value_vars: variables of its values.
         received_count: number of values that it received.
         carried: variables that are passed on, and belong to the identity of stored matches.
     """
     hidden_positions = [
-        position for position in range(received_count, len(names)) if names[position] not in carried
+        position for position in range(received_count, len(value_vars)) if value_vars[position] not in carried
     ]
-    if len(hidden_positions) == len(names) - received_count:
+    if len(hidden_positions) == len(value_vars) - received_count:
         return itemgetter(slice(received_count, None))
     return lambda values: tuple([values[position] for position in hidden_positions])
 
@@ -229,14 +229,14 @@ class EventNode(NetworkNode):
 
         # One closure for each combination of options: the first one runs for most events, and must not test
         # anything. The token of an event is created only if something needs its identity.
-        def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def on_event(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             return emit(PartialMatch(values, start, end, None, term, None), frame)
 
-        def arrive_timed(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def on_event_timed(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             rule.tick(end)
             return emit(PartialMatch(values, start, end, None, term, None), frame)
 
-        def arrive_identified(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def on_event_identified(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
             # Matches of the previous event are stored before this event looks for partners.
             if rule.deferred_matches:
@@ -245,7 +245,7 @@ class EventNode(NetworkNode):
                 rule.tick(end)
             return emit(PartialMatch(values, start, end, event, term, None), frame)
 
-        def arrive_unskipped(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def on_event_unskipped(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
             rule.store_deferred_of_earlier_events(event)
             if rule.timed:
@@ -258,14 +258,16 @@ class EventNode(NetworkNode):
 
         needs_identity = rule.shares_events or options.tracks_events
         if rule.skip_state is None:
-            arrival_action = arrive_identified if needs_identity else arrive_timed if rule.timed else arrive
+            event_action = (
+                on_event_identified if needs_identity else on_event_timed if rule.timed else on_event
+            )
             if fuse is None:
-                rule.listen(self, arrival_action)
+                rule.listen(self, event_action)
             else:
-                rule.listen(self, fuse(arrival_action), fused=True)
+                rule.listen(self, fuse(event_action), fused=True)
         else:
             accepts_start = (lambda start: True) if self.is_negated else rule.skip_state.accepts_start
-            rule.listen(self, arrive_unskipped)
+            rule.listen(self, on_event_unskipped)
 
     def bind_values(self, completion: Continuation) -> None:
         """Listen to events for a rule whose pattern is a single event; see `NetworkNode.is_single_event`."""
@@ -276,13 +278,17 @@ class FilterNode(NetworkNode):
     """Passes on the matches that satisfy tests: conditions on an event, an ``or``, or the solution of an action."""
 
     def __init__(
-        self, child: NetworkNode, names: Sequence[Var], tests: Sequence[Test], shared_vars: AbstractSet[Var]
+        self,
+        child: NetworkNode,
+        value_vars: Sequence[Var],
+        tests: Sequence[Test],
+        shared_vars: AbstractSet[Var],
     ):
         self.child = child
         self.shared_vars = shared_vars
         self.is_single_event = child.is_single_event
         self.tests_window = False
-        self.vars = list(names)
+        self.vars = list(value_vars)
         self.tests = list(tests)
         self.span: Optional[int] = None
 
@@ -296,7 +302,7 @@ class FilterNode(NetworkNode):
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             start = match.start
             end = match.end
             if span is not None and end - start > span:
@@ -314,7 +320,7 @@ class FilterNode(NetworkNode):
                 )
             return emit(match, frame)
 
-        self.child.bind(arrive, options)
+        self.child.bind(on_match, options)
 
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
@@ -322,7 +328,7 @@ class FilterNode(NetworkNode):
         tests = self.tests
         span = self.span
 
-        def arrive(term: Term, values: Any, start: int, end: int, frame: Frame) -> Frame:
+        def on_values(term: Term, values: Any, start: int, end: int, frame: Frame) -> Frame:
             if span is not None and end - start > span:
                 return frame
             for test in tests:
@@ -331,7 +337,7 @@ class FilterNode(NetworkNode):
                     return frame
             return complete(term, values, start, end, frame)
 
-        self.child.bind_values(Continuation(arrive))
+        self.child.bind_values(Continuation(on_values))
 
 
 class BindNode(NetworkNode):
@@ -344,11 +350,11 @@ class BindNode(NetworkNode):
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             values = (*match.values, match.start, match.end)
             return emit(PartialMatch(values, match.start, match.end, match.event, None, (match,)), frame)
 
-        self.child.bind(arrive, options)
+        self.child.bind(on_match, options)
 
 
 class OrNode(NetworkNode):
@@ -366,20 +372,20 @@ class OrNode(NetworkNode):
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         for index, child in enumerate(self.children):
-            child.bind(self._branch(index, child, emit), options)
+            child.bind(self._branch_action(index, child, emit), options)
 
-    def _branch(self, index: int, child: NetworkNode, emit: Emit) -> Emit:
-        places = positions(child.vars)
-        layout = [places.get(var) for var in self.vars]
+    def _branch_action(self, index: int, child: NetworkNode, emit: Emit) -> Emit:
+        position_by_var = positions(child.vars)
+        layout = [position_by_var.get(var) for var in self.vars]
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             values = match.values
             ordered_values = tuple([Var() if position is None else values[position] for position in layout])
             return emit(
                 PartialMatch(ordered_values, match.start, match.end, match.event, None, (index, match)), frame
             )
 
-        return arrive
+        return on_match
 
 
 class ActionNode(NetworkNode):
@@ -408,17 +414,17 @@ class ActionNode(NetworkNode):
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         call = self.call
-        act = call.act_on_all if self.every else call.act
+        call_goal = call.act_on_all if self.every else call.act
         tracked = options.tracks_events
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
         is_of_ground = call.rule.network.dispatcher.is_of_ground
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             if span is not None and match.end - match.start > span:
                 return frame
 
-            def solved(term: Term, values: Values, start: int, end: int, then: Frame) -> Frame:
+            def solved(term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
                 return emit(
                     PartialMatch(
                         values,
@@ -428,47 +434,49 @@ class ActionNode(NetworkNode):
                         None,
                         (match, ComputedValues(computed_values(values))),
                     ),
-                    then,
+                    next_frame,
                 )
 
             # Events that the goal makes are derived from this match, so that they are retracted together with it.
             continuation = call.with_cause(match, solved, frame) if tracked else (solved, frame)
-            return act(match.term, match.values, match.start, match.end, is_of_ground(match), *continuation)
+            return call_goal(
+                match.term, match.values, match.start, match.end, is_of_ground(match), *continuation
+            )
 
         may_fire = self.may_fire
         self.child.bind(
-            arrive
+            on_match
             if may_fire is None
-            else lambda match, frame: arrive(match, frame) if may_fire(match.start) else frame,
+            else lambda match, frame: on_match(match, frame) if may_fire(match.start) else frame,
             options,
         )
 
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
         call = self.call
-        act = call.act_on_all if self.every else call.act
+        call_goal = call.act_on_all if self.every else call.act
         complete = completion.action
         span = self.span
         # Conditions and goals below may return values with variables although the event has none.
         only_of_event = isinstance(self.child, EventNode)
         dispatcher = call.rule.network.dispatcher
 
-        def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            return act(term, values, start, end, only_of_event and dispatcher.ground(), complete, frame)
+        def on_values(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+            return call_goal(term, values, start, end, only_of_event and dispatcher.ground(), complete, frame)
 
         continuation = (
             call.continuation_for_event(completion)
             if only_of_event and not self.every
-            else Continuation(arrive)
+            else Continuation(on_values)
         )
         act_once = continuation.action
 
-        def arrive_in_span(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def on_values_in_span(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             if span is not None and end - start > span:
                 return frame
             return act_once(term, values, start, end, frame)
 
-        self.child.bind_values(continuation if span is None else Continuation(arrive_in_span))
+        self.child.bind_values(continuation if span is None else Continuation(on_values_in_span))
 
 
 class NotNode(NetworkNode):
@@ -487,15 +495,15 @@ class NotNode(NetworkNode):
         tracker = self.rule.network.tracker
         tracked = options.tracks_events
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             if absence.forbids_pair(match.values, match.start, match.start):
                 if tracked:
                     tracker.record_suppressed(self, match)
                 return frame
             return emit(match, frame)
 
-        self.retry = _without_skipped(self, arrive)
-        self.child.bind(arrive, options)
+        self.retry = _ignore_skipped(self, on_match)
+        self.child.bind(on_match, options)
         absence.bind(self.negated, options)
 
     def buffers(self) -> Sequence[Buffer]:
@@ -525,19 +533,19 @@ class EarlyTestNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         tracker, tracked, test = self.rule.network.tracker, options.tracks_events, self.test
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             values = test(match.values, match.start, match.end)
             if values is None:
                 if tracked:
                     tracker.record_suppressed(self, match)
                 return frame
-            tested = match
+            tested_match = match
             if values is not match.values:
-                tested = PartialMatch(values, match.start, match.end, match.event, None, (match,))
-            return emit(tested, frame)
+                tested_match = PartialMatch(values, match.start, match.end, match.event, None, (match,))
+            return emit(tested_match, frame)
 
-        self.retry = _without_skipped(self, arrive)
-        self.child.bind(arrive, options)
+        self.retry = _ignore_skipped(self, on_match)
+        self.child.bind(on_match, options)
         for absence, negated in self.carried:
             absence.bind(negated, options)
 
@@ -546,7 +554,7 @@ class EarlyTestNode(NetworkNode):
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
 
-def _without_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
+def _ignore_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
     """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile."""
     skip_state = node.rule.skip_state
     if skip_state is None or node.is_negated:

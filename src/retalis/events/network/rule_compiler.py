@@ -3,15 +3,14 @@
 The compiler walks the pattern top-down and builds the nodes bottom-up, as the NFACompiler of Flink or the Rete
 builder of Drools do. On the way down it passes the *context* (variables of the patterns further left) and the
 *retention* (the smallest interval bounds above). Each part returns `BuiltPattern`: its node, its event nodes in the
-order in which they are served, and the conditions that could not be tested below because they need variables of the
-context.
+order of dispatch, and the conditions that could not be tested below because they need variables of the context.
 
 Conditions belong to the nearest operator below them. `unwrap` collects them, `_split` divides them into those that
 the operator can test and those that it must defer, and the join with the left operand tests the deferred ones.
 
 A sequence of n patterns is a left-deep tree; its pairs are collected in a list and built in a loop, so a long
 sequence needs no deep recursion. The order of the event nodes matters if one event matches several of them: right
-operands are served before left ones, so that an event completes a match before it is stored.
+operands receive events before left ones, so that an event completes a match before it is stored.
 """
 
 from functools import partial
@@ -98,7 +97,7 @@ class RuleCompiler(StreamCompiler):
 
     Attributes:
         nodes: all nodes, each with its own interval bound and the retention of its stored matches.
-        stream_nodes: the operators on streams in the order in which the clock wakes them. As for events, the right
+        stream_nodes: the operators on streams in the order of their alarms. As for events, the right
             operand of a pair precedes the left one: a match is completed before it is replaced.
         copies: further copies of negated patterns, each with the first one.
     """
@@ -234,15 +233,15 @@ class RuleCompiler(StreamCompiler):
         node = built.node
         for deferred in newly_deferred:
             node = self._add_capture(node, deferred)
-        names: List[Var] = node.vars
+        value_vars: List[Var] = node.vars
         tests: List[Test] = []
         for condition in conditions:
-            tested = self._test(node, condition, names)
+            tested = self._test(node, condition, value_vars)
             if tested is not None:
                 tests.append(tested[0])
-                names = tested[1]
+                value_vars = tested[1]
         if tests or wrapping.span is not None:
-            node = self._add(FilterNode(node, names, tests, self.shared_vars), wrapping.span, UNLIMITED)
+            node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), wrapping.span, UNLIMITED)
         return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
 
     def _split(
@@ -270,15 +269,19 @@ class RuleCompiler(StreamCompiler):
         return assigned, [part for part in assigned if isinstance(part, DeferredConditions)]
 
     def _test(
-        self, node: Any, condition: TestedCondition, names: List[Var]
+        self, node: Any, condition: TestedCondition, value_vars: List[Var]
     ) -> Optional[Tuple[Test, List[Var]]]:
         """Return the test of a condition and the variables after it; None if it cannot be tested at this node.
 
         A deferred condition is tried at a node that may bind all variables that it requires.
         """
         if isinstance(condition, DeferredConditions):
-            return early_test(self.rule, node, condition, names) if condition.may_be_tried(names) else None
-        call = RuleGoal(self.rule, condition.goal, names)
+            return (
+                early_test(self.rule, node, condition, value_vars)
+                if condition.may_be_tried(value_vars)
+                else None
+            )
+        call = RuleGoal(self.rule, condition.goal, value_vars)
         return goal_test(call, condition.timed, None), call.result_vars
 
     def _deferred(
@@ -305,7 +308,7 @@ class RuleCompiler(StreamCompiler):
         self, pattern: Pattern, context: VarSet, retention: Retention, first_left_stream: int
     ) -> BuiltPattern:
         """Build the right operand of a pair; the streams of the left one begin at ``first_left_stream``."""
-        # The clock wakes the operators of the right operand first, see `stream_nodes`; the left ones were built
+        # The alarms of the operators of the right operand run first, see `stream_nodes`; the left ones were built
         # before.
         left_streams = self.stream_nodes[first_left_stream:]
         del self.stream_nodes[first_left_stream:]
@@ -355,7 +358,7 @@ class RuleCompiler(StreamCompiler):
         self._add(node, wrapping.span, retention)
         if negated is not None and gap is None:
             built = negated.make()
-            node.absent(negation_buffer_for(self.rule, built, node.vars, False), built.node)
+            node.add_absence(negation_buffer_for(self.rule, built, node.vars, False), built.node)
         self._test_joined(node, below, ready, conditions)
         deferred += newly_deferred
         if negated is not None and gap is not None:
@@ -384,13 +387,13 @@ class RuleCompiler(StreamCompiler):
         """Add the conditions that the operands of a pair have deferred, and those of the pair itself."""
         for deferred in below:
             if deferred in ready:
-                node.test(*deferred_test(self.rule, node, deferred, node.vars))
+                node.add_test(*deferred_test(self.rule, node, deferred, node.vars))
             elif deferred.may_be_tried(node.vars):
-                node.test(*early_test(self.rule, node, deferred, node.vars))
+                node.add_test(*early_test(self.rule, node, deferred, node.vars))
         for condition in conditions:
             tested = self._test(node, condition, node.vars)
             if tested is not None:
-                node.test(*tested)
+                node.add_test(*tested)
 
     def _test_gap(
         self, node: JoinNode, gap_condition: DeferredConditions, conditions: Sequence[TestedCondition]
@@ -400,10 +403,10 @@ class RuleCompiler(StreamCompiler):
             [test for test in conditions if isinstance(test, ConditionPattern)]
         ):
             # The conditions of the pair bind all of its variables.
-            node.test(*deferred_test(self.rule, node, gap_condition, node.vars))
+            node.add_test(*deferred_test(self.rule, node, gap_condition, node.vars))
             return []
         if gap_condition.may_be_tried(node.vars):
-            node.test(*early_test(self.rule, node, gap_condition, node.vars))
+            node.add_test(*early_test(self.rule, node, gap_condition, node.vars))
         return [gap_condition]
 
     def _build_not(self, core: NotPattern, context: VarSet, retention: Retention) -> BuiltPattern:
@@ -456,7 +459,7 @@ class RuleCompiler(StreamCompiler):
         measured = [core.value] if isinstance(core, AggregatePattern) and core.value is not None else []
         outside = self._outside(pattern, measured)
         for value in measured:
-            node.open([var for var in variables(value) if var in outside])
+            node.set_open_vars([var for var in variables(value) if var in outside])
         items = RepetitionItems(outside)
         always_bound = always_bound_by(core.first, False, True) | always_bound_by(pattern, False, True)
         # Conditions on a repetition that use variables of the context are tested above, on the list of all
@@ -469,19 +472,21 @@ class RuleCompiler(StreamCompiler):
         carried = items if further else None
         self.shared_vars.add(items.var)
         if isinstance(core, AggregatePattern):
-            node.finish(outside, self._sequence_aggregate(core, node.step_vars), core.result, carried)
+            node.set_result_layout(
+                outside, self._sequence_aggregate(core, node.step_vars), core.result, carried
+            )
         else:
-            node.finish(outside, None, None, carried)
+            node.set_result_layout(outside, None, None, carried)
         conditions, newly_deferred = self._split(wrapping.conditions, wrapping.core, context)
         for pending in newly_deferred:
-            node.capture(pending.start, pending.end)
+            node.add_interval_vars(pending.start, pending.end)
         for pending in first.deferred:
             if pending.may_be_tried(node.vars):
-                node.test(*early_test(self.rule, node, pending, node.vars), False)
-        for late, condition in order_by_result_use(conditions, node.vars, node.result_new):
+                node.add_test(*early_test(self.rule, node, pending, node.vars), False)
+        for late, condition in order_by_result_use(conditions, node.vars, node.new_result_vars):
             tested = self._test(node, condition, node.vars)
             if tested is not None:
-                node.test(*tested, late)
+                node.add_test(*tested, late)
         return BuiltPattern(
             node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined], first.single
         )
@@ -491,10 +496,10 @@ class RuleCompiler(StreamCompiler):
         inside = occurrences(list(values), pattern)
         return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
 
-    def _sequence_aggregate(self, core: AggregatePattern, names: List[Var]) -> SequenceAggregate:
+    def _sequence_aggregate(self, core: AggregatePattern, value_vars: List[Var]) -> SequenceAggregate:
         if core.value is None:
             return SequenceAggregate(core.kind, lambda values: NIL, lambda term, values: term)
-        value = compile_builder(core.value, names, "value of an aggregate")
+        value = compile_builder(core.value, value_vars, "value of an aggregate")
         return SequenceAggregate(
-            core.kind, value, Evaluators(self.rule).compile_expression(core.kind, core.value, names)
+            core.kind, value, Evaluators(self.rule).compile_expression(core.kind, core.value, value_vars)
         )

@@ -70,33 +70,33 @@ GoalTestFactory = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def compile_row_pattern(form: WindowSpec, before: int, goal_test: GoalTestFactory) -> RowPatternNFA:
+def compile_row_pattern(window: WindowSpec, value_count: int, goal_test: GoalTestFactory) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:
-        form: the window.
-        before: number of values of an element that precede those that conditions use.
+        window: the window.
+        value_count: number of values of an element that precede those that conditions use.
         goal_test: returns a function that calls a goal.
     """
-    position_of = {var: position for position, var in enumerate(form.navigated_vars, before)}
-    names = [step_form.name for step_form in form.steps]
-    marks: Dict[StepNavigation, int] = {}
+    position_of = {var: position for position, var in enumerate(window.navigated_vars, value_count)}
+    step_names = [step_form.name for step_form in window.steps]
+    navigation_numbers: Dict[StepNavigation, int] = {}
 
-    def test(goal: Term, position: int, called: str) -> Tuple[StepTest, ...]:
+    def compile_tests(goal: Term, position: int, title: str) -> Tuple[StepTest, ...]:
         tests = []
-        for condition in conditions(goal, names, position, position_of):
+        for condition in conditions(goal, step_names, position, position_of):
             own_vars = [var for var in variables(condition.goal) if var in position_of]
             is_satisfied = goal_test(
                 condition.goal,
                 [*own_vars, *(navigation.placeholder for navigation in condition.navigations)],
-                called,
+                title,
             )
             # Each navigation (PREV, LAST of a step) is registered once for the whole pattern, and conditions refer
             # to it by number.
             navigations = [
-                marks.setdefault(
+                navigation_numbers.setdefault(
                     StepNavigation(navigation.kind, -1 if navigation.kind == "prev" else navigation.step),
-                    len(marks),
+                    len(navigation_numbers),
                 )
                 for navigation in condition.navigations
             ]
@@ -104,43 +104,49 @@ def compile_row_pattern(form: WindowSpec, before: int, goal_test: GoalTestFactor
                 [position_of[var] for var in own_vars],
                 [position_of[navigation.var] for navigation in condition.navigations],
             )
-            tests.append(StepTest(tuple(navigations), partial(_holds, is_satisfied, *values)))
+            tests.append(StepTest(tuple(navigations), partial(_holds_for, is_satisfied, *values)))
         return tuple(tests)
 
-    def step(position: int, step_form: RowPatternStep) -> RowPatternVariable:
+    def compile_step(position: int, step_form: RowPatternStep) -> RowPatternVariable:
         tests, until = [
-            () if goal is None else test(goal, position, f"{called} of the step {step_form.name}")
-            for goal, called in ((step_form.goal, "the condition"), (step_form.until, "until"))
+            () if goal is None else compile_tests(goal, position, f"{title} of the step {step_form.name}")
+            for goal, title in ((step_form.goal, "the condition"), (step_form.until, "until"))
         ]
         return RowPatternVariable(
             step_form.min_count, step_form.max_count, step_form.reluctant, step_form.skips_rows, tests, until
         )
 
-    steps = [step(position, step_form) for position, step_form in enumerate(form.steps)]
-    return RowPatternNFA(steps, list(marks))
+    steps = [compile_step(position, step_form) for position, step_form in enumerate(window.steps)]
+    return RowPatternNFA(steps, list(navigation_numbers))
 
 
-def _holds(
+def _holds_for(
     is_satisfied: GoalTest,
     own_vars: Sequence[int],
     navigation_positions: Sequence[int],
-    key_and_values: StreamElement,
+    element: StreamElement,
     targets: Sequence[StreamElement],
 ) -> bool:
     """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
-    values = [key_and_values.values[position] for position in own_vars]
+    values = [element.values[position] for position in own_vars]
     if navigation_positions:
-        values += [element.values[position] for element, position in zip(targets, navigation_positions)]
+        values += [target.values[position] for target, position in zip(targets, navigation_positions)]
     return is_satisfied(tuple(values))
 
 
 _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
-    "last": lambda make, form: SlidingTimeWindow(make, form.span),
-    "newest": lambda make, form: SlidingCountWindow(make, form.max_count),
-    "batch": lambda make, form: TumblingCountWindow(make, form.max_count, form.running),
-    "first": lambda make, form: AnchoredTumblingWindow(make, form.span, form.running),
-    "every": lambda make, form: (
-        AlignedTumblingWindow(make, form.span) if form.running else HoppingWindow(make, form.span, form.step)
+    "last": lambda make_accumulators, window: SlidingTimeWindow(make_accumulators, window.span),
+    "newest": lambda make_accumulators, window: SlidingCountWindow(make_accumulators, window.max_count),
+    "batch": lambda make_accumulators, window: TumblingCountWindow(
+        make_accumulators, window.max_count, window.running
+    ),
+    "first": lambda make_accumulators, window: AnchoredTumblingWindow(
+        make_accumulators, window.span, window.running
+    ),
+    "every": lambda make_accumulators, window: (
+        AlignedTumblingWindow(make_accumulators, window.span)
+        if window.running
+        else HoppingWindow(make_accumulators, window.span, window.step)
     ),
 }
 _RATE_OPERATORS: Dict[str, Callable[[int], StreamOperator]] = {
@@ -155,57 +161,60 @@ _LATE_DEBOUNCED = "an event is too late and is ignored: the time in which a newe
 _LATE_AWAITED = "an event is too late and is ignored: the time in which nothing may follow it has passed"
 
 
-def rate_operator(part: RatePattern) -> StreamOperator:
+def rate_operator(rate_pattern: RatePattern) -> StreamOperator:
     """Return the operator of ``P with S``."""
-    return _RATE_OPERATORS[part.operator](part.span)
+    return _RATE_OPERATORS[rate_pattern.operator](rate_pattern.span)
 
 
-def rate_node_spec(part: RatePattern, names: Sequence[Var]) -> StreamNodeSpec:
+def rate_node_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> StreamNodeSpec:
     """Return the specification of a node of ``P with S``, given the variables of P's matches."""
-    by = _builder(part.keys, names)
-    value = _builder(() if part.value is None else (part.value,), names)
+    build_key = _builder(rate_pattern.keys, value_vars)
+    build_values = _builder(() if rate_pattern.value is None else (rate_pattern.value,), value_vars)
 
     def key_and_values(values: Values) -> Tuple[Values, Values]:
-        return by(values), value(values)
+        return build_key(values), build_values(values)
 
     return StreamNodeSpec(
-        lambda options: rate_operator(part),
+        lambda options: rate_operator(rate_pattern),
         key_and_values,
         None,
-        part.operator == "debounce",
+        rate_pattern.operator == "debounce",
         _LATE_DEBOUNCED,
     )
 
 
 def window_node_spec(
-    part: WindowPattern,
-    names: Sequence[Var],
-    groups: Sequence[Var],
+    window_pattern: WindowPattern,
+    value_vars: Sequence[Var],
+    key_vars: Sequence[Var],
     result: Result,
     evaluators: Evaluators,
 ) -> StreamNodeSpec:
     """Return the specification of a node of ``aggregate(K, Q, R, W)``, given the variables of Q's matches.
 
     Args:
-        part: the pattern.
-        names: variables of Q's matches.
-        groups: those that are used elsewhere in the rule; they are the key.
+        window_pattern: the pattern.
+        value_vars: variables of Q's matches.
+        key_vars: those that are used elsewhere in the rule; they are the key.
         result: returns the values of its matches.
         evaluators: compiles the goals.
     """
-    position_of = positions(names)
-    key_positions = [position_of[var] for var in groups]
+    position_of = positions(value_vars)
+    key_positions = [position_of[var] for var in key_vars]
     single_position = key_positions[0] if len(key_positions) == 1 else None
-    measured_terms = [value for value in part.values if value is not None]
-    navigated_vars = part.window.navigated_vars
-    build, navigated_positions = _builder(measured_terms, names), [position_of[var] for var in navigated_vars]
+    measured_terms = [value for value in window_pattern.values if value is not None]
+    navigated_vars = window_pattern.window.navigated_vars
+    build, navigated_positions = (
+        _builder(measured_terms, value_vars),
+        [position_of[var] for var in navigated_vars],
+    )
     evaluate_values = [
         _lenient_evaluation(
-            evaluators.compile_expression(kind, value, names, AGGREGATES[kind].accepts_arrays), scope
+            evaluators.compile_expression(kind, value, value_vars, AGGREGATES[kind].accepts_arrays), scope
         )
         if AGGREGATES[kind].is_numeric
         else None
-        for kind, value, scope in zip(part.kinds, part.values, part.scopes)
+        for kind, value, scope in zip(window_pattern.kinds, window_pattern.values, window_pattern.scopes)
         if value is not None
     ]
     has_numeric_values = any(evaluate_values)
@@ -218,7 +227,7 @@ def window_node_spec(
                 if value.__class__ not in (int, float):
                     measured = tuple(
                         [
-                            _number(element, evaluate, values)
+                            _evaluate_unless_number(element, evaluate, values)
                             for element, evaluate in zip(measured, evaluate_values)
                         ]
                     )
@@ -231,48 +240,52 @@ def window_node_spec(
             else tuple([values[position] for position in key_positions])
         ), measured
 
-    measures = _measures(part, evaluators.compile_fold)
-    form = part.window
-    if form.kind == "steps":
-        nfa = compile_row_pattern(form, len(measured_terms), evaluators.compile_test)
+    measures = _measures(window_pattern, evaluators.compile_fold)
+    window = window_pattern.window
+    if window.kind == "steps":
+        nfa = compile_row_pattern(window, len(measured_terms), evaluators.compile_test)
         return StreamNodeSpec(
-            lambda options: RowPatternWindow(measures, part.scopes, nfa),
+            lambda options: RowPatternWindow(measures, window_pattern.scopes, nfa),
             key_and_values,
             result,
             False,
             _LATE,
             any(variable.tests or variable.until for variable in nfa.steps),
         )
-    make = partial(_WINDOWS[form.kind], measures, form)
-    clocked = form.kind == "first" or (form.kind == "every" and not form.running)
-    calls, fused = "fold" in part.kinds, _fused_form(part, position_of, groups)
-    return StreamNodeSpec(lambda options: make(), key_and_values, result, clocked, _LATE, calls, fused)
+    create_operator = partial(_WINDOWS[window.kind], measures, window)
+    clocked = window.kind == "first" or (window.kind == "every" and not window.running)
+    calls, fused = "fold" in window_pattern.kinds, _fusible_window(window_pattern, position_of, key_vars)
+    return StreamNodeSpec(
+        lambda options: create_operator(), key_and_values, result, clocked, _LATE, calls, fused
+    )
 
 
-def _fused_form(
-    part: WindowPattern, position_of: Dict[Var, int], groups: Sequence[Var]
+def _fusible_window(
+    window_pattern: WindowPattern, position_of: Dict[Var, int], key_vars: Sequence[Var]
 ) -> Optional[FusedWindow]:
-    """Return the form of a window that `fused_window` takes: only variables are measured; None for other windows."""
+    """Return a window for `fused_window`, or None if it cannot be fused: only variables may be measured."""
     if (
-        part.window.kind != "last"
-        or part.is_listed
-        or not has_fused_measures(part.kinds)
-        or _distinct_new_vars(part, groups) is None
+        window_pattern.window.kind != "last"
+        or window_pattern.is_listed
+        or not has_fused_measures(window_pattern.kinds)
+        or _distinct_new_vars(window_pattern, key_vars) is None
     ):
         return None
     values: List[Optional[int]] = []
-    for value in part.values:
+    for value in window_pattern.values:
         # Expressions need Prolog evaluation, which the fused code does not contain.
         if value is not None and (value.__class__ is not Var or value not in position_of):
             return None
         values.append(None if value is None else position_of[value])
-    return FusedWindow(part.window.span, [position_of[var] for var in groups], part.kinds, values)
+    return FusedWindow(
+        window_pattern.window.span, [position_of[var] for var in key_vars], window_pattern.kinds, values
+    )
 
 
-def _distinct_new_vars(part: WindowPattern, groups: Sequence[Var]) -> Optional[List[Var]]:
+def _distinct_new_vars(window_pattern: WindowPattern, key_vars: Sequence[Var]) -> Optional[List[Var]]:
     """Return the terms of the results if these are different new variables, else None."""
-    new_vars = [term for term in part.results if term.__class__ is Var and term not in groups]
-    return new_vars if len(set(new_vars)) == len(part.results) else None
+    new_vars = [term for term in window_pattern.results if term.__class__ is Var and term not in key_vars]
+    return new_vars if len(set(new_vars)) == len(window_pattern.results) else None
 
 
 def _lenient_evaluation(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
@@ -283,52 +296,54 @@ def _lenient_evaluation(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
     if scope is None:
         return evaluate
 
-    def evaluated(term: Term, values: Values) -> Term:
+    def evaluate_or_return(term: Term, values: Values) -> Term:
         try:
             return evaluate(term, values)
         except RuleError:
-            # Only that step may not take it, and refuses it then.
+            # The elements of other steps need no value; if the step accepts this one, its measure rejects the term.
             return term
 
-    return evaluated
+    return evaluate_or_return
 
 
-def _number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
+def _evaluate_unless_number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
     return value if evaluate is None or value.__class__ in (int, float) else evaluate(value, values)
 
 
-def _measures(part: WindowPattern, folded: Callable[[Any], FoldFunction]) -> Callable[[], List[Any]]:
+def _measures(
+    window_pattern: WindowPattern, compile_fold: Callable[[Any], FoldFunction]
+) -> Callable[[], List[Any]]:
     """Return a function that creates the accumulators of one key."""
-    makers = []
+    factories = []
     position = 0
-    for kind, setting, value in zip(part.kinds, part.settings, part.values):
+    for kind, setting, value in zip(window_pattern.kinds, window_pattern.settings, window_pattern.values):
         if kind == "rate":
-            setting = Fraction(part.window.span, SECOND) if part.window.span else None
+            setting = Fraction(window_pattern.window.span, SECOND) if window_pattern.window.span else None
         elif kind == "fold":
-            setting = folded(setting)
-        makers.append(partial(AGGREGATES[kind].make_accumulator, position, setting))
+            setting = compile_fold(setting)
+        factories.append(partial(AGGREGATES[kind].make_accumulator, position, setting))
         position += value is not None
-    return lambda: [make() for make in makers]
+    return lambda: [make_accumulator() for make_accumulator in factories]
 
 
 def absence_node_spec(
     span: int,
-    names: Sequence[Var],
-    absent: Sequence[Var],
+    value_vars: Sequence[Var],
+    negated_vars: Sequence[Var],
     condition: Optional[Callable[[Values, PartialMatch], bool]],
-    name: Callable[[PartialMatch], Hashable],
+    identity_of: Callable[[PartialMatch], Hashable],
 ) -> StreamNodeSpec:
     """Return the specification of a node of ``P seq absent(Q, N)``.
 
     Args:
         span: the time that must pass, in ns.
-        names: variables of P's matches.
-        absent: variables of Q's matches.
+        value_vars: variables of P's matches.
+        negated_vars: variables of Q's matches.
         condition: tests the values of P and a match of Q, if Q has conditions on P; else None.
-        name: returns the identity of a match of P.
+        identity_of: returns the identity of a match of P.
     """
-    position_of = positions(names)
-    shared = [(position, position_of[var]) for position, var in enumerate(absent) if var in position_of]
+    position_of = positions(value_vars)
+    shared = [(position, position_of[var]) for position, var in enumerate(negated_vars) if var in position_of]
     keys = [
         key_function(tuple(match_position for _, match_position in shared)),
         key_function(tuple(absent_position for absent_position, _ in shared)),
@@ -340,55 +355,57 @@ def absence_node_spec(
         except ValueError:
             return None
 
-    def rules_out(match: PartialMatch, absent_match: PartialMatch) -> bool:
+    def cancels(match: PartialMatch, absent_match: PartialMatch) -> bool:
         sides = unify_sides(absent_match, match, tuple(shared))
         if sides is None:
             return False
         return condition is None or condition(sides[1].values, sides[0])
 
-    def stream(options: NetworkOptions) -> StreamOperator:
+    def create_operator(options: NetworkOptions) -> StreamOperator:
         correlation = Correlation(
-            key, rules_out, condition is None, name if options.policy.replaces_identical else None
+            key, cancels, condition is None, identity_of if options.policy.replaces_identical else None
         )
         return AbsenceTimeout(span, correlation)
 
-    return StreamNodeSpec(stream, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None)
+    return StreamNodeSpec(
+        create_operator, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None
+    )
 
 
-def _builder(terms: Sequence[Term], names: Sequence[Var]) -> Callable[[Values], Values]:
+def _builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Values], Values]:
     """Return a function that makes the values of terms from those of variables."""
-    built = [compile_builder(term, list(names), "operator on a stream") for term in terms]
-    if not built:
+    builders = [compile_builder(term, list(value_vars), "operator on a stream") for term in terms]
+    if not builders:
         return lambda values: ()
-    if len(built) == 1:
-        single_builder = built[0]
+    if len(builders) == 1:
+        single_builder = builders[0]
         return lambda values: (single_builder(values),)
-    return lambda values: tuple([build(values) for build in built])
+    return lambda values: tuple([build(values) for build in builders])
 
 
-def window_result(part: WindowPattern, groups: Sequence[Var]) -> Tuple[List[Var], Result]:
+def window_result(window_pattern: WindowPattern, key_vars: Sequence[Var]) -> Tuple[List[Var], Result]:
     """Return the variables of a window's matches, and the function that makes their values.
 
     The function takes the values of the key and the results. It returns None if the term of a result does not unify
     with it.
     """
-    listed, terms, known_vars = part.is_listed, part.results, set(groups)
-    new_vars = _distinct_new_vars(part, groups)
+    is_listed, terms, known_vars = window_pattern.is_listed, window_pattern.results, set(key_vars)
+    new_vars = _distinct_new_vars(window_pattern, key_vars)
     if new_vars is not None:
-        if listed:
-            return [*groups, *new_vars], lambda by, output: (*by, make_list(list(output)))
-        return [*groups, *new_vars], lambda by, output: (*by, *output)
-    new = [
+        if is_listed:
+            return [*key_vars, *new_vars], lambda by, output: (*by, make_list(list(output)))
+        return [*key_vars, *new_vars], lambda by, output: (*by, *output)
+    unknown_vars = [
         var
         for var in dict.fromkeys(element for term in terms for element in variables(term))
         if var not in known_vars
     ]
-    names = [*groups, *new]
-    builders = [compile_builder(term, names, "result of an aggregate") for term in terms]
+    value_vars = [*key_vars, *unknown_vars]
+    builders = [compile_builder(term, value_vars, "result of an aggregate") for term in terms]
 
-    def fitted(by: Values, output: Values) -> Optional[Values]:
-        result_values = (*by, *(Var() for _ in new))
-        results = (make_list(list(output)),) if listed else output
+    def unify_results(by: Values, output: Values) -> Optional[Values]:
+        result_values = (*by, *(Var() for _ in unknown_vars))
+        results = (make_list(list(output)),) if is_listed else output
         trail: List[Any] = []
         unified = None
         if all(unify(build(result_values), value, trail) for build, value in zip(builders, results)):
@@ -396,7 +413,7 @@ def window_result(part: WindowPattern, groups: Sequence[Var]) -> Tuple[List[Var]
         undo(trail, 0)
         return unified
 
-    return names, fitted
+    return value_vars, unify_results
 
 
 class StreamCompiler:
@@ -424,14 +441,17 @@ class StreamCompiler:
         raise NotImplementedError
 
     def _build_stream(
-        self, core: Union[WindowPattern, RatePattern, AbsencePattern], context: VarSet, part: Optional[int]
+        self,
+        core: Union[WindowPattern, RatePattern, AbsencePattern],
+        context: VarSet,
+        max_interval: Optional[int],
     ) -> BuiltPattern:
         """Build an operator on streams.
 
         Args:
             core: the operator.
             context: variables of the patterns to its left.
-            part: longest interval of a useful match, in ns; None for no bound.
+            max_interval: longest interval of a useful match, in ns; None for no bound.
         """
         if isinstance(core, AbsencePattern):
             return self._build_absence(core, context)
@@ -440,27 +460,31 @@ class StreamCompiler:
         # A window has no partner further left at the time when its elements are measured, so such conditions cannot
         # be deferred.
         if below.deferred:
-            what = (
+            subject = (
                 "what is measured" if isinstance(core, WindowPattern) else f"the pattern of {core.operator}"
             )
-            raise RuleError(f"a condition in {what} uses a pattern to the left of it", self.rule.place)
-        names = below.node.vars
+            raise RuleError(f"a condition in {subject} uses a pattern to the left of it", self.rule.place)
+        value_vars = below.node.vars
         if isinstance(core, RatePattern):
-            node = StreamNode(self.rule, [below.node], names, rate_node_spec(core, names), core)
+            node = StreamNode(self.rule, [below.node], value_vars, rate_node_spec(core, value_vars), core)
             built = below if core.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
-            return built._replace(node=self._add(node, None, Retention(part, part)))
-        if any(var in context and var not in names for goal in core.window.goals for var in variables(goal)):
+            return built._replace(node=self._add(node, None, Retention(max_interval, max_interval)))
+        if any(
+            var in context and var not in value_vars for goal in core.window.goals for var in variables(goal)
+        ):
             raise RuleError(
                 "a condition of a step uses a pattern to the left of what is measured", self.rule.place
             )
         values = [value for value in core.values if value is not None]
-        outside = self._outside(pattern, [*values, *core.window.navigated_vars])
-        groups = [var for var in names if var in outside]
-        own_vars, result = window_result(core, groups)
+        outside_vars = self._outside(pattern, [*values, *core.window.navigated_vars])
+        key_vars = [var for var in value_vars if var in outside_vars]
+        own_vars, result = window_result(core, key_vars)
         evaluators = Evaluators(self.rule)
-        spec = window_node_spec(core, names, groups, result, evaluators)
+        spec = window_node_spec(core, value_vars, key_vars, result, evaluators)
         node = self._add(
-            StreamNode(self.rule, [below.node], own_vars, spec, core), None, Retention(part, part)
+            StreamNode(self.rule, [below.node], own_vars, spec, core),
+            None,
+            Retention(max_interval, max_interval),
         )
         return BuiltPattern(node, [], below.leaves, [])
 
@@ -470,16 +494,16 @@ class StreamCompiler:
         inner_context = context | frozenset(bound_by(core.pattern))
         negated = self._negated(core, inner_context, UNLIMITED)
         always_bound = always_bound_by(core.pattern, False, True)
-        names = below.node.vars
+        value_vars = below.node.vars
         # The timeout has no left operand whose variables could become known later.
-        if negated.needs(inner_context, set(names)) | negated.needs(context, always_bound):
+        if negated.needs(inner_context, set(value_vars)) | negated.needs(context, always_bound):
             message = "the pattern of absent uses a variable that the pattern before it does not bind"
             raise RuleError(message, self.rule.place)
         built = negated.make()
-        absence = negation_buffer_for(self.rule, built, names, False)
-        name = self._match_keys.identity_function(names, core.pattern)
-        spec = absence_node_spec(core.span, names, built.node.vars, absence.condition, name)
-        node = StreamNode(self.rule, [below.node, built.node], names, spec, core)
+        absence = negation_buffer_for(self.rule, built, value_vars, False)
+        identity_of = self._match_keys.identity_function(value_vars, core.pattern)
+        spec = absence_node_spec(core.span, value_vars, built.node.vars, absence.condition, identity_of)
+        node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, core)
         node.carried = absence.carried
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -70,8 +70,8 @@ DeferredWork = Callable[[Frame], Frame]
 class ReentrancyQueue:
     """Deferred work of one node; as frame code it executes the work in order.
 
-    Each piece of work runs as part of the event that was served when it was deferred, so the limit on chains of
-    events applies to it.
+    Each piece of work runs as part of the event that was being dispatched when it was deferred, so the limit on
+    chains of events applies to it.
 
     Attributes:
         is_running: whether the operator is running.
@@ -79,17 +79,17 @@ class ReentrancyQueue:
 
     def __init__(self, dispatcher: Dispatcher):
         self._dispatcher = dispatcher
-        self._steps: Deque[Tuple[Any, DeferredWork]] = deque()
+        self._deferred_work: Deque[Tuple[Any, DeferredWork]] = deque()
         self.is_running = False
 
     def clear(self) -> None:
         """Drop all deferred work, after an interrupt."""
         self.is_running = False
-        self._steps.clear()
+        self._deferred_work.clear()
 
-    def defer(self, step: DeferredWork) -> None:
+    def defer(self, work: DeferredWork) -> None:
         """Defer work."""
-        self._steps.append((self._dispatcher.current, step))
+        self._deferred_work.append((self._dispatcher.current, work))
 
     def run_operator(self, work: Callable[[], Any]) -> Any:
         """Run the operator and return its result."""
@@ -99,21 +99,21 @@ class ReentrancyQueue:
         finally:
             self.is_running = False
 
-    def before(self, frame: Frame) -> Frame:
+    def frame_after_deferred(self, frame: Frame) -> Frame:
         """Return the frame that executes the deferred work, and continues with ``frame``."""
-        return (self, self._dispatcher.current, frame) if self._steps else frame
+        return (self, self._dispatcher.current, frame) if self._deferred_work else frame
 
     def run(self, frame: Frame) -> Frame:
         """Execute the next piece of work."""
         dispatcher = self._dispatcher
         _, current, next_frame = frame
-        # All work is done: the event that was served before becomes current again.
-        if not self._steps:
+        # All work is done: the event that was dispatched before becomes current again.
+        if not self._deferred_work:
             dispatcher.restore(current, dispatcher.cause)
             return next_frame  # type: ignore[no-any-return]
-        event, step = self._steps.popleft()
+        event, work = self._deferred_work.popleft()
         dispatcher.restore(event, dispatcher.cause)
-        return step(frame)
+        return work(frame)
 
 
 MAX_REPLAYED_ELEMENTS = 10_000
@@ -130,11 +130,11 @@ class Replay:
 
     def __init__(self, create_operator: Callable[[], StreamOperator], operator_state: OperatorState = ()):
         self._create_operator = create_operator
-        self._base: OperatorState = _copy_state(operator_state)
+        self._initial_state: OperatorState = _copy_state(operator_state)
         self._elements: List[Tuple[int, StreamElement, int]] = []
         self._outputs: List[Tuple[StreamOutput, RepetitionChain]] = []
-        self._new: List[StreamOutput] = []
-        self._forgotten: Dict[int, PartialMatch] = {}
+        self._new_outputs: List[StreamOutput] = []
+        self._excluded_matches: Dict[int, PartialMatch] = {}
 
     def __len__(self) -> int:
         return len(self._elements)
@@ -145,7 +145,7 @@ class Replay:
         Called before the operator processes an element or an alarm.
         """
         if len(self._elements) >= MAX_REPLAYED_ELEMENTS or len(self._outputs) >= MAX_REPLAYED_ELEMENTS:
-            self._base = _copy_state(stream.snapshot())
+            self._initial_state = _copy_state(stream.snapshot())
             self._elements, self._outputs = [], []
 
     def record_element(self, channel: int, element: StreamElement, now: int) -> None:
@@ -158,7 +158,7 @@ class Replay:
 
     def remove_retracted(self, match: PartialMatch) -> bool:
         """Exclude a match when the operator is run again; return True, because that may change its outputs."""
-        self._forgotten[id(match)] = match
+        self._excluded_matches[id(match)] = match
         return True
 
     def run_again(
@@ -171,16 +171,16 @@ class Replay:
             meter: counts the elements as pattern work; None if nothing is counted.
 
         Returns:
-            The new operator, and the lineage objects of outputs that are missing now; new outputs are available from
-            `take_new`. None if pattern work was stopped: the outputs would be incomplete, and valid ones would be
+            The new operator, and the lineage objects of outputs that are missing now; `pop_new_outputs` returns the
+            new outputs. None if pattern work was stopped: the outputs would be incomplete, and valid ones would be
             retracted.
         """
-        forgotten = self._forgotten
-        self._elements = [entry for entry in self._elements if id(entry[1].match) not in forgotten]
-        self._forgotten = {}
+        excluded_matches = self._excluded_matches
+        self._elements = [entry for entry in self._elements if id(entry[1].match) not in excluded_matches]
+        self._excluded_matches = {}
         stream = self._create_operator()
-        if self._base:
-            stream.restore(_without_retracted(_copy_state(self._base)))
+        if self._initial_state:
+            stream.restore(_without_retracted(_copy_state(self._initial_state)))
         outputs: List[StreamOutput] = []
         for channel, element, instant in metered(self._elements, meter):
             outputs += stream.advance_to(instant)
@@ -192,31 +192,31 @@ class Replay:
         outputs = [output for output in outputs if output.error is None]
         # Outputs are compared as multisets: equal outputs may occur several times, and each old one needs its own
         # counterpart.
-        counts = Counter(_key(output) for output in outputs)
+        counts = Counter(_output_key(output) for output in outputs)
         remaining: List[Tuple[StreamOutput, RepetitionChain]] = []
         missing: List[RepetitionChain] = []
         for output, repetition_chain in self._outputs:
             if repetition_chain.retracted:
                 continue
-            key = _key(output)
+            key = _output_key(output)
             if counts[key]:
                 counts[key] -= 1
                 remaining.append((output, repetition_chain))
             else:
                 missing.append(repetition_chain)
         self._outputs = remaining
-        self._new = []
+        self._new_outputs = []
         # Of equal outputs, the last ones are new.
         for output in reversed(outputs):
-            if counts[_key(output)]:
-                counts[_key(output)] -= 1
-                self._new.append(output)
-        self._new.reverse()
+            if counts[_output_key(output)]:
+                counts[_output_key(output)] -= 1
+                self._new_outputs.append(output)
+        self._new_outputs.reverse()
         return stream, missing
 
-    def take_new(self) -> List[StreamOutput]:
+    def pop_new_outputs(self) -> List[StreamOutput]:
         """Return the outputs that are new after `run_again`, once."""
-        outputs, self._new = self._new, []
+        outputs, self._new_outputs = self._new_outputs, []
         return outputs
 
     def snapshot(self) -> Tuple[Any, ...]:
@@ -225,18 +225,18 @@ class Replay:
             ((list(output.elements), *output[1:]), repetition_chain)
             for output, repetition_chain in self._outputs
         ]
-        return (self._base, self._elements, outputs_and_matches)
+        return (self._initial_state, self._elements, outputs_and_matches)
 
     def restore(self, saved: Tuple[Any, ...]) -> None:
         """Set the log that another one returned."""
-        self._base, self._elements, outputs_and_matches = saved
+        self._initial_state, self._elements, outputs_and_matches = saved
         self._outputs = [
-            (StreamOutput(tuple(items), *other_fields), repetition_chain)
-            for (items, *other_fields), repetition_chain in outputs_and_matches
+            (StreamOutput(tuple(elements), *other_fields), repetition_chain)
+            for (elements, *other_fields), repetition_chain in outputs_and_matches
         ]
         # A state that cannot be restored must fail now, not at a retraction.
-        if self._base:
-            self._create_operator().restore(_copy_state(self._base))
+        if self._initial_state:
+            self._create_operator().restore(_copy_state(self._initial_state))
 
 
 def _fresh_element(element: StreamElement) -> StreamElement:
@@ -274,11 +274,11 @@ def _without_retracted(data: Any) -> Any:
     return data
 
 
-def _key(output: StreamOutput) -> Hashable:
+def _output_key(output: StreamOutput) -> Hashable:
     """Return the identity of an output: its last element, its interval, and its results."""
     last = output.elements[-1]
-    named = last.by if output.results else ()
-    results = tuple([term_key(term) for term in (*named, *output.results)])
+    key_values = last.by if output.results else ()
+    results = tuple([term_key(term) for term in (*key_values, *output.results)])
     return (id(last.match) if not output.results else None, output.start, output.end, results)
 
 
@@ -290,19 +290,19 @@ class StreamNodeSpec(NamedTuple):
     """Specification of a node: functions that make elements from matches, and matches from outputs.
 
     Attributes:
-        stream: creates the operator for the options of the network.
+        create_operator: creates the operator for the options of the network.
         key_and_values: returns the key and the values of an element from the values of a match.
-        result: returns the values of a match from the key and the results, or None if these do not unify with the
-            terms of the rule; None if the node emits the matches that it received.
+        match_values: returns the values of a match from the key and the results, or None if these do not unify with
+            the terms of the rule; None if the node emits the matches that it received.
         clocked: whether elements are processed at the present instant.
         late_report: text of reports about elements that arrive too late.
         calls_goals: whether the operator calls goals of the program.
         fused: the window, if it can be fused; else None.
     """
 
-    stream: Callable[[NetworkOptions], StreamOperator]
+    create_operator: Callable[[NetworkOptions], StreamOperator]
     key_and_values: Callable[[Values], Tuple[Values, Values]]
-    result: "Optional[Result]"
+    match_values: "Optional[Result]"
     clocked: bool
     late_report: str
     calls_goals: bool = False
@@ -315,12 +315,12 @@ class StreamNode(NetworkNode):
     Args:
         rule: the rule that it belongs to.
         children: nodes of the patterns, by channel; see `StreamOperator.process`.
-        names: variables of its values.
+        value_vars: variables of its values.
         spec: its specification.
         pattern: the part of the rule's pattern that it evaluates.
 
     Attributes:
-        alarm_instant: instant at which the clock wakes it next; None if it does not.
+        alarm_instant: instant of its next alarm; None if no alarm is set.
         late_count: number of matches that arrived too late.
         evicted_count: number of keys that were dropped because there were too many.
         position: position among the nodes of the rule.
@@ -331,21 +331,21 @@ class StreamNode(NetworkNode):
         self,
         rule: "EventRule",
         children: Sequence[NetworkNode],
-        names: Sequence[Var],
+        value_vars: Sequence[Var],
         spec: StreamNodeSpec,
         pattern: Pattern,
     ):
         self.rule = rule
         self.pattern = pattern
         self.children = list(children)
-        self.vars = list(names)
+        self.vars = list(value_vars)
         self.spec = spec
         self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
         self.is_single_event = (
             len(self.children) == 1 and self.children[0].is_single_event and not spec.calls_goals
         )
         self._reentrancy = ReentrancyQueue(rule.network.dispatcher) if spec.calls_goals else None
-        self._arrivals: Dict[int, Emit] = {}
+        self._input_actions: Dict[int, Emit] = {}
         self.position = 0
         self.span: Optional[int] = None
         self._bounds = KeyBounds()
@@ -357,7 +357,7 @@ class StreamNode(NetworkNode):
         self.emit: Emit = lambda match, frame: frame
 
     def _create_operator(self, options: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
-        stream = self.spec.stream(options)
+        stream = self.spec.create_operator(options)
         stream.meter = meter
         stream.tracked = options.tracks_events
         stream.compute_max_timestamp = self.rule.network.compute_max_timestamp
@@ -375,7 +375,7 @@ class StreamNode(NetworkNode):
         """Connect the node; see `NetworkNode.bind`."""
         self._connect(emit, options)
         for channel, child in enumerate(self.children):
-            child.bind(self._arrival_action(channel, options), options)
+            child.bind(self._input_action(channel, options), options)
         for absence, node in self.carried:
             absence.bind(node, options)
 
@@ -386,9 +386,9 @@ class StreamNode(NetworkNode):
             lambda match, frame: complete(match.term, match.values, match.start, match.end, frame),
             self.rule.options,
         )
-        result, process = self.spec.result, self._operator_input(0, self.rule.options)
+        result, process = self.spec.match_values, self._operator_input(0, self.rule.options)
 
-        def arrive(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        def on_match(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             match = PartialMatch(values, start, end, None, term, None) if result is None else None
             outputs = process(match, values, start, end)
             if not outputs:
@@ -401,17 +401,19 @@ class StreamNode(NetworkNode):
                 return frame
             return complete(None, result_values, output.start, output.end, frame)  # type: ignore[arg-type]
 
-        def too_large(keyed_window: KeyedWindow, frame: Frame) -> Frame:
+        def on_overflow(keyed_window: KeyedWindow, frame: Frame) -> Frame:
             output = keyed_window.output(False)
             return frame if output is None else self._emit_outputs([output], frame)
 
         fused = self.spec.fused
-        action: EventAction = arrive
+        action: EventAction = on_match
         # Without fusion an event takes twice the time.
         if fused is not None and not self.rule.options.emits_revisions:
             values_are_arguments = self.children[0].values_are_arguments
-            action = fused_window(fused, self.span, self, arrive, complete, too_large, values_are_arguments)
-        self.children[0].bind_values(Continuation(action, fused=action is not arrive))
+            action = fused_window(
+                fused, self.span, self, on_match, complete, on_overflow, values_are_arguments
+            )
+        self.children[0].bind_values(Continuation(action, fused=action is not on_match))
 
     def _connect(self, emit: Emit, options: NetworkOptions) -> None:
         """Set the action for results, and the options; the operator's state remains."""
@@ -423,29 +425,29 @@ class StreamNode(NetworkNode):
 
     def _set_options(self, options: NetworkOptions) -> None:
         """Run the operator with other options."""
-        if not self._is_deferred(lambda: self._set_options(options)):
+        if not self._defer_if_running(lambda: self._set_options(options)):
             self._options = options
-            self._rebuild()
+            self._recreate_operator()
             self.replay = (
                 Replay(partial(self._create_operator, options, self.rule.meter), self.stream.snapshot())
                 if options.emits_revisions
                 else None
             )
 
-    def _is_deferred(self, work: Callable[[], None]) -> bool:
+    def _defer_if_running(self, work: Callable[[], None]) -> bool:
         """Defer work if the operator is running; return whether it was deferred."""
         reentrancy = self._reentrancy
         if reentrancy is None or not reentrancy.is_running:
             return False
 
-        def step(frame: Frame) -> Frame:
+        def do_work(frame: Frame) -> Frame:
             work()
             return frame
 
-        reentrancy.defer(step)
+        reentrancy.defer(do_work)
         return True
 
-    def _rebuild(self) -> None:
+    def _recreate_operator(self) -> None:
         """Replace the operator by a new one with the same state: for other options, or after an interrupt."""
         saved = self.stream.snapshot()
         self.stream = self._create_operator(self._options or NetworkOptions(), self.rule.meter)
@@ -458,7 +460,7 @@ class StreamNode(NetworkNode):
             self._reentrancy.clear()
             if self._options not in (None, self.rule.options):
                 self._set_options(self.rule.options)
-        self._rebuild()
+        self._recreate_operator()
         self.alarm_instant = None
         self._set_alarm()
 
@@ -466,39 +468,39 @@ class StreamNode(NetworkNode):
         """Return the buffers of the node."""
         return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
 
-    def _arrival_action(self, channel: int, options: NetworkOptions) -> Emit:
+    def _input_action(self, channel: int, options: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""
         process = self._operator_input(channel, options)
-        with_match = options.tracks_events or self.spec.result is None
+        with_match = options.tracks_events or self.spec.match_values is None
         reentrancy = self._reentrancy
 
-        def arrive(match: PartialMatch, frame: Frame) -> Frame:
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
             element_match = match if with_match else None
             if reentrancy is None:
                 outputs = process(element_match, match.values, match.start, match.end)
             elif reentrancy.is_running:
-                reentrancy.defer(lambda later_frame: self._arrivals[channel](match, later_frame))
+                reentrancy.defer(lambda later_frame: self._input_actions[channel](match, later_frame))
                 return frame
             else:
                 outputs = reentrancy.run_operator(
                     lambda: process(element_match, match.values, match.start, match.end)
                 )
-                frame = reentrancy.before(frame)
+                frame = reentrancy.frame_after_deferred(frame)
             if not outputs:
                 return frame
             return self._emit_outputs(
                 outputs, frame, arrival_number_of(match) if options.tracks_events else 0
             )
 
-        self._arrivals[channel] = arrive
-        return arrive
+        self._input_actions[channel] = on_match
+        return on_match
 
     def _operator_input(self, channel: int, options: NetworkOptions) -> "OperatorInput":
         """Return a function that passes a match to the operator and returns its outputs.
 
         The match itself is optional; its values and interval are required.
         """
-        make, clocked = self.spec.key_and_values, self.spec.clocked or options.emits_revisions
+        key_and_values, clocked = self.spec.key_and_values, self.spec.clocked or options.emits_revisions
         network = self.rule.network
         meter = self.rule.meter
 
@@ -514,7 +516,7 @@ class StreamNode(NetworkNode):
             if self.replay is not None:
                 self.replay.begin_step(stream)
             try:
-                element = StreamElement(match, start, end, *make(values))
+                element = StreamElement(match, start, end, *key_and_values(values))
                 outputs = stream.process(element, now, channel)
             except RuleError as error:
                 network.rule_failed(self.rule, error)
@@ -528,14 +530,14 @@ class StreamNode(NetworkNode):
                 self._report_dropped(stream.pruned_count - pruned_count)
             # One element can add several partial matches to a row pattern.
             while len(stream) > network.max_stored:
-                outputs = [*outputs, *self._drop()]
+                outputs = [*outputs, *self._drop_oldest()]
             if stream.next_deadline is not None:
                 self._set_alarm()
             return outputs
 
         return process
 
-    def _drop(self) -> List[StreamOutput]:
+    def _drop_oldest(self) -> List[StreamOutput]:
         """Drop the oldest element with its partial matches; return the outputs that follow from that."""
         self.rule.dropped += 1
         self.rule.network.report_dropped(self.rule)
@@ -556,7 +558,7 @@ class StreamNode(NetworkNode):
 
     def _set_alarm(self) -> None:
         instant = self.stream.next_deadline
-        # A wake-up that is set already for an earlier instant sets the next one.
+        # An alarm that is set for an earlier instant sets the next one when it runs.
         if instant is not None and (self.alarm_instant is None or instant < self.alarm_instant):
             self.alarm_instant = instant
             self.rule.network.set_node_alarm(self, instant)
@@ -574,7 +576,7 @@ class StreamNode(NetworkNode):
             outputs = self.stream.advance_to(instant)
         else:
             outputs = reentrancy.run_operator(lambda: self.stream.advance_to(instant))
-            frame = reentrancy.before(frame)
+            frame = reentrancy.frame_after_deferred(frame)
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._set_alarm()
@@ -582,9 +584,11 @@ class StreamNode(NetworkNode):
         return self._emit_outputs(outputs, frame, arrival_number)
 
     def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:
-        return emit_each(metered(self._matches(outputs, arrival_number), self.rule.meter), self.emit, frame)
+        return emit_each(
+            metered(self._matches_of(outputs, arrival_number), self.rule.meter), self.emit, frame
+        )
 
-    def _matches(self, outputs: Iterable[StreamOutput], arrival_number: int = 0) -> Iterator[PartialMatch]:
+    def _matches_of(self, outputs: Iterable[StreamOutput], arrival_number: int = 0) -> Iterator[PartialMatch]:
         """Yield the matches of outputs, without those that are too long or do not unify.
 
         Args:
@@ -594,23 +598,23 @@ class StreamNode(NetworkNode):
         span = self.span
         for output in outputs:
             if span is None or output.end - output.start <= span:
-                match = self._match(output, arrival_number)
+                match = self._match_of(output, arrival_number)
                 if match is not None:
                     yield match
 
-    def _match(self, output: StreamOutput, arrival_number: int) -> Optional[PartialMatch]:
+    def _match_of(self, output: StreamOutput, arrival_number: int) -> Optional[PartialMatch]:
         """Return the match of an output; None if its results do not unify with the terms of the rule."""
         if output.error is not None:
             self.rule.network.rule_failed(self.rule, output.error)
             return None
         last = output.elements[-1]
-        result = self.spec.result
+        result = self.spec.match_values
         values = () if result is None else result(last.by, output.results)
         if values is None:
             return None
         # Each output has its own lineage object, so it can be retracted without the others that contain the same
         # matches.
-        repetition_chain = self._create_tracked_match(output, arrival_number) if self.stream.tracked else ()
+        repetition_chain = self._create_lineage_chain(output, arrival_number) if self.stream.tracked else ()
         if result is not None:
             start, end = output.start, output.end
             # Instants that the operator has computed have integer seconds.
@@ -628,7 +632,7 @@ class StreamNode(NetworkNode):
             match.values, match.start, match.end, match.event, match.term, (match, *repetition_chain)
         )
 
-    def _create_tracked_match(self, output: StreamOutput, arrival_number: int) -> Tuple[RepetitionChain, ...]:
+    def _create_lineage_chain(self, output: StreamOutput, arrival_number: int) -> Tuple[RepetitionChain, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
         parts = tuple(
             [element.match for element in output.elements if element.match is not None]
@@ -672,7 +676,7 @@ class StreamNode(NetworkNode):
         """Return the matches that are valid without the excluded matches and were not before."""
         if self.replay is None or not self.rule.active:
             return []
-        return list(self._matches(self.replay.take_new()))
+        return list(self._matches_of(self.replay.pop_new_outputs()))
 
     def retry(self, match: PartialMatch, frame: Frame) -> Frame:
         """Emit such a match."""
@@ -682,7 +686,7 @@ class StreamNode(NetworkNode):
 
     def clear(self) -> None:
         """Reset the operator."""
-        if not self._is_deferred(self.clear):
+        if not self._defer_if_running(self.clear):
             self._reset_operator()
 
     def _reset_operator(self) -> None:

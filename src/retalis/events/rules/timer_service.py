@@ -105,7 +105,7 @@ class NodeTimers:
 
     def _drop_stale_top(self) -> None:
         """Remove stale entries from the top of the heap."""
-        # An entry is stale if its node has asked for another instant since, or has been woken.
+        # An entry is stale if its node has set another alarm since, or if its alarm has run.
         heap = self._heap
         while heap and not _is_current(heap[0]):
             heapq.heappop(heap)
@@ -118,7 +118,7 @@ class NodeTimers:
         self._rebuild_size = 2 * len(self._heap) + _SMALL_QUEUE
 
     def _on_alarm(self, instant: int) -> None:
-        """Wake the first node that is due, and set the next alarm.
+        """Run the alarm of the first node that is due, and set the next alarm.
 
         Only one node per call: events at the same instant may have to come between two nodes.
         """
@@ -137,7 +137,7 @@ class NodeTimers:
                     self._rules.dispatcher.run_without_context(
                         lambda: machine.run(node.on_alarm(due_instant, machine.done))
                     )
-        # Also after an error or interrupt, otherwise no later node would be woken.
+        # Also after an error or interrupt, otherwise no later alarm would run.
         finally:
             self._set_alarm()
 
