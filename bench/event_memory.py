@@ -149,7 +149,7 @@ def measure_parts(pattern: str, number: int) -> Tuple[float, Dict[str, float]]:
     tables = [buffer.newest for node, _, _ in rule.nodes for buffer in node.buffers()]
     sizes["table of keys"] = sum(map(sys.getsizeof, tables))
     sizes["arrivals"] = sys.getsizeof(rule.arrivals)
-    sizes["expiration"] = sys.getsizeof(rule.expiries.queue)
+    sizes["expiration"] = sys.getsizeof(rule.expiration_queue.queue)
     sizes["rest"] = total - sum(sizes.values())
     return total / rule.stored_match_count, {
         purpose: size / rule.stored_match_count for purpose, size in sizes.items()

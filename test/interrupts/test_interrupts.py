@@ -95,7 +95,7 @@ def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(
 
     for _ in interrupted(engine, lambda: post(last), begin):
         fired = len(seen)
-        waits = len(rule.state().arrivals[0])
+        waits = len(rule.snapshot().arrivals[0])
         assert (fired, waits) in {
             "a": [(0, 0), (0, 1)],
             "b": [(0, 0), (0, 1), (1, 0)],

@@ -436,20 +436,20 @@ def _list_rules(
     listed = rules.rules
     if len(listed) > limit:
         # The sort is stable, so rules without errors keep their order, and the result is in order of the rules again.
-        chosen = set(sorted(listed, key=lambda rule: -rule.firings.errors)[: max(0, limit)])
+        chosen = set(sorted(listed, key=lambda rule: -rule.metrics.error_count)[: max(0, limit)])
         listed = [rule for rule in listed if rule in chosen]
 
     def convert(rule: Any) -> RuleStatus:
-        firings = rule.firings
+        metrics = rule.metrics
         return RuleStatus(
             "" if rule.label is None else show(rule.label),
             format_term(rule.definition.term, rule.definition.names),
             "" if rule.place is None else str(rule.place),
-            firings.number,
-            None if firings.last is None else int(firings.last),
-            firings.errors,
+            metrics.firing_count,
+            None if metrics.last_end is None else int(metrics.last_end),
+            metrics.error_count,
             rule.match_count,
-            rule.dropped,
+            rule.dropped_count,
             rule.keys,
             rule.bytes,
         )

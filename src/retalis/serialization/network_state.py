@@ -483,7 +483,7 @@ def snapshot_matches(
 
 
 def _write_state(graph: GraphWriter, rule: EventRule) -> Any:
-    state = rule.state()
+    state = rule.snapshot()
     matches, buffer_numbers, orders = state.arrivals
     # A rule can have many partial matches, so they are columns of numbers instead of references.
     arrivals: Any = list(map(graph.number, matches)), buffer_numbers, orders

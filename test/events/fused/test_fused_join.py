@@ -90,7 +90,7 @@ def run(text, goals, events, cap, cut, change, posted):
             if change:
                 engine.load(goals=change)
             if not change:
-                states = [rule.state() for rule in engine.rules.rules]
+                states = [rule.snapshot() for rule in engine.rules.rules]
                 for rule, state in zip(engine.rules.rules, states):
                     rule.clear_matches()
                     rule.restore(state)
@@ -111,16 +111,16 @@ def known(engine, rule):
     """Return what a rule knows, as it is compared."""
     waiting = [
         (*shown(engine, (functor("values", len(one.values)), *one.values), one.start, one.end), order, place)
-        for one, place, order in zip(*rule.state().arrivals)
+        for one, place, order in zip(*rule.snapshot().arrivals)
     ]
     return (
         waiting,
         rule.stored_match_count,
         rule.clock,
         rule.order,
-        rule.dropped,
-        rule.firings.number,
-        rule.firings.errors,
+        rule.dropped_count,
+        rule.metrics.firing_count,
+        rule.metrics.error_count,
     )
 
 
@@ -168,7 +168,7 @@ def test_what_has_left_is_not_held_until_its_time_is_over(cap):
         if cap > 50:
             engine.event_at(right(key), 2 * key + 1, 2 * key + 1)
     assert rule.stored_match_count == (0 if cap > 50 else cap)
-    assert len(rule.expiries) < 1200
+    assert len(rule.expiration_queue) < 1200
 
 
 @pytest.mark.fused

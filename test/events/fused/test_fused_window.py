@@ -71,8 +71,8 @@ def run(text, events, cap, cut):
         reports,
         (clock, following, late, order, items),
         made.match_count,
-        made.firings.number,
-        made.dropped,
+        made.metrics.firing_count,
+        made.dropped_count,
     )
 
 

@@ -105,7 +105,7 @@ def test_partial_matches_of_steps_are_bounded_and_those_that_are_dropped_counted
     for at in range(120):
         program.feed(f"e({at})@{at}")
         assert rule.match_count <= 50
-    assert rule.dropped
+    assert rule.dropped_count
     assert "has more than 50 partial matches" in str(program.warnings[0])
 
 

@@ -297,7 +297,7 @@ def test_no_single_event_forgets_many_matches_that_have_left():
         assert before - len(rule.arrivals) <= SLICE_ENTRIES
         before = len(rule.arrivals)
     assert rule.stored_match_count == rules.max_stored
-    assert rule.dropped
+    assert rule.dropped_count
 
 
 def test_the_newest_that_are_ruled_out_wait_for_a_second_side_that_overlaps_or_is_late():

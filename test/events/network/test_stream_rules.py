@@ -132,7 +132,7 @@ def test_no_more_is_held_than_may_be_and_the_oldest_goes(name, flags):
         assert engine.event_rules[0].match_count <= 5
     (stream,) = engine.streams()
     assert entries(stream) <= 100
-    assert engine.event_rules[0].dropped == 145
+    assert engine.event_rules[0].dropped_count == 145
     assert len(engine.reports) == 8
     assert engine.reports[0].endswith("more than 5 partial matches; 1 of the oldest have been dropped so far")
     if name in ("last", "running"):
@@ -159,7 +159,7 @@ def test_alarms_and_wishes_are_as_many_as_nodes_wait():
 def test_what_comes_too_late_is_counted_and_said_seldom():
     engine = Run("w(N) <- aggregate(count, in(_), N, last(2)).")
     engine.feed("in(1)@10 " + "in(1)@5 " * 9)
-    assert engine.event_rules[0].late == 9
+    assert engine.event_rules[0].late_count == 9
     assert [one.rpartition("; ")[2] for one in engine.reports] == [
         "1 so far",
         "2 so far",
@@ -172,7 +172,7 @@ def test_what_comes_too_late_is_counted_and_said_seldom():
 def test_a_value_that_cannot_be_measured_is_reported_and_the_rest_is_measured():
     engine = Run("w(S) <- aggregate(sum(X), in(X), S, last(100)).")
     assert engine.feed("in(1)@1 in(a)@2 in(inf)@2.5 in(1+1)@3") == "w(1)@1-1 w(3)@1-3"
-    assert engine.event_rules[0].firings.errors == 2
+    assert engine.event_rules[0].metrics.error_count == 2
     assert [one.rpartition(", ")[2] for one in engine.reports] == [
         "at event in(a): aggregate sum: the value is 'a': expected a number",
         "at event in(inf): aggregate sum: the value is 'inf': expected a number",
@@ -383,7 +383,7 @@ def test_the_clock_goes_on_for_rules_that_are_read_again(tmp_path):
 def test_a_window_that_would_be_over_by_the_clock_does_not_begin(window, said):
     engine = Run(f"w(N) <- aggregate(count, in(_), N, {window}).")
     assert engine.feed("in(1)@1 tick@10 in(2)@6 in(3)@7 tick@10.5") == said
-    assert [rule.late for rule in engine.event_rules] == [2]
+    assert [rule.late_count for rule in engine.event_rules] == [2]
     assert "its window has ended" in engine.reports[0]
     assert engine.feed("in(4)@8 tick@20").startswith("w(1)@8-")
 
@@ -460,5 +460,5 @@ def test_matches_of_steps_that_wait_are_given_on_where_what_they_wait_for_is_one
         assert engine.event_rules[0].match_count <= 5
     engine.event("in(80)", 20)
     assert [one.partition("@")[0] for one in engine.seen] == [f"w([{number}])" for number in range(20)]
-    assert engine.event_rules[0].dropped == 3
+    assert engine.event_rules[0].dropped_count == 3
     assert engine.reports

@@ -155,9 +155,9 @@ def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> 
         "own_buffer": buffer,
         "own_newest": buffer.newest,
         "arrivals": rule.arrivals,
-        "expiries": rule.expiries,
-        "expiration_queue": rule.expiries.queue,
-        "late_heap": rule.expiries.late,
+        "expiration_queue": rule.expiration_queue,
+        "main_queue": rule.expiration_queue.queue,
+        "late_heap": rule.expiration_queue.late,
         "general_path": general_path,
         "new": object.__new__,
         "EventMatch": EventMatch,
@@ -186,7 +186,7 @@ class _ActionGenerator:
         self.values_are_arguments = values_are_arguments
         self.values = "term[1:]" if values_are_arguments else "values"
         self.general_path = f"return general_path(term, {self.values}, event_start, event_end, frame)"
-        self.queue = "expiration_queue" if own_buffer.retention == rule.expiries.span else "retention_queue"
+        self.queue = "main_queue" if own_buffer.retention == rule.expiration_queue.span else "retention_queue"
 
     def compile_action(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
         """Return the compiled action."""
@@ -218,12 +218,12 @@ class _ActionGenerator:
                 )
             ]
         statements: List[Statement] = []
-        if self.rule.timed:
+        if self.rule.maintains_clock:
             statements.append(Block("if event_end > rule.clock:", [*self._advance_clock(), *long_event_test]))
         if long_event_test:
             statements += [
                 Block(f"elif event_start + {span} < rule.clock:", [self.general_path]),
-                *([] if queue == "expiration_queue" else [f"{queue} = expiries.queue_for({span})"]),
+                *([] if queue == "main_queue" else [f"{queue} = expiration_queue.queue_for({span})"]),
                 Block(f"if {queue} and {queue}[-1].start > event_start:", [self.general_path]),
             ]
         return statements
@@ -232,23 +232,23 @@ class _ActionGenerator:
         """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
             # `tick` rejects timestamps too far in the future; ``max_timestamp`` is its last limit.
-            Block("if event_end > rule.max_timestamp:", ["rule.tick(event_end)"]),
+            Block("if event_end > rule.max_timestamp:", ["rule.advance_clock(event_end)"]),
             Block(
                 "else:",
                 [
                     "rule.clock = event_end",
-                    f"oldest_start = event_end - {self.rule.expiries.span or 0}",
+                    f"oldest_start = event_end - {self.rule.expiration_queue.span or 0}",
                     Block(
-                        "while expiration_queue and expiration_queue[0].start < oldest_start:",
+                        "while main_queue and main_queue[0].start < oldest_start:",
                         [
-                            "expired = expiration_queue.popleft()",
+                            "expired = main_queue.popleft()",
                             "holder = expired.buffer",
                             Block("if holder is not None:", ["holder.remove(expired)"]),
                         ],
                     ),
                     Block(
-                        "if late_heap.heap or late_heap.unmoved or expiries.others:",
-                        ["expiries.expire(event_end)"],
+                        "if late_heap.heap or late_heap.unmoved or expiration_queue.others:",
+                        ["expiration_queue.expire(event_end)"],
                     ),
                 ],
             ),
@@ -290,7 +290,7 @@ class _ActionGenerator:
         expiration_statements = []
         if buffer.retention is not None:
             expiration_statements = [
-                f"expiries.add({buffer.retention}, match, stored_count)"
+                f"expiration_queue.add({buffer.retention}, match, stored_count)"
                 if conditions_ran
                 else f"{self.queue}.append(match)"
             ]

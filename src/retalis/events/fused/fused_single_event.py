@@ -59,8 +59,8 @@ def firing_action(
     names = codegen.BoundNames({})
     lines, event = generate_builder(head, {var: f"values[{index}]" for index, var in enumerate(order)}, names)
     body: List[Statement] = [
-        "firings.number += 1",
-        "firings.last = end",
+        "metrics.firing_count += 1",
+        "metrics.last_end = end",
         # The firing is counted first: metrics must not depend on whether the event has listeners.
         "plan = event_filter.plan",
         Block("if plan is NO_LISTENERS:", ["return frame"]),
@@ -69,7 +69,7 @@ def firing_action(
         Block("except UsageError as error:", ["return failed(error, frame)"]),
     ]
     names.values.update(
-        firings=rule.firings,
+        metrics=rule.metrics,
         event_filter=event_filter,
         dispatcher=rule.network.dispatcher,
         failed=failed,
@@ -142,7 +142,7 @@ def goal_action(
         "solved": completion.action,
         "event_filter": completion.event_filter,
         "NO_LISTENERS": NO_LISTENERS,
-        "firings": rule.firings,
+        "metrics": rule.metrics,
         "dispatcher": rule.network.dispatcher,
         "machine": machine,
         "budget": machine.budget,
@@ -194,7 +194,7 @@ def _goal_source(inputs: int) -> str:
         Block("if not solved_goal:", ["return frame"]),
         Block(
             "if event_filter.plan is NO_LISTENERS:",
-            ["firings.number += 1", "firings.last = end", "return frame"],
+            ["metrics.firing_count += 1", "metrics.last_end = end", "return frame"],
         ),
         f"return solved(term, ({values},), start, end, frame)",
     ]

@@ -665,7 +665,7 @@ class PendingQueries:
         # `Dispatcher.shortcuts` calls this only for rules whose head is ``synchronized/3``.
         head: Any = rule.definition.head
         key, event, query, conditions = head
-        rule_variables, firing_counter = rule.vars, rule.firings
+        rule_variables, metrics = rule.vars, rule.metrics
         find_missing = compile_conditions(
             self._logic, self._memories, self._transforms, conditions, rule_variables
         )
@@ -677,8 +677,8 @@ class PendingQueries:
 
         def execute_or_register(values: Values, start: int, end: int, next_frame: Frame) -> Frame:
             # The rule counts as fired although its head is not dispatched.
-            firing_counter.number += 1
-            firing_counter.last = end
+            metrics.firing_count += 1
+            metrics.last_end = end
             try:
                 missing = find_missing(values)
             except UsageError as error:
@@ -689,7 +689,7 @@ class PendingQueries:
                 return next_frame
             return compiled_query.execute(values, start, end, next_frame)
 
-        ground_count = rule.ground_with_event
+        ground_count = rule.ground_value_count
         return query_action(
             self._dispatcher, key, ground_count, execute_or_register, default_action, rule.meter
         )

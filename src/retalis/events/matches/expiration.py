@@ -107,9 +107,9 @@ class ExpirationQueue:
         else:
             self._late.add(instant, match)
         if len(self) > 2 * stored_count + _STALE_TOLERANCE:
-            start, entries = _take_slice(queue, self._visited, SLICE_ENTRIES)
+            start, entries = _remove_slice(queue, self._visited, SLICE_ENTRIES)
             stored = [entry for entry in entries if entry[1].buffer is not None]
-            self._visited = _put_back_slice(queue, start, stored) or 0
+            self._visited = _insert_slice(queue, start, stored) or 0
             self._late.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
@@ -220,9 +220,9 @@ def remove_stale_entries(
     Returns:
         The position at which the next slice begins; None after the last slice.
     """
-    start, entries = _take_slice(matches, start, SLICE_ENTRIES if visit is None else VISITED_SLICE_ENTRIES)
+    start, entries = _remove_slice(matches, start, SLICE_ENTRIES if visit is None else VISITED_SLICE_ENTRIES)
     stored = [match for match in entries if match.buffer is not None]
-    next_start = _put_back_slice(matches, start, stored)
+    next_start = _insert_slice(matches, start, stored)
     if visit is not None:
         # The queue is complete again before the calls: they may remove matches, which must find a consistent queue.
         for match in stored:
@@ -230,8 +230,8 @@ def remove_stale_entries(
     return next_start
 
 
-def _take_slice(entries: Deque[_EntryT], start: int, max_count: int) -> Tuple[int, List[_EntryT]]:
-    """Rotate a queue so that it begins at ``start`` and remove up to ``max_count`` entries; see `_put_back_slice`.
+def _remove_slice(entries: Deque[_EntryT], start: int, max_count: int) -> Tuple[int, List[_EntryT]]:
+    """Rotate a queue so that it begins at ``start`` and remove up to ``max_count`` entries; see `_insert_slice`.
 
     A ``start`` past the end of the queue means its beginning.
     """
@@ -243,7 +243,7 @@ def _take_slice(entries: Deque[_EntryT], start: int, max_count: int) -> Tuple[in
     return start, [entries.popleft() for _ in range(count)]
 
 
-def _put_back_slice(entries: Deque[_EntryT], start: int, remaining: List[_EntryT]) -> Optional[int]:
+def _insert_slice(entries: Deque[_EntryT], start: int, remaining: List[_EntryT]) -> Optional[int]:
     """Put the remaining entries of a slice back and undo the rotation; return the next position, None at the end."""
     is_last = len(entries) == start
     entries.extendleft(reversed(remaining))

@@ -129,14 +129,14 @@ class IntervalIndex:
 
     Attributes:
         changes: number of additions and removals.
-        searched: value of ``changes`` at the last search.
+        last_search: value of ``changes`` at the last search.
         size: number of matches.
     """
 
     def __init__(self, matches: Iterable[PartialMatch], by_end: bool):
         self.by_end = by_end
         self.changes = 0
-        self.searched = 0
+        self.last_search = 0
         # A large tree consists of many small objects that all survive; each collection would walk over all of them
         # again.
         with gc_paused():
@@ -180,7 +180,7 @@ class IntervalIndex:
     @property
     def is_idle(self) -> bool:
         """True if the updates since the last search have cost more than building the index again would."""
-        return 2 * (self.changes - self.searched) > self.size
+        return 2 * (self.changes - self.last_search) > self.size
 
     def search(self, limits: TimeBounds, newest: bool, boundary_order: int) -> Iterator[PartialMatch]:
         """Yield the matches within limits, in order of arrival or in reverse order.
@@ -198,7 +198,7 @@ class IntervalIndex:
         # A change may restructure the tree, which invalidates the heap of the search. The search then starts again
         # after the last result. `last` excludes matches that are added meanwhile.
         while self.changes != changes:
-            self.searched = changes = self.changes
+            self.last_search = changes = self.changes
             for match in self._within(limits, newest, boundary_order):
                 if match.order > last:
                     return
@@ -212,7 +212,7 @@ class IntervalIndex:
             low, high, lower, upper = limits
         else:
             lower, upper, low, high = limits
-        first, final = (lower, low), (upper, high, MAX_VALUE)
+        min_key, max_key = (lower, low), (upper, high, MAX_VALUE)
         after, before = (MIN_VALUE, boundary_order) if newest else (boundary_order, MAX_VALUE)
         heap: List[Any] = [(0, self._root)]
         # Best-first search: the heap orders subtrees by the best order that they may contain, and matches by their
@@ -223,7 +223,7 @@ class IntervalIndex:
                 yield item
                 continue
             keys, children = item.keys, item.children
-            start, stop = bisect_right(keys, first), bisect_right(keys, final)
+            start, stop = bisect_right(keys, min_key), bisect_right(keys, max_key)
             if children is None:
                 for _, other, order, match in keys[start:stop]:
                     if low <= other <= high and after < order < before:

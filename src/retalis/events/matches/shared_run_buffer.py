@@ -75,15 +75,15 @@ class BufferSlice(IdentifyingRepetitions):
 
     def __init__(self, pieces: Tuple[LogSlice, ...]):
         self.pieces = pieces
-        self.length = sum(end - begin for _, begin, end in pieces)
+        self.length = sum(end - start for _, start, end in pieces)
 
     @property
     def matches(self) -> List[PartialMatch]:
         """The repetitions."""
-        return [match for log, begin, end in self.pieces for match in log.items[begin:end]]
+        return [match for log, start, end in self.pieces for match in log.items[start:end]]
 
     def __hash__(self) -> int:
-        total = sum(log.sum_to(end) - log.sum_to(begin) for log, begin, end in self.pieces)
+        total = sum(log.sum_to(end) - log.sum_to(start) for log, start, end in self.pieces)
         return hash((self.length, total & _HASH_MASK))
 
     def __eq__(self, other: Any) -> bool:
@@ -97,15 +97,15 @@ class BufferSlice(IdentifyingRepetitions):
 
 def repetitions(match: PartialMatch, times: int) -> List[PartialMatch]:
     """Return the repetitions of a match of ``times`` repetitions, oldest first."""
-    later: List[PartialMatch] = []
+    later_repetitions: List[PartialMatch] = []
     while times > 1:
         parts: Any = match.parts
         if parts[0].__class__ is BufferSlice:
-            return [*parts[0].matches, *reversed(later)]
+            return [*parts[0].matches, *reversed(later_repetitions)]
         match, last = parts
-        later.append(last)
+        later_repetitions.append(last)
         times -= 1
-    return [match, *reversed(later)]
+    return [match, *reversed(later_repetitions)]
 
 
 def set_join_parts(match: PartialMatch, times: int) -> None:
@@ -234,12 +234,12 @@ class RunGroup:
         while len(cursors) < length:
             cursors.append(None)
         cursors[length - 1] = cursor
-        self._begin(cursor)
+        self._store_cursor(cursor)
 
-    def advance(self, match: PartialMatch, longest: int) -> Optional[RunCursor]:
+    def advance(self, match: PartialMatch, max_length: int) -> Optional[RunCursor]:
         """Extend all sequences with a repetition and begin a new one.
 
-        Return the one that has ``longest`` repetitions now.
+        Return the one that has ``max_length`` repetitions now.
         """
         cursors = self.cursors
         while cursors and (cursors[-1] is None or cursors[-1].buffer is None):
@@ -250,17 +250,17 @@ class RunGroup:
         self.log.items.append(match)
         self.repetition_count += 1
         self.end = match.end
-        oldest = cursors.pop() if len(cursors) == longest - 1 else None
+        oldest = cursors.pop() if len(cursors) == max_length - 1 else None
         cursors.appendleft(cursor)
         rule = self.node.rule
         # Orders are reserved as if each sequence were stored anew, longest first. A sequence that leaves the group
         # later is then in the right place among matches that were stored separately.
-        rule.order += longest
+        rule.order += max_length
         self.order = rule.order
-        self._begin(cursor)
+        self._store_cursor(cursor)
         return oldest
 
-    def _begin(self, cursor: RunCursor) -> None:
+    def _store_cursor(self, cursor: RunCursor) -> None:
         cursor.buffer = self
         self.cursor_count += 1
         rule = self.node.rule
@@ -290,13 +290,13 @@ class RunGroup:
         )
 
     def _slices(self, cursor: RunCursor) -> BufferSlice:
-        before: Tuple[LogSlice, ...] = (
+        prefix: Tuple[LogSlice, ...] = (
             slices_of(cursor.first, cursor.prefix_length) if cursor.prefix_length else ()
         )
         log, last = cursor.log, self.log
         if log is last:
-            return BufferSlice((*before, (log, cursor.log_position, len(log.items))))
-        return BufferSlice((*before, (log, cursor.log_position, len(log.items)), (last, 0, len(last.items))))
+            return BufferSlice((*prefix, (log, cursor.log_position, len(log.items))))
+        return BufferSlice((*prefix, (log, cursor.log_position, len(log.items)), (last, 0, len(last.items))))
 
 
 class RunGroupBuffer:

@@ -137,16 +137,16 @@ class NegatedPattern:
         self.first = self._build_negated()
 
     def _build_negated(self) -> BuiltPattern:
-        before = len(self._nodes)
+        node_count = len(self._nodes)
         built = self._build()
         # All nodes that the call has added belong to the negated pattern.
-        for node, _, _ in self._nodes[before:]:
+        for node, _, _ in self._nodes[node_count:]:
             node.is_negated = True
             for buffer in node.buffers():
                 buffer.is_negated = True
         return built
 
-    def make(self) -> BuiltPattern:
+    def next_copy(self) -> BuiltPattern:
         """Return the nodes that were built first, or at a further call a copy."""
         if not self._first_is_used:
             self._first_is_used = True
@@ -239,7 +239,7 @@ def deferred_test(
         return goal_test(call, condition.timed, interval_positions), call.result_vars
     assert condition.absent is not None
     negated, ever = condition.absent
-    built = negated.make()
+    built = negated.next_copy()
     absence = negation_buffer_for(rule, built, value_vars, ever)
     node.carried.append((absence, built.node))
     return _absence_test(absence, interval_positions, ever), value_vars
@@ -256,18 +256,18 @@ def early_test(
     test, result_vars = deferred_test(rule, node, condition, value_vars)
     position_of = positions(value_vars)
     needed = [position_of[var] for var in condition.needs]
-    mark = position_of[condition.start]
-    new = result_vars[len(value_vars) :]
+    start_position = position_of[condition.start]
+    new_vars = result_vars[len(value_vars) :]
 
-    def early(values: Values, start: int, end: int) -> Optional[Values]:
+    def test_or_pass(values: Values, start: int, end: int) -> Optional[Values]:
         if any(deref(values[position]).__class__ is Var for position in needed):
-            return values + tuple([Var() for _ in new])
+            return values + tuple([Var() for _ in new_vars])
         result = test(values, start, end)
         # The mark: a variable in place of the start. The tests above read it as "in a branch that was not taken"
         # and pass.
-        return None if result is None else (*result[:mark], Var(), *result[mark + 1 :])
+        return None if result is None else (*result[:start_position], Var(), *result[start_position + 1 :])
 
-    return early, result_vars
+    return test_or_pass, result_vars
 
 
 def _test_of_each(
@@ -297,14 +297,14 @@ def _test_of_each(
         while remaining_items.__class__ is tuple:
             oldest_first.append(remaining_items[1][2:])
             remaining_items = remaining_items[2]
-        tested: Term = NO_ITEMS
+        tested_items: Term = NO_ITEMS
         for item in reversed(oldest_first):
             result = test_one((*base, *item), start, end)
             if result is None:
                 return None
             base = result[:width]
-            tested = append_item(tested, result[width:])
-        return (*base[:list_position], tested, *base[list_position + 1 :])
+            tested_items = append_item(tested_items, result[width:])
+        return (*base[:list_position], tested_items, *base[list_position + 1 :])
 
     return test, known_vars
 
@@ -327,9 +327,9 @@ def negation_buffer_for(
     absence = NegationBuffer(rule, shared, ever)
     if not conditions:
         return absence
-    new = [var for var in own_vars if var not in position_of]
+    new_vars = [var for var in own_vars if var not in position_of]
     new_positions = [position for position, var in enumerate(own_vars) if var not in position_of]
-    known_vars = [*value_vars, *new]
+    known_vars = [*value_vars, *new_vars]
     tests = []
     for deferred in conditions:
         test, known_vars = deferred_test(rule, absence, deferred, known_vars)
@@ -337,13 +337,13 @@ def negation_buffer_for(
     tracker = rule.network.tracker
 
     def condition(values: Values, match: PartialMatch) -> bool:
-        both: Any = values + tuple([match.values[index] for index in new_positions])
-        before = tracker.blocker
+        pair_values: Any = values + tuple([match.values[index] for index in new_positions])
+        previous_blocker = tracker.blocker
         for test in tests:
-            both = test(both, match.start, match.end)
-            if both is None:
+            pair_values = test(pair_values, match.start, match.end)
+            if pair_values is None:
                 # This match is suppressed by a negation of its own, which is not what blocks the pair.
-                tracker.blocker = before
+                tracker.blocker = previous_blocker
                 return False
         return True
 
@@ -410,7 +410,7 @@ def order_by_result_use(
     return [*early, *late]
 
 
-def serving_order(either: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
+def dispatch_order(either: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
     """Return the event nodes of a pair in the order in which they receive an event that matches several of them.
 
     In a sequence, the right operand comes first: it completes a pair before the left one is stored. Otherwise nodes

@@ -5,7 +5,7 @@ An `EventRule` owns the nodes that the compiler builds from its pattern, and con
 leaves its buffer when
 
 * it is consumed or replaced (`consumption_policy`),
-* its retention time ends, or it ended before the window of garbage control (`EventRule.tick`),
+* its retention time ends, or it ended before the window of garbage control (`EventRule.advance_clock`),
 * it is skipped after a match (`after_match_skip`),
 * a sweep finds that it is ruled out (`RuledOutSweep`), or
 * the rule has too many matches: then the oldest one is dropped and reported.
@@ -55,16 +55,16 @@ class RuleMetrics:
     """Counters of a rule; a separate object, because they change with most events.
 
     Attributes:
-        number: number of complete matches, whether or not their event had listeners.
-        last: end of the last one; None before the first.
-        errors: number of errors.
+        firing_count: number of complete matches, whether or not their event had listeners.
+        last_end: end of the last one; None before the first.
+        error_count: number of errors.
     """
 
-    __slots__ = ("errors", "last", "number")
+    __slots__ = ("error_count", "last_end", "firing_count")
 
     def __init__(self) -> None:
-        self.number = self.errors = 0
-        self.last: Optional[int] = None
+        self.firing_count = self.error_count = 0
+        self.last_end: Optional[int] = None
 
 
 class RuleState(NamedTuple):
@@ -121,14 +121,14 @@ class EventRule:
         waiting: number of stored partial matches.
         arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
             binds it.
-        firings: its counters.
+        metrics: its counters.
         order: the largest order of its matches so far. Each stored match has a larger one, which is its end if the
             end is larger. Then both are one object.
-        timed: whether its clock is maintained.
+        maintains_clock: whether its clock advances, because matches expire by it.
         clock: largest end of the events that its patterns matched.
         max_timestamp: largest time stamp that is known to be allowed to advance its clock.
         completion: receives the values of complete matches, if nothing is tracked.
-        expiries: stored matches by expiration.
+        expiration_queue: stored matches by expiration.
         sweep_threshold: number of stored matches above which `remove_excess` continues to remove matches that are
             ruled out.
     """
@@ -148,12 +148,12 @@ class EventRule:
         self.idle: Optional[int] = None
         self.is_connected = False
         self.stored_match_count = 0
-        self.dropped = 0
-        self.firings = RuleMetrics()
-        self.alarms_dropped = 0
-        self.alarms_past = 0
-        self.late = 0
-        self.timed = False
+        self.dropped_count = 0
+        self.metrics = RuleMetrics()
+        self.dropped_alarm_count = 0
+        self.past_alarm_count = 0
+        self.late_count = 0
+        self.maintains_clock = False
         self._tracks_stored = False
         self.clock: int = _BEFORE_ALL_INSTANTS
         self.max_timestamp: int = _BEFORE_ALL_INSTANTS
@@ -161,15 +161,15 @@ class EventRule:
         self.order = 0
         self.arrivals: Deque[PartialMatch] = deque()
         self._visited = 0
-        self.expiries = StartExpirationQueue(None)
+        self.expiration_queue = StartExpirationQueue(None)
         self.sweep_threshold = _NO_SWEEP
         self._sweeping = False
         self._sweeps: List[RuledOutSweep] = []
         self._visits_remain = False
-        self._span: Optional[int] = None
+        self._main_retention: Optional[int] = None
         self._last_collection: Optional[int] = None
-        self._garbage: Optional[Tuple[int, int]] = None
-        self._by_end = ExpirationQueue()
+        self._garbage_control: Optional[Tuple[int, int]] = None
+        self._end_queue = ExpirationQueue()
         self.listeners: List[Listener] = []
         self.deferred_matches: List[Tuple[MatchBuffer, PartialMatch, Hashable]] = []
         self._deferring_event: object = None
@@ -202,19 +202,21 @@ class EventRule:
         self.options = options
         self.skip_state = skip_state = skip_state_for(self, options)
         self.window = window
-        self._garbage = garbage
+        self._garbage_control = garbage
         self.idle = None if garbage is None else garbage[0]
         # Operators on streams have clocks of their own.
-        self.timed = garbage is not None and not root.is_single_event
+        self.maintains_clock = garbage is not None and not root.is_single_event
         for node, span, retentions in self.nodes:
             retention = retentions.late if options.out_of_order else retentions.in_order
             node.set_span(
                 smaller_bound(span, window) if node.tests_window else span, smaller_bound(retention, window)
             )
-            self.timed = self.timed or any(buffer.retention is not None for buffer in node.buffers())
+            self.maintains_clock = self.maintains_clock or any(
+                buffer.retention is not None for buffer in node.buffers()
+            )
         spans = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
-        self._span = max(spans, key=spans.count) if spans else None
-        self._tracks_stored = self.timed or options.tracks_events or skip_state is not None
+        self._main_retention = max(spans, key=spans.count) if spans else None
+        self._tracks_stored = self.maintains_clock or options.tracks_events or skip_state is not None
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [
             sweep
@@ -238,7 +240,7 @@ class EventRule:
         complete_root: Emit = self._complete_tracked if options.tracks_events else complete_match
         if skip_state is not None:
             skip_state.connect(root, complete_root, options)
-        elif root.is_single_event and not self.timed and not options.tracks_events:
+        elif root.is_single_event and not self.maintains_clock and not options.tracks_events:
             # Match objects would take 12 % more time, and goals are fused only here.
             root.bind_values(completion)
         else:
@@ -262,15 +264,15 @@ class EventRule:
     def _buffers(self) -> List[Any]:
         return [buffer for node, _, _ in self.nodes for buffer in node.buffers()]
 
-    def state(self) -> RuleState:
+    def snapshot(self) -> RuleState:
         """Return the state, for `restore` of another rule with the same definition."""
         buffer_positions = {id(buffer): position for position, buffer in enumerate(self._buffers())}
         stored = [match for match in self.arrivals if match.buffer is not None]
-        firings = self.firings
+        metrics = self.metrics
         return RuleState(
             (
-                *(firings.number, firings.last, firings.errors),
-                *(self.dropped, self.alarms_dropped, self.alarms_past, self.late),
+                *(metrics.firing_count, metrics.last_end, metrics.error_count),
+                *(self.dropped_count, self.dropped_alarm_count, self.past_alarm_count, self.late_count),
             ),
             (self.clock, int(self.order), self._last_collection),
             [(type(node).__name__, node.snapshot()) for node, _, _ in self.nodes],
@@ -286,9 +288,11 @@ class EventRule:
 
     def restore(self, state: RuleState) -> None:
         """Set the state that another rule with the same definition returned, after the nodes were connected."""
-        firings = self.firings
-        firings.number, firings.last, firings.errors = state.counts[:3]
-        self.dropped, self.alarms_dropped, self.alarms_past, self.late = state.counts[3:]
+        metrics = self.metrics
+        metrics.firing_count, metrics.last_end, metrics.error_count = state.counts[:3]
+        self.dropped_count, self.dropped_alarm_count, self.past_alarm_count, self.late_count = state.counts[
+            3:
+        ]
         self.clock, self.order, self._last_collection = state.times
         if self.skip_state is not None and state.skipped is not None:
             self.skip_state.restore(state.skipped)
@@ -350,8 +354,8 @@ class EventRule:
             self.skip_state.rebuild_entries(self.arrivals)
 
     def _clear_expirations(self) -> None:
-        self.expiries.reset(self._span)
-        self._by_end = ExpirationQueue()
+        self.expiration_queue.reset(self._main_retention)
+        self._end_queue = ExpirationQueue()
 
     def listen(self, leaf: EventNode, action: EventAction, fused: bool = False) -> None:
         """Register the action of an event node; see `Dispatcher.listen`."""
@@ -367,9 +371,9 @@ class EventRule:
         return bool(self._sweeps)
 
     @property
-    def collects(self) -> bool:
+    def collects_garbage(self) -> bool:
         """True if garbage control removes stored matches."""
-        return self._garbage is not None
+        return self._garbage_control is not None
 
     @property
     def vars(self) -> List[Var]:
@@ -377,7 +381,7 @@ class EventRule:
         return self.root.vars
 
     @property
-    def ground_with_event(self) -> int:
+    def ground_value_count(self) -> int:
         """Number of leading values of a match that contain variables only if its event does."""
         node: Any = self.root
         if not node.is_single_event:
@@ -460,7 +464,7 @@ class EventRule:
                     buffer.add(match, key)
                 self.deferred_matches.remove(entry)
 
-    def tick(self, end: int) -> None:
+    def advance_clock(self, end: int) -> None:
         """Advance the rule's clock and remove the matches that have expired."""
         if end <= self.clock:
             return
@@ -470,9 +474,9 @@ class EventRule:
             if end > self.max_timestamp:
                 return
         self.clock = end
-        self.expiries.expire(end)
-        if self._garbage is not None:
-            self._collect_garbage(*self._garbage)
+        self.expiration_queue.expire(end)
+        if self._garbage_control is not None:
+            self._collect_garbage(*self._garbage_control)
 
     def _collect_garbage(self, window: int, step: int) -> None:
         """Remove the matches that ended before the window of garbage control, at most once per step."""
@@ -482,11 +486,11 @@ class EventRule:
         if clock - self._last_collection < step:
             return
         self._last_collection = clock
-        for match in self._by_end.pop_expired(clock - window):
+        for match in self._end_queue.pop_expired(clock - window):
             if match.latest_end < clock - window:
                 match.discard()
             else:  # a run that was extended since it was entered
-                self._by_end.add(match.latest_end, match, self.stored_match_count)
+                self._end_queue.add(match.latest_end, match, self.stored_match_count)
 
     def count_stored(self, match: PartialMatch, span: Optional[int]) -> None:
         """Count a match that has been stored; if there are too many, drop the oldest."""
@@ -518,8 +522,8 @@ class EventRule:
                 self.sweep_threshold = min(self.sweep_threshold, 2 * (self.stored_match_count + SPARE))
         if self.stored_match_count > self.network.max_stored:
             self._drop_oldest()
-        if len(self.expiries) > max_entries:
-            self.expiries.remove_stale(self.stored_match_count)
+        if len(self.expiration_queue) > max_entries:
+            self.expiration_queue.remove_stale(self.stored_match_count)
 
     def _sweep(self) -> None:
         """Remove some of the matches that are ruled out; see `RuledOutSweep`.
@@ -564,16 +568,16 @@ class EventRule:
         network = self.network
         if network.options.tracks_events:
             network.tracker.register_match(match)
-        if self.timed and match.buffer is not None:
+        if self.maintains_clock and match.buffer is not None:
             self._enqueue_expiration(match, span)
         if self.skip_state is not None:
             self.skip_state.add_entry(match)
 
     def _enqueue_expiration(self, match: PartialMatch, span: Optional[int]) -> None:
         if span is not None:
-            self.expiries.add(span, match, self.stored_match_count)
-        if self._garbage is not None:
-            self._by_end.add(match.latest_end, match, self.stored_match_count)
+            self.expiration_queue.add(span, match, self.stored_match_count)
+        if self._garbage_control is not None:
+            self._end_queue.add(match.latest_end, match, self.stored_match_count)
 
     def _drop_oldest(self) -> None:
         """Drop the oldest matches until the limit is met; visit at most one slice of entries."""
@@ -586,7 +590,7 @@ class EventRule:
                 self._visited -= 1
             if oldest.buffer is not None:
                 oldest.discard()
-                self.dropped += 1
+                self.dropped_count += 1
                 self.network.report_dropped(self)
                 if self.stored_match_count <= max_stored:
                     return
@@ -595,9 +599,9 @@ class EventRule:
         window = self.window
         if window is not None and end - start > window:
             return frame
-        firings = self.firings
-        firings.number += 1
-        firings.last = end
+        metrics = self.metrics
+        metrics.firing_count += 1
+        metrics.last_end = end
         return self.fire(self._head(values), start, end, frame)
 
     def _head(self, values: Values) -> Term:
@@ -608,8 +612,8 @@ class EventRule:
         return self._builder(values)
 
     def _count_match(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        self.firings.number += 1
-        self.firings.last = end
+        self.metrics.firing_count += 1
+        self.metrics.last_end = end
         return frame
 
     def _continuation_of_head(self) -> Continuation:
@@ -626,23 +630,27 @@ class EventRule:
         if self.window is not None or key is None or is_larger(head, MAX_TERM_ARGUMENTS):
             return Continuation(self._complete_values)
         dispatcher = self.network.dispatcher
-        gate = dispatcher.event_filter(key)
+        event_filter = dispatcher.event_filter(key)
 
-        def failed(error: UsageError, frame: Frame) -> Frame:
+        def on_failure(error: UsageError, frame: Frame) -> Frame:
             self.network.rule_failed(self, RuleError(error.message))
             return frame
 
-        complete = firing_action(head, self.root.vars, self, gate, failed)
+        complete = firing_action(head, self.root.vars, self, event_filter, on_failure)
         make_replacement = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
         replacement = make_replacement and make_replacement(self, complete)
-        return Continuation(replacement, True, gate) if replacement else Continuation(complete, False, gate)
+        return (
+            Continuation(replacement, True, event_filter)
+            if replacement
+            else Continuation(complete, False, event_filter)
+        )
 
     def _complete_tracked(self, match: PartialMatch, frame: Frame) -> Frame:
         window = self.window
         if window is not None and match.end - match.start > window:
             return frame
-        self.firings.number += 1
-        self.firings.last = match.end
+        self.metrics.firing_count += 1
+        self.metrics.last_end = match.end
         if self.definition.head is None:
             return frame
         return self.network.tracker.fire(self, match, self._head(match.values), frame)

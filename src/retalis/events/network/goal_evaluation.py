@@ -2,9 +2,9 @@
 
 The nodes of a rule call Prolog goals. `RuleGoal` compiles a goal for the variables that are bound where it stands:
 
-* a condition is called with `RuleGoal.test`; its first solution counts and extends the values of the match;
-* an action is called with `RuleGoal.act` or `RuleGoal.act_on_all`. It runs as a part of the event's dispatch, so the
-  machine can be interrupted in it, and continues with the head of the rule.
+* a condition is called with `RuleGoal.extend_values`; its first solution counts and extends the values of the match;
+* an action is called with `RuleGoal.call_once` or `RuleGoal.call_for_all`. It runs as a part of the event's dispatch,
+  so the machine can be interrupted in it, and continues with the head of the rule.
 
 Values without variables are the usual case. The goal is compiled with them as inputs and returns only the values of
 its other variables. If a value contains variables, a second form of the goal takes and returns all values, because
@@ -112,23 +112,23 @@ class RuleGoal:
     Args:
         rule: the rule that contains it.
         goal: the goal.
-        given_vars: variables of the values of a match.
+        match_vars: variables of the values of a match.
 
     Attributes:
-        result_vars: ``given_vars``, then the other variables of the goal.
+        result_vars: ``match_vars``, then the other variables of the goal.
     """
 
-    def __init__(self, rule: "EventRule", goal: Term, given_vars: Sequence[Var]):
+    def __init__(self, rule: "EventRule", goal: Term, match_vars: Sequence[Var]):
         self.rule = rule
         self.goal = goal
-        self.given_vars = list(given_vars)
+        self.match_vars = list(match_vars)
         mentioned = positions(variables(goal))
-        position_of = positions(self.given_vars)
-        inputs = [var for var in self.given_vars if var in mentioned]
+        position_of = positions(self.match_vars)
+        inputs = [var for var in self.match_vars if var in mentioned]
         self.positions = tuple(position_of[var] for var in inputs)
-        self._takes_all = inputs == self.given_vars
+        self._takes_all_values = inputs == self.match_vars
         self.outputs = [var for var in mentioned if var not in position_of]
-        self.result_vars = [*self.given_vars, *self.outputs]
+        self.result_vars = [*self.match_vars, *self.outputs]
         self._from_outside = (
             rule.network.logic.is_serving_client
         )  # read here, because the other forms of the goal are compiled later
@@ -138,7 +138,7 @@ class RuleGoal:
         self._dispatcher = rule.network.dispatcher
         self._condition_state = rule.network.condition_state
 
-    def test(self, values: Values) -> Optional[Values]:
+    def extend_values(self, values: Values) -> Optional[Values]:
         """Return the values extended by those of the first solution; None if there is none.
 
         An error counts as failure and is reported.
@@ -160,33 +160,35 @@ class RuleGoal:
             # An error may leave a nested dispatch unfinished; the event that was served before the condition is
             # current again.
             self._dispatcher.restore(current, self._dispatcher.cause)
-            self.failed(error)
+            self.report_error(error)
             return None
         finally:
             condition_state.condition_depth -= 1
 
-    def act(
+    def call_once(
         self,
         term: Term,
         values: Values,
         start: int,
         end: int,
         ground: bool,
-        solved: EventAction,
+        on_solution: EventAction,
         frame: Frame,
     ) -> Frame:
-        """Return the frame that calls the goal once and continues with ``solved``, or with ``frame`` if it fails.
+        """Return the frame that calls the goal once and continues with ``on_solution``, or ``frame`` if it fails.
 
         Args:
-            term: the event, if the match consists of one; passed to ``solved``.
+            term: the event, if the match consists of one; passed to ``on_solution``.
             values: values of the match.
-            start: start of the match; passed to ``solved``.
-            end: end of the match; passed to ``solved``.
+            start: start of the match; passed to ``on_solution``.
+            end: end of the match; passed to ``on_solution``.
             ground: whether the values are known to be without variables.
-            solved: receives the match with the values of the solution appended to the others.
+            on_solution: receives the match with the values of the solution appended to the others.
             frame: the frame to continue with.
         """
-        inputs = values if self._takes_all else tuple([values[position] for position in self.positions])
+        inputs = (
+            values if self._takes_all_values else tuple([values[position] for position in self.positions])
+        )
         # With ground inputs, the goal returns only its other variables; the values of the match are passed beside
         # it.
         if ground or are_ground(inputs):
@@ -194,7 +196,7 @@ class RuleGoal:
         else:
             goal, inputs, passed_values = self._open_goal(), values, ()
         return self._dispatcher.call(
-            goal, inputs, self._reported, solved, term, passed_values, start, end, frame
+            goal, inputs, self._report_error_of_call, on_solution, term, passed_values, start, end, frame
         )
 
     @property
@@ -207,62 +209,71 @@ class RuleGoal:
 
         Usually the event has no variables, and the goal is a call that is executed in one step; that case is fused.
         """
-        act, solved = self.act, completion.action
+        act, on_solution = self.call_once, completion.action
         dispatcher = self._dispatcher
 
         def act_on_event(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            return act(term, values, start, end, dispatcher.ground(), solved, frame)
+            return act(term, values, start, end, dispatcher.ground(), on_solution, frame)
 
-        if self.outputs or not self._takes_all or not self.given_vars:
+        if self.outputs or not self._takes_all_values or not self.match_vars:
             return Continuation(act_on_event)
         return Continuation(
             goal_action(
-                self._ground_goal, len(self.given_vars), self.rule, self.failed, act_on_event, completion
+                self._ground_goal,
+                len(self.match_vars),
+                self.rule,
+                self.report_error,
+                act_on_event,
+                completion,
             ),
             True,
         )
 
-    def act_on_all(
+    def call_for_all(
         self,
         term: Term,
         values: Values,
         start: int,
         end: int,
         ground: bool,
-        solved: EventAction,
+        on_solution: EventAction,
         frame: Frame,
     ) -> Frame:
-        """Return the frame that continues with ``solved`` for each solution of the goal, in order; see `act`."""
+        """Return the frame that continues with ``on_solution`` for each solution, in order; see `call_once`."""
         inputs = tuple([values[position] for position in self.positions])
         ground = ground or are_ground(inputs)
         # All solutions are computed first: events that follow from the first solution must not change the later
         # ones.
         goal = self._compile(self._inputs, self.outputs, True) if ground else self._open_goal(True)
 
-        def each(term: Term, collected: Values, start: int, end: int, frame: Frame) -> Frame:
+        def emit_solutions(term: Term, collected: Values, start: int, end: int, frame: Frame) -> Frame:
             solutions = [tuple(list_items(item) or ()) for item in list_items(collected[0]) or ()]
             if ground:
                 solutions = [values + solution for solution in solutions]
             return emit_each(
                 metered(solutions, self.rule.meter),
-                lambda solution, then: solved(term, solution, start, end, then),
+                lambda solution, next_frame: on_solution(term, solution, start, end, next_frame),
                 frame,
             )
 
         inputs = inputs if ground else values
-        return self._dispatcher.call(goal, inputs, self._reported, each, term, (), start, end, frame)
+        return self._dispatcher.call(
+            goal, inputs, self._report_error_of_call, emit_solutions, term, (), start, end, frame
+        )
 
-    def with_cause(self, match: PartialMatch, solved: EventAction, frame: Frame) -> Tuple[EventAction, Frame]:
+    def with_cause(
+        self, match: PartialMatch, on_solution: EventAction, frame: Frame
+    ) -> Tuple[EventAction, Frame]:
         """Record the match as the cause of the events that the goal makes, until it ends.
 
         Returns:
-            The arguments for `act` in place of ``solved`` and ``frame``.
+            The arguments for `call_once` in place of ``on_solution`` and ``frame``.
         """
-        return self._dispatcher.caused_by((self.rule, match), solved, frame)
+        return self._dispatcher.caused_by((self.rule, match), on_solution, frame)
 
     def _open_goal(self, every: bool = False) -> CompiledGoal:
         """Return the goal for values with variables; it returns all values, as its solution leaves them."""
-        return self._compile(self.given_vars, self.result_vars, every)
+        return self._compile(self.match_vars, self.result_vars, every)
 
     def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> CompiledGoal:
         key = (tuple(inputs), tuple(outputs), every)
@@ -279,10 +290,10 @@ class RuleGoal:
             )
         return compiled
 
-    def _reported(self, values: Values, error: PrologError) -> None:
-        self.failed(error)
+    def _report_error_of_call(self, values: Values, error: PrologError) -> None:
+        self.report_error(error)
 
-    def failed(self, error: PrologError) -> None:
+    def report_error(self, error: PrologError) -> None:
         """Report an error that the goal raised."""
         self.rule.network.goal_failed(self.rule, self.goal, error)
 
@@ -296,7 +307,7 @@ def goal_test(call: RuleGoal, timed: bool, interval_positions: Optional[Tuple[in
         interval_positions: positions of the interval of the condition's pattern among the values, if it is tested
             further up; a variable there means that the pattern is in a branch that was not taken.
     """
-    goal = call.test
+    goal = call.extend_values
     condition_state = call.rule.network.condition_state
     missing_vars = [Var for _ in call.outputs]
 
@@ -386,7 +397,7 @@ class Evaluators:
 
         return evaluate
 
-    def compile_test(self, goal: Term, value_vars: Sequence[Var], called: str) -> GoalTest:
+    def compile_test(self, goal: Term, value_vars: Sequence[Var], title: str) -> GoalTest:
         """Return a function that calls a goal, given the values of some variables."""
         compiled = self._rule.network.logic.compile_goal(goal, list(value_vars), [])
 
@@ -395,7 +406,7 @@ class Evaluators:
                 return compiled.first_solution(values) is not None
             except PrologError as error:
                 record_caught_error(error)
-                raise RuleError(f"{called}: {error.message}") from error
+                raise RuleError(f"{title}: {error.message}") from error
 
         return is_satisfied
 
@@ -409,19 +420,21 @@ class Evaluators:
         """
         logic = self._rule.network.logic
         value, state, output = Var(), Var(), Var()
-        begin = logic.compile_goal((functor(predicate_names[0].name, 1), output), [], [output])
-        step = logic.compile_goal(
+        initial = logic.compile_goal((functor(predicate_names[0].name, 1), output), [], [output])
+        next_state = logic.compile_goal(
             (functor(predicate_names[1].name, 3), value, state, output), [value, state], [output]
         )
-        show = logic.compile_goal((functor(predicate_names[2].name, 2), state, output), [state], [output])
+        final_result = logic.compile_goal(
+            (functor(predicate_names[2].name, 2), state, output), [state], [output]
+        )
 
         def fold(values: Sequence[Term]) -> Optional[Term]:
             try:
-                current = begin.first_solution(())
+                current = initial.first_solution(())
                 for element in values:
                     # A failing step makes the whole aggregate fail.
-                    current = None if current is None else step.first_solution((element, current[0]))
-                result = None if current is None else show.first_solution((current[0],))
+                    current = None if current is None else next_state.first_solution((element, current[0]))
+                result = None if current is None else final_result.first_solution((current[0],))
             except PrologError as error:
                 record_caught_error(error)
                 raise RuleError(f"aggregate fold: {error.message}") from error

@@ -342,7 +342,7 @@ class JoinNode(NetworkNode):
             or rule.shares_events
             or rule.skip_state is not None
         )
-        return not is_inspected and not rule.collects
+        return not is_inspected and not rule.collects_garbage
 
     def _fuse_absence(
         self, negated: NetworkNode, absence: NegationBuffer, options: NetworkOptions

@@ -233,7 +233,7 @@ class EventNode(NetworkNode):
             return emit(PartialMatch(values, start, end, None, term, None), frame)
 
         def on_event_timed(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            rule.tick(end)
+            rule.advance_clock(end)
             return emit(PartialMatch(values, start, end, None, term, None), frame)
 
         def on_event_identified(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
@@ -241,15 +241,15 @@ class EventNode(NetworkNode):
             # Matches of the previous event are stored before this event looks for partners.
             if rule.deferred_matches:
                 rule.store_deferred_of_earlier_events(event)
-            if rule.timed:
-                rule.tick(end)
+            if rule.maintains_clock:
+                rule.advance_clock(end)
             return emit(PartialMatch(values, start, end, event, term, None), frame)
 
         def on_event_unskipped(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
             event = token()
             rule.store_deferred_of_earlier_events(event)
-            if rule.timed:
-                rule.tick(end)
+            if rule.maintains_clock:
+                rule.advance_clock(end)
             return (
                 emit(PartialMatch(values, start, end, event, term, None), frame)
                 if accepts_start(start)
@@ -259,7 +259,11 @@ class EventNode(NetworkNode):
         needs_identity = rule.shares_events or options.tracks_events
         if rule.skip_state is None:
             event_action = (
-                on_event_identified if needs_identity else on_event_timed if rule.timed else on_event
+                on_event_identified
+                if needs_identity
+                else on_event_timed
+                if rule.maintains_clock
+                else on_event
             )
             if fuse is None:
                 rule.listen(self, event_action)
@@ -414,7 +418,7 @@ class ActionNode(NetworkNode):
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         call = self.call
-        call_goal = call.act_on_all if self.every else call.act
+        call_goal = call.call_for_all if self.every else call.call_once
         tracked = options.tracks_events
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
@@ -454,7 +458,7 @@ class ActionNode(NetworkNode):
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
         call = self.call
-        call_goal = call.act_on_all if self.every else call.act
+        call_goal = call.call_for_all if self.every else call.call_once
         complete = completion.action
         span = self.span
         # Conditions and goals below may return values with variables although the event has none.

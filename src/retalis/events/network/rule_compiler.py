@@ -49,13 +49,13 @@ from .deferred_conditions import (
     VarSet,
     Wrapping,
     deferred_test,
+    dispatch_order,
     early_test,
     goal_variables,
     may_be_revived,
     may_share_event,
     negation_buffer_for,
     order_by_result_use,
-    serving_order,
     shared_variables,
     split_ready,
     unwrap,
@@ -123,8 +123,8 @@ class RuleCompiler(StreamCompiler):
         for position, stream in enumerate(self.stream_nodes):
             stream.position = position
         # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
-        for built_again, first in self.copies:
-            for leaf, first_leaf in zip(built_again.leaves, first.leaves):
+        for built_copy, first in self.copies:
+            for leaf, first_leaf in zip(built_copy.leaves, first.leaves):
                 leaf.rank = first_leaf.rank
         node = root = built.node
         while isinstance(node, (ActionNode, FilterNode)):
@@ -195,24 +195,24 @@ class RuleCompiler(StreamCompiler):
         if core.repeats_single_events():
             # If the pattern has deferred conditions, the nodes built so far are discarded, and the sequence is
             # built instead.
-            before = len(self.nodes)
-            built = self._build(core.pattern, context | self._bound(core.pattern), retention)
+            node_count = len(self.nodes)
+            built = self._build(core.pattern, context | self._bindable_vars(core.pattern), retention)
             if not built.deferred:
                 identity_functions = partial(self._match_keys.identity_function, pattern=core.pattern)
-                repeating = RepeatNode(
+                repeat_node = RepeatNode(
                     self.rule, built.node, core.times, self.shared_vars, identity_functions
                 )
-                node = self._add(repeating, None, retention)
+                node = self._add(repeat_node, None, retention)
                 return BuiltPattern(node, [], built.leaves, [])
-            del self.nodes[before:]
+            del self.nodes[node_count:]
         return self._build(core.as_sequence(), context, retention)
 
-    def _bound(self, pattern: Pattern) -> VarSet:
+    def _bindable_vars(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
         bound = self._bound_by.get(id(pattern))
         if bound is None:
             if isinstance(pattern, PairPattern) and id(pattern.left) in self._bound_by:
-                bound = self._bound(pattern.left).union(bound_by(pattern.right))
+                bound = self._bindable_vars(pattern.left).union(bound_by(pattern.right))
             else:
                 bound = frozenset(bound_by(pattern))
             self._bound_by[id(pattern)] = bound
@@ -232,14 +232,14 @@ class RuleCompiler(StreamCompiler):
         conditions, newly_deferred = self._split(wrapping.conditions, wrapping.core, context)
         node = built.node
         for deferred in newly_deferred:
-            node = self._add_capture(node, deferred)
+            node = self._add_bind_node(node, deferred)
         value_vars: List[Var] = node.vars
         tests: List[Test] = []
         for condition in conditions:
-            tested = self._test(node, condition, value_vars)
-            if tested is not None:
-                tests.append(tested[0])
-                value_vars = tested[1]
+            compiled_test = self._compile_test(node, condition, value_vars)
+            if compiled_test is not None:
+                tests.append(compiled_test[0])
+                value_vars = compiled_test[1]
         if tests or wrapping.span is not None:
             node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), wrapping.span, UNLIMITED)
         return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
@@ -262,13 +262,13 @@ class RuleCompiler(StreamCompiler):
             mentioned = set(variables(condition.goal))
             needs = (mentioned & context) - known_vars
             if needs:
-                assigned.append(self._deferred(condition.goal, condition.timed, None, needs))
+                assigned.append(self._defer(condition.goal, condition.timed, None, needs))
             else:
                 assigned.append(condition)
                 known_vars |= mentioned
         return assigned, [part for part in assigned if isinstance(part, DeferredConditions)]
 
-    def _test(
+    def _compile_test(
         self, node: Any, condition: TestedCondition, value_vars: List[Var]
     ) -> Optional[Tuple[Test, List[Var]]]:
         """Return the test of a condition and the variables after it; None if it cannot be tested at this node.
@@ -284,7 +284,7 @@ class RuleCompiler(StreamCompiler):
         call = RuleGoal(self.rule, condition.goal, value_vars)
         return goal_test(call, condition.timed, None), call.result_vars
 
-    def _deferred(
+    def _defer(
         self,
         goal: Optional[Term],
         timed: bool,
@@ -300,7 +300,7 @@ class RuleCompiler(StreamCompiler):
             self._match_keys.carried.update(mentioned)
         return DeferredConditions(needs, goal, timed, absent, start, end)
 
-    def _add_capture(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
+    def _add_bind_node(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
         """Add a node that passes on the interval of a match, for a condition."""
         return self._add(BindNode(node, deferred.start, deferred.end), None, UNLIMITED)
 
@@ -325,7 +325,7 @@ class RuleCompiler(StreamCompiler):
         left: BuiltPattern,
         first_left_stream: int,
     ) -> BuiltPattern:
-        inner_context = context | self._bound(core.left)
+        inner_context = context | self._bindable_vars(core.left)
         right = self._build_right(core.right, inner_context, retention, first_left_stream)
         below = [*left.deferred, *right.deferred]
         always_bound: Set[Var] = set()
@@ -357,7 +357,7 @@ class RuleCompiler(StreamCompiler):
         node.can_be_revived = (may_be_revived(core.left), may_be_revived(core.right))
         self._add(node, wrapping.span, retention)
         if negated is not None and gap is None:
-            built = negated.make()
+            built = negated.next_copy()
             node.add_absence(negation_buffer_for(self.rule, built, node.vars, False), built.node)
         self._test_joined(node, below, ready, conditions)
         deferred += newly_deferred
@@ -365,7 +365,7 @@ class RuleCompiler(StreamCompiler):
             deferred += self._test_gap(
                 node, DeferredConditions(needs, None, False, (negated, False), *gap), conditions
             )
-        joined = serving_order(OPERATORS[core.operator].either, left, right)
+        joined = dispatch_order(OPERATORS[core.operator].either, left, right)
         if negated is not None:
             joined += negated.first.leaves
         return BuiltPattern(node, deferred, joined, [])
@@ -391,9 +391,9 @@ class RuleCompiler(StreamCompiler):
             elif deferred.may_be_tried(node.vars):
                 node.add_test(*early_test(self.rule, node, deferred, node.vars))
         for condition in conditions:
-            tested = self._test(node, condition, node.vars)
-            if tested is not None:
-                node.add_test(*tested)
+            compiled_test = self._compile_test(node, condition, node.vars)
+            if compiled_test is not None:
+                node.add_test(*compiled_test)
 
     def _test_gap(
         self, node: JoinNode, gap_condition: DeferredConditions, conditions: Sequence[TestedCondition]
@@ -417,14 +417,14 @@ class RuleCompiler(StreamCompiler):
         needs = negated.needs(inner_context, set(below.node.vars)) | negated.needs(context, always_bound)
         # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
         if not needs:
-            built = negated.make()
+            built = negated.next_copy()
             absence = negation_buffer_for(self.rule, built, below.node.vars, True)
             node: NetworkNode = self._add(
                 NotNode(self.rule, below.node, built.node, absence), None, UNLIMITED
             )
             return below.with_negated(node, below.deferred, negated.first)
-        gap_condition = self._deferred(None, False, (negated, True), needs)
-        node = self._add_capture(below.node, gap_condition)
+        gap_condition = self._defer(None, False, (negated, True), needs)
+        node = self._add_bind_node(below.node, gap_condition)
         if gap_condition.may_be_tried(node.vars):
             node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
             node.test, _ = early_test(self.rule, node, gap_condition, node.vars)
@@ -484,9 +484,9 @@ class RuleCompiler(StreamCompiler):
             if pending.may_be_tried(node.vars):
                 node.add_test(*early_test(self.rule, node, pending, node.vars), False)
         for late, condition in order_by_result_use(conditions, node.vars, node.new_result_vars):
-            tested = self._test(node, condition, node.vars)
-            if tested is not None:
-                node.add_test(*tested, late)
+            compiled_test = self._compile_test(node, condition, node.vars)
+            if compiled_test is not None:
+                node.add_test(*compiled_test, late)
         return BuiltPattern(
             node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined], first.single
         )

@@ -499,7 +499,7 @@ class StreamCompiler:
         if negated.needs(inner_context, set(value_vars)) | negated.needs(context, always_bound):
             message = "the pattern of absent uses a variable that the pattern before it does not bind"
             raise RuleError(message, self.rule.place)
-        built = negated.make()
+        built = negated.next_copy()
         absence = negation_buffer_for(self.rule, built, value_vars, False)
         identity_of = self._match_keys.identity_function(value_vars, core.pattern)
         spec = absence_node_spec(core.span, value_vars, built.node.vars, absence.condition, identity_of)

@@ -539,7 +539,7 @@ class StreamNode(NetworkNode):
 
     def _drop_oldest(self) -> List[StreamOutput]:
         """Drop the oldest element with its partial matches; return the outputs that follow from that."""
-        self.rule.dropped += 1
+        self.rule.dropped_count += 1
         self.rule.network.report_dropped(self.rule)
         return self.stream.drop_oldest()
 
@@ -549,10 +549,10 @@ class StreamNode(NetworkNode):
         Only drops caused by an event are reported: a replay or an explanation processes the same elements again.
         """
         for _ in range(pruned_count):
-            self.rule.dropped += 1
+            self.rule.dropped_count += 1
             self.rule.network.report_dropped(self.rule, MAX_STATES_PER_START)
         for _ in range(self.stream.evicted_count - self.evicted_count):
-            self.rule.dropped += 1
+            self.rule.dropped_count += 1
             self.rule.network.report_dropped_keys(self.rule)
         self.evicted_count = self.stream.evicted_count
 

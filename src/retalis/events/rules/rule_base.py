@@ -275,7 +275,7 @@ class RuleBase:
         rule.unlisten()
         rule.clear()
         if was_active:
-            self.fired_before += rule.firings.number
+            self.fired_before += rule.metrics.firing_count
 
     def detach(self, rule: EventRule) -> None:
         """Deactivate a rule and keep its partial matches."""
@@ -446,7 +446,7 @@ class RuleBase:
     @property
     def fired(self) -> int:
         """Number of complete matches of all rules, including deleted ones."""
-        return self.fired_before + sum(rule.firings.number for rule in self.rules)
+        return self.fired_before + sum(rule.metrics.firing_count for rule in self.rules)
 
     @property
     def match_count(self) -> int:
@@ -460,9 +460,10 @@ class RuleBase:
     ) -> None:
         """Emit an event when the clock reaches an instant."""
         if len(self.clock.alarms) >= self.max_stored:
-            rule.alarms_dropped += 1
-            text = f": more than {self.max_stored} alarms are set; {rule.alarms_dropped} have been dropped so far"
-            self._warn_rarely(rule, rule.alarms_dropped, text)
+            rule.dropped_alarm_count += 1
+            count = rule.dropped_alarm_count
+            text = f": more than {self.max_stored} alarms are set; {count} have been dropped so far"
+            self._warn_rarely(rule, count, text)
             return
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
@@ -477,17 +478,17 @@ class RuleBase:
 
     def report_late(self, rule: EventRule, what: str) -> None:
         """Report that a match was too late to be used."""
-        rule.late += 1
-        self._warn_rarely(rule, rule.late, f": {what}; {rule.late} so far")
+        rule.late_count += 1
+        self._warn_rarely(rule, rule.late_count, f": {what}; {rule.late_count} so far")
 
     def report_past_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
         if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
-        rule.alarms_past += 1
+        rule.past_alarm_count += 1
         consequence = "it is an ordinary event" if alarm is None else "it fires at once"
-        text = f": the instant of its alarm is in the past, so {consequence}; {rule.alarms_past} so far"
-        self._warn_rarely(rule, rule.alarms_past, text)
+        text = f": the instant of its alarm is in the past, so {consequence}; {rule.past_alarm_count} so far"
+        self._warn_rarely(rule, rule.past_alarm_count, text)
 
     def report_nothing_retracted(self, term: Term, rule: Optional[EventRule]) -> None:
         """Report an event ``rev(E)`` without an event E to retract, at the occurrences 1, 2, 4, 8 and so on."""
@@ -503,7 +504,7 @@ class RuleBase:
 
     def rule_failed(self, rule: EventRule, error: RuleError) -> None:
         """Report an error that prevented a rule from firing."""
-        rule.firings.errors += 1
+        rule.metrics.error_count += 1
         context = self.dispatcher.current
         context_text = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
         self.on_error(RuleError(f"{rule.name}{context_text}: {error.message}", rule.place))
@@ -519,22 +520,22 @@ class RuleBase:
         """Report that partial matches of a rule were dropped, or more than ``max_runs`` runs from one start."""
         text = (
             f" has more than {self.max_stored} partial matches; "
-            f"{rule.dropped} of the oldest have been dropped so far"
+            f"{rule.dropped_count} of the oldest have been dropped so far"
         )
         if max_runs:
             text = (
                 f" has more than {max_runs} ways to take its steps from one start; "
-                f"{rule.dropped} have been dropped so far"
+                f"{rule.dropped_count} have been dropped so far"
             )
-        self._warn_rarely(rule, rule.dropped, text)
+        self._warn_rarely(rule, rule.dropped_count, text)
 
     def report_dropped_keys(self, rule: EventRule) -> None:
         """Report that keys of a rule were dropped."""
         text = (
-            f" has more than {self.key_bounds.keys} keys; {rule.dropped} of the least recently used have been "
+            f" has more than {self.key_bounds.keys} keys; {rule.dropped_count} of the least recently used have been "
             "dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
         )
-        self._warn_rarely(rule, rule.dropped, text)
+        self._warn_rarely(rule, rule.dropped_count, text)
 
     def _warn_rarely(self, rule: EventRule, occurrence_count: int, text: str) -> None:
         """Log a warning at the occurrences 1, 2, 4, 8 and so on."""
