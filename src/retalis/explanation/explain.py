@@ -335,7 +335,7 @@ class _Explainer:
         return ExplanationLine(f"{text} by {self._format_rule(occurrence.rule)}", sources)
 
     def _is_state(self, occurrence: Occurrence) -> bool:
-        return bool(self._engine.knowledge.states.with_functor_of(occurrence.term))
+        return bool(self._engine.knowledge.states.declarations_with_functor_of(occurrence.term))
 
     def _explain_missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[EventRule, ...]

@@ -38,7 +38,7 @@ class Dispatcher(ListenerIndex):
         current: `Context` of the event that is being dispatched, or None.
         create_token: creates the token of an event; lineage tracking replaces it.
         max_recursive_depth: depth up to which derived events are dispatched by recursive calls.
-        tracked: whether tokens record the lineage of events.
+        tracks_lineage: whether tokens record the lineage of events.
         retractions: number of retractions, each with all events that depended on the retracted one.
         cause: with tracking, the rule and match whose goal is running, or the token of the event whose query is
             answered.
@@ -62,7 +62,7 @@ class Dispatcher(ListenerIndex):
         self.cause: Any = None
         self.shortcuts: Dict[Functor, Callable[[Any, EventAction], Optional[EventAction]]] = {}
         self.create_token: Callable[[Context], Any] = lambda context: next(self._tokens)
-        self.tracked = False
+        self.tracks_lineage = False
         self.retractions = 0
 
     def repair(self) -> None:
@@ -186,7 +186,7 @@ class Dispatcher(ListenerIndex):
         goal: CompiledGoal,
         inputs: Values,
         on_error: Callable[[Values, PrologError], None],
-        solved: EventAction,
+        on_solution: EventAction,
         term: Term,
         values: Values,
         start: int,
@@ -202,18 +202,18 @@ class Dispatcher(ListenerIndex):
             goal: the goal.
             inputs: its inputs.
             on_error: called with ``values`` and the error if the goal raises one.
-            solved: called with term, values with the outputs of the first solution appended, start, end and next
+            on_solution: called with term, values with the outputs of the first solution appended, start, end and next
                 frame.
-            term: passed to ``solved``.
-            values: passed to ``solved``.
-            start: passed to ``solved``.
-            end: passed to ``solved``.
+            term: passed to ``on_solution``.
+            values: passed to ``on_solution``.
+            start: passed to ``on_solution``.
+            end: passed to ``on_solution``.
             frame: the next frame, also if there is no solution.
         """
         context = self.current
         if context is not None and context[DEPTH] > MAX_RECURSIVE_DEPTH:
             return self._call_by_frames(
-                context, goal, inputs, on_error, solved, term, values, start, end, frame
+                context, goal, inputs, on_error, on_solution, term, values, start, end, frame
             )
         try:
             outputs = goal.first_solution(inputs)
@@ -221,7 +221,7 @@ class Dispatcher(ListenerIndex):
             self.current = context
             on_error(values, error)
             return frame
-        return frame if outputs is None else solved(term, values + outputs, start, end, frame)
+        return frame if outputs is None else on_solution(term, values + outputs, start, end, frame)
 
     def _call_by_frames(
         self,
@@ -229,7 +229,7 @@ class Dispatcher(ListenerIndex):
         goal: CompiledGoal,
         inputs: Values,
         on_error: Callable[[Values, PrologError], None],
-        solved: EventAction,
+        on_solution: EventAction,
         term: Term,
         values: Values,
         start: int,
@@ -241,12 +241,16 @@ class Dispatcher(ListenerIndex):
         This is a separate function, because closures would make the variables of `call` slower cell variables.
         """
 
-        def failed(error: PrologError) -> None:
+        def on_failure(error: PrologError) -> None:
             self.current = context
             on_error(values, error)
 
         return self._machine.attempt(  # type: ignore[no-any-return]
-            goal, inputs, lambda outputs: solved(term, values + outputs, start, end, frame), frame, failed
+            goal,
+            inputs,
+            lambda outputs: on_solution(term, values + outputs, start, end, frame),
+            frame,
+            on_failure,
         )
 
     @property
@@ -276,18 +280,18 @@ class Dispatcher(ListenerIndex):
         self.cause = cause
 
     def caused_by(
-        self, cause: Any, then: Callable[..., Frame], frame: Frame
+        self, cause: Any, next_action: Callable[..., Frame], frame: Frame
     ) -> Tuple[Callable[..., Frame], Frame]:
         """Set the cause of the events that a goal creates, until the goal is finished.
 
         Returns:
-            Replacements for ``then`` and ``frame``, which restore the previous cause.
+            Replacements for ``next_action`` and ``frame``, which restore the previous cause.
         """
         previous = self.cause
 
         def restore_cause(*solution: Any) -> Frame:
             self.cause = previous
-            return then(*solution)
+            return next_action(*solution)
 
         self.cause = cause
         return restore_cause, (RESTORE_CAUSE, self, previous, frame)
@@ -322,7 +326,7 @@ class Dispatcher(ListenerIndex):
             context[GROUND] = is_ground(context[TERM])
         return context[GROUND]  # type: ignore[no-any-return]
 
-    def is_of_ground(self, match: Any) -> bool:
+    def consists_of_ground_event(self, match: Any) -> bool:
         """Return whether a match consists of the current event only, and that event has no variables."""
         context = self.current
         return match.parts is None and context is not None and match.term is context[TERM] and self.ground()

@@ -75,28 +75,28 @@ class OpenState:
 
     Attributes:
         key: key of its term.
-        shared: keys of the values that it shares with the event that ends it.
+        shared_key: keys of the values that it shares with the event that ends it.
         order: identity; increases in the order in which states began.
         openings: events with which it may have begun, first one first.
     """
 
-    __slots__ = ("key", "term", "shared", "order", "openings")
+    __slots__ = ("key", "term", "shared_key", "order", "openings")
 
     def __init__(self, key: Hashable, term: Term, shared: Hashable, order: int, openings: List[Opening]):
         self.key = key
         self.term = term
-        self.shared = shared
+        self.shared_key = shared
         self.order = order
         self.openings = openings
 
     @property
-    def begin(self) -> Optional[int]:
+    def start(self) -> Optional[int]:
         """The instant since which it holds; None if all events with which it may have begun were retracted."""
         openings = self.openings
         while openings:
-            begin, token = openings[0]
+            start, token = openings[0]
             if token is None or not token.retracted:
-                return begin
+                return start
             openings.pop(0)
         return None
 
@@ -131,7 +131,7 @@ class DeclaredState:
     Attributes:
         open: open states by the keys of their terms, oldest first.
         past: past states, newest last.
-        dropped: number of states that were dropped because too many were open.
+        dropped_count: number of states that were dropped because too many were open.
         version: changes with each change of the states; unique among all declarations.
     """
 
@@ -142,23 +142,23 @@ class DeclaredState:
         self._logic = logic
         self._dispatcher = dispatcher
         self._warn = warn
-        begins, ends, state_variables = (variables(term) for term in (form.begins, form.ends, form.state))
-        self.name = f"state {logic.brief(form.state, dict.fromkeys(state_variables, '_'))}"
-        shared = [var for var in state_variables if var in set(ends)]
-        self._build = compile_builder(form.state, begins, "state")
-        self._shared_at_begin = [begins.index(var) for var in shared]
-        self._shared_at_end = [ends.index(var) for var in shared]
+        begin_vars, end_vars, state_vars = (variables(term) for term in (form.begins, form.ends, form.state))
+        self.name = f"state {logic.brief(form.state, dict.fromkeys(state_vars, '_'))}"
+        shared_vars = [var for var in state_vars if var in set(end_vars)]
+        self._build_state_term = compile_builder(form.state, begin_vars, "state")
+        self._shared_at_begin = [begin_vars.index(var) for var in shared_vars]
+        self._shared_at_end = [end_vars.index(var) for var in shared_vars]
         self._unused: Tuple[Set[Var], Set[Var]] = (
-            set(begins) - set(state_variables),
-            set(ends) - set(shared),
+            set(begin_vars) - set(state_vars),
+            set(end_vars) - set(shared_vars),
         )
         # An OrderedDict finds its first entry directly. A dict would search it behind all entries that were removed.
         self.open: OrderedDict[Hashable, OpenState] = OrderedDict()
-        self._by_shared: Dict[Hashable, Dict[Hashable, OpenState]] = {}
+        self._open_by_shared_key: Dict[Hashable, Dict[Hashable, OpenState]] = {}
         self._by_order: Dict[int, OpenState] = {}
-        self._order = count()
+        self._next_order = count()
         self.past: Deque[PastState] = deque(maxlen=form.past)
-        self.dropped = 0
+        self.dropped_count = 0
         self.version = next(_VERSIONS)
         self._timeouts = Timeouts(clock, self._by_order, self._end_by_timeout)
         self.listeners: List[Listener] = []
@@ -168,10 +168,10 @@ class DeclaredState:
 
         The ending event is registered first, so that one event can end a state and begin the next one.
         """
-        listen, (begins, ends) = self._dispatcher.listen, self._unused
+        listen, (begin_vars, end_vars) = self._dispatcher.listen, self._unused
         self.listeners = [
-            listen(ListenerPhase.STATES, self.form.ends, self._end, unused=ends),
-            listen(ListenerPhase.STATES, self.form.begins, self._begin, unused=begins),
+            listen(ListenerPhase.STATES, self.form.ends, self._on_end_event, unused=end_vars),
+            listen(ListenerPhase.STATES, self.form.begins, self._on_begin_event, unused=begin_vars),
         ]
 
     def unlisten(self) -> None:
@@ -182,56 +182,56 @@ class DeclaredState:
 
     # ---- beginning -----------------------------------------------------------------------------------
 
-    def _begin(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        state = self._build(values)
+    def _on_begin_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+        state = self._build_state_term(values)
         try:
             key = freeze(state)
             shared = tuple([freeze(values[position]) for position in self._shared_at_begin])
         except ValueError:
             self._warn_of_variables(term, "begins")
             return frame
-        token = self._dispatcher.token() if self._dispatcher.tracked else None
+        token = self._dispatcher.token() if self._dispatcher.tracks_lineage else None
         open_state = self.open.get(key)
         # All events with which it may have begun were retracted, so this state does not hold.
-        if open_state is not None and open_state.begin is None:
-            self._remove(open_state)
+        if open_state is not None and open_state.start is None:
+            self._remove_open_state(open_state)
             open_state = None
         if open_state is None:
-            self._add(OpenState(key, state, shared, next(self._order), [(end, token)]))
+            self._add_open_state(OpenState(key, state, shared, next(self._next_order), [(end, token)]))
         # The state holds already. This event would have begun it if the earlier ones are retracted.
         elif token is not None and len(open_state.openings) < _MAX_OPENINGS:
             open_state.openings.append((end, token))
             self.version = next(_VERSIONS)
         return frame
 
-    def _add(self, state: OpenState) -> None:
+    def _add_open_state(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
         # Open states that never end would accumulate, so their number is bounded, and the oldest is dropped with a
         # warning.
         if len(self.open) >= self.form.open:
-            self._drop(next(iter(self.open.values())))
+            self._drop_oldest(next(iter(self.open.values())))
         self.open[state.key] = state
-        self._by_shared.setdefault(state.shared, {})[state.key] = state
+        self._open_by_shared_key.setdefault(state.shared_key, {})[state.key] = state
         self._by_order[state.order] = state
-        begin = state.begin
-        if self.form.within is not None and begin is not None:
-            self._timeouts.add_at(state.order, int(begin) + self.form.within)
+        start = state.start
+        if self.form.within is not None and start is not None:
+            self._timeouts.add_at(state.order, int(start) + self.form.within)
 
-    def _drop(self, oldest: OpenState) -> None:
-        self._remove(oldest)
-        self.dropped += 1
-        text = f"more than {self.form.open} are open; {self.dropped} of the oldest have been dropped so far"
+    def _drop_oldest(self, oldest: OpenState) -> None:
+        self._remove_open_state(oldest)
+        self.dropped_count += 1
+        text = f"more than {self.form.open} are open; {self.dropped_count} of the oldest have been dropped so far"
         self._warn(f"{self.name}: {text}", ("open", self.name))
 
-    def _remove(self, state: OpenState) -> None:
+    def _remove_open_state(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
         del self.open[state.key]
         del self._by_order[state.order]
-        group = self._by_shared[state.shared]
-        del group[state.key]
+        states_with_key = self._open_by_shared_key[state.shared_key]
+        del states_with_key[state.key]
         # Empty groups are removed: the values of states are unbounded in the long run.
-        if not group:
-            del self._by_shared[state.shared]
+        if not states_with_key:
+            del self._open_by_shared_key[state.shared_key]
 
     def _warn_of_variables(self, event: Term, verb: str) -> None:
         text = f"{self._logic.brief(event)} has variables: it {verb} no state"
@@ -239,34 +239,38 @@ class DeclaredState:
 
     # ---- ending --------------------------------------------------------------------------------------
 
-    def _end(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _on_end_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         try:
-            group = self._by_shared.get(tuple([freeze(values[position]) for position in self._shared_at_end]))
+            states_to_end = self._open_by_shared_key.get(
+                tuple([freeze(values[position]) for position in self._shared_at_end])
+            )
         except ValueError:
             self._warn_of_variables(term, "ends")
             return frame
-        if group is None:
+        if states_to_end is None:
             return frame
-        token = self._dispatcher.token() if self._dispatcher.tracked else None
+        token = self._dispatcher.token() if self._dispatcher.tracks_lineage else None
         # All states are ended before their events are dispatched: such an event may begin or end states of this
         # declaration.
-        ended = [self._end_state(state, start, token) for state in list(group.values())]
-        return self._dispatch_ended((self, iter([state for state in ended if state is not None]), frame))
+        ended_states = [self._end_state(state, start, token) for state in list(states_to_end.values())]
+        return self._dispatch_ended(
+            (self, iter([state for state in ended_states if state is not None]), frame)
+        )
 
     def _end_state(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
         """End a state; return None if it begins after the given instant, or was retracted."""
-        begin = state.begin
-        if begin is not None and begin > end:
+        start = state.start
+        if start is not None and start > end:
             return None
         # This also sets a new version, which dependent tables compare.
-        self._remove(state)
-        if begin is None:
+        self._remove_open_state(state)
+        if start is None:
             return None
         occurrence = None
-        if self._dispatcher.tracked:
-            occurrence = Occurrence(state.term, begin, end, None, None)
+        if self._dispatcher.tracks_lineage:
+            occurrence = Occurrence(state.term, start, end, None, None)
             occurrence.derive_from([source for source in (state.openings[0][1], token) if source is not None])
-        past_state = PastState(state.key, state.term, begin, end, occurrence)
+        past_state = PastState(state.key, state.term, start, end, occurrence)
         self.past.append(past_state)
         return past_state
 
@@ -276,8 +280,8 @@ class DeclaredState:
 
     def _dispatch_ended(self, frame: Frame) -> Frame:
         """Dispatch the events of states that have ended, one after the other."""
-        ended: Iterator[PastState] = frame[1]
-        for past_state in ended:
+        ended_states: Iterator[PastState] = frame[1]
+        for past_state in ended_states:
             next_frame = self._dispatcher.dispatch(
                 past_state.term, past_state.start, past_state.end, frame, past_state.token, True
             )
@@ -289,17 +293,17 @@ class DeclaredState:
     def _end_by_timeout(self, order: int, instant: int) -> None:
         """End a state whose time has passed."""
         state, within = self._by_order[order], self.form.within
-        begin = state.begin
-        if within is not None and begin is not None and int(begin) + within > instant:
+        start = state.start
+        if within is not None and start is not None and int(start) + within > instant:
             # The first opening was retracted, so the state began later.
-            self._timeouts.add_at(order, int(begin) + within)
+            self._timeouts.add_at(order, int(start) + within)
             return
-        ended = self._end_state(state, int(instant), None)
-        if ended is not None:
+        ended_state = self._end_state(state, int(instant), None)
+        if ended_state is not None:
             machine = self._logic.machine
             # The alarm may be called while another event is dispatched; the event of the state does not depend on it.
             self._dispatcher.run_without_context(
-                lambda: machine.run(self._dispatch_ended((self, iter([ended]), machine.done)))
+                lambda: machine.run(self._dispatch_ended((self, iter([ended_state]), machine.done)))
             )
 
     # ---- queries -------------------------------------------------------------------------------------
@@ -307,7 +311,7 @@ class DeclaredState:
     def open_states(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
         """Return the open states with their beginnings: the one with a key, or all if the key is None."""
         states = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
-        return [(state.term, begin) for state in states for begin in (state.begin,) if begin is not None]
+        return [(state.term, start) for state in states for start in (state.start,) if start is not None]
 
     def states_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
         """Return the states that held at an instant, as far as they are stored."""
@@ -319,8 +323,8 @@ class DeclaredState:
                 and not past_state.retracted
             ):
                 terms[past_state.key] = past_state.term
-        for term, begin in self.open_states(key):
-            if begin <= instant:
+        for term, start in self.open_states(key):
+            if start <= instant:
                 terms[freeze(term)] = term
         return list(terms.values())
 
@@ -333,7 +337,7 @@ class DeclaredState:
     def close(self, past: bool) -> None:
         """Remove the open states, and with ``past`` also the past ones."""
         self.version = next(_VERSIONS)
-        for index in (self.open, self._by_shared, self._by_order):
+        for index in (self.open, self._open_by_shared_key, self._by_order):
             index.clear()
         self._timeouts.clear()
         if past:
@@ -343,25 +347,25 @@ class DeclaredState:
         """Build all indices again after an interrupt."""
         open_states = list(self.open.values())
         self.open.clear()
-        self._by_shared.clear()
+        self._open_by_shared_key.clear()
         self._by_order.clear()
         self._timeouts.clear()
         for state in open_states:
-            self._add(state)
+            self._add_open_state(state)
 
     def snapshot(self) -> DeclarationState:
         """Return open and past states as data; see `restore`."""
         open_rows = [
-            (state.key, state.term, state.shared, list(state.openings)) for state in self.open.values()
+            (state.key, state.term, state.shared_key, list(state.openings)) for state in self.open.values()
         ]
-        return open_rows, [tuple(state) for state in self.past], self.dropped
+        return open_rows, [tuple(state) for state in self.past], self.dropped_count
 
     def restore(self, saved: DeclarationState) -> None:
         """Set the states that another declaration returned."""
-        open_rows, past, self.dropped = saved
+        open_rows, past, self.dropped_count = saved
         self.version = next(_VERSIONS)
         for key, term, shared, openings in open_rows:
-            self._add(OpenState(key, term, shared, next(self._order), list(openings)))
+            self._add_open_state(OpenState(key, term, shared, next(self._next_order), list(openings)))
         self.past.extend([PastState(*fields) for fields in past])
 
 
@@ -394,7 +398,7 @@ class StateRegistry:
         self._by_functor: Dict[Functor, List[DeclaredState]] = {}
         self._tables = tables_of(logic.machine)
         self.on_event: Callable[[Term], None] = lambda event: None
-        _StateGoals(self).define(logic)
+        _StatePredicates(self).define(logic)
 
     def __iter__(self) -> Iterator[DeclaredState]:
         return iter(list(self._all.values()))
@@ -441,7 +445,7 @@ class StateRegistry:
             by_functor.setdefault(declaration.form.functor, []).append(declaration)
         self._by_functor = by_functor
 
-    def with_functor_of(self, state: Any) -> Sequence[DeclaredState]:
+    def declarations_with_functor_of(self, state: Any) -> Sequence[DeclaredState]:
         """Return the declarations of states with the functor of an atom or a compound term."""
         return self._by_functor.get(state[0] if state.__class__ is tuple else state.functor, ())
 
@@ -461,7 +465,7 @@ class StateRegistry:
         key = state[0] if state.__class__ is tuple else state.functor
         if self._tables.active:
             self._tables.note(self, key)
-        declarations = self.with_functor_of(state)
+        declarations = self.declarations_with_functor_of(state)
         if not declarations:
             raise existence_error("state", indicator(key))
         try:
@@ -503,11 +507,11 @@ class StateRegistry:
             declaration.clear()
         self._detached.clear()
 
-    def restore_all(self, before: Dict[Hashable, DeclaredState]) -> None:
+    def restore_all(self, saved_declarations: Dict[Hashable, DeclaredState]) -> None:
         """Restore exactly these declarations, whether or not they have been detached meanwhile."""
         self.detach(list(self._all))
-        self._detached = {**self._detached, **before}
-        for declaration in before.values():
+        self._detached = {**self._detached, **saved_declarations}
+        for declaration in saved_declarations.values():
             self.declare(declaration.form.term)
         self.discard_detached()
 
@@ -532,7 +536,7 @@ class StateRegistry:
             declaration.restore(state)
 
 
-class _StateGoals:
+class _StatePredicates:
     """Predicates about states."""
 
     def __init__(self, states: StateRegistry):
@@ -544,7 +548,7 @@ class _StateGoals:
         logic.define("delete_state", 1, lambda machine, state: self.states.delete(deref(state)))
         logic.define_nondeterministic("holds", 1, self.holds)
         logic.define_nondeterministic("holds", 2, self.holds_since)
-        logic.define_nondeterministic("holds_at", 2, self.held_at)
+        logic.define_nondeterministic("holds_at", 2, self.holds_at)
 
     def declare(self, goal: Term) -> bool:
         try:
@@ -563,16 +567,16 @@ class _StateGoals:
         solutions = [(term,) for declaration in declarations for term, _ in declaration.open_states(None)]
         return _unify_solutions(machine, (state,), solutions)
 
-    def holds_since(self, machine: Machine, state: Term, begin: Term) -> Iterator[bool]:
+    def holds_since(self, machine: Machine, state: Term, start: Term) -> Iterator[bool]:
         declarations, key = self.states.declarations_for(deref(state))
         solutions = [
             (term, shown(instant))
             for declaration in declarations
             for term, instant in declaration.open_states(key)
         ]
-        return _unify_solutions(machine, (state, begin), solutions)
+        return _unify_solutions(machine, (state, start), solutions)
 
-    def held_at(self, machine: Machine, state: Term, time: Term) -> Union[bool, Iterator[bool]]:
+    def holds_at(self, machine: Machine, state: Term, time: Term) -> Union[bool, Iterator[bool]]:
         declarations, key = self.states.declarations_for(deref(state))
         instant = instant_of(time)
         solutions = [(term,) for declaration in declarations for term in declaration.states_at(key, instant)]

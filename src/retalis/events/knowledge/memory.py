@@ -5,11 +5,11 @@ for an instant are binary searches in the list of ends. Records nearly always ar
 the lists exceed the size by a quarter, they are replaced by shorter copies, so adding costs O(1) amortized. Lists
 are never changed in place otherwise: a Prolog goal that enumerates an older list is not disturbed by later records.
 
-A `Recorder` listens to one event pattern and records into all memories that keep the same of the same events. After
+A `Recorder` listens to one event pattern and records into all memories with equal definitions of records. After
 each record it continues with the queries that wait for that memory, see `pending_queries`.
 
-`compile_recording` compiles the conditions and the form of a memory or subscription to a function from an event to a
-record.
+`compile_recording` compiles the conditions and the template of a memory or subscription to a function from an event
+to a record.
 """
 
 from bisect import bisect_left, bisect_right
@@ -51,16 +51,18 @@ def key_of(memory_id: Term) -> Hashable:
         raise instantiation_error() from None
 
 
-def is_event_variable(pattern: Term, conditions: Term, form: Term) -> bool:
-    """Return whether a form is a variable that occurs nowhere else, which stands for the event."""
-    return form.__class__ is Var and form not in variables((COMMA, pattern, conditions))
+def is_event_variable(pattern: Term, conditions: Term, template: Term) -> bool:
+    """Return whether a template is a variable that occurs nowhere else: it stands for the event."""
+    return template.__class__ is Var and template not in variables((COMMA, pattern, conditions))
 
 
-def unused_variables(pattern: Term, conditions: Term, form: Term, others: Sequence[Term] = ()) -> Set[Var]:
+def unused_variables(
+    pattern: Term, conditions: Term, template: Term, other_terms: Sequence[Term] = ()
+) -> Set[Var]:
     """Return the variables of a pattern whose values are not used; none if the event itself is stored or sent."""
-    if form.__class__ is Var:
+    if template.__class__ is Var:
         return set()
-    return set(variables(pattern)).difference(variables((COMMA, conditions, form, *others)))
+    return set(variables(pattern)).difference(variables((COMMA, conditions, template, *other_terms)))
 
 
 def compile_recording(
@@ -68,20 +70,20 @@ def compile_recording(
     dispatcher: Dispatcher,
     pattern: Term,
     conditions: Term,
-    form: Term,
+    template: Term,
     name: str,
     warn: Warn,
 ) -> Tuple[Recording, bool]:
-    """Compile ``conditions`` and ``form``, which share their variables with ``pattern``.
+    """Compile ``conditions`` and ``template``, which share their variables with ``pattern``.
 
-    The first solution of the conditions counts. A ``form`` that is a variable of its own stands for the event.
+    The first solution of the conditions counts. A ``template`` that is a variable of its own stands for the event.
 
     Args:
         logic: the system that compiles the conditions.
         dispatcher: dispatcher of the events.
         pattern: the event pattern; values come in the order of its variables.
         conditions: a list of goals.
-        form: term of the record.
+        template: term of the record.
         name: name of the memory or subscription in reports.
         warn: receives a report about a condition that raised an error.
 
@@ -89,28 +91,30 @@ def compile_recording(
         The function, and whether it makes a ground record of every ground event.
 
     Raises:
-        PrologError: if pattern, conditions or form have the wrong type.
+        PrologError: if pattern, conditions or template have the wrong type.
     """
     if pattern.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", pattern)
     body = conjunction(_condition_goals(conditions))
     inputs = variables(pattern)
-    is_event = is_event_variable(pattern, conditions, form)
-    if not is_event and form.__class__ not in (tuple, Atom, Var):
-        raise type_error("callable", form)
+    is_event = is_event_variable(pattern, conditions, template)
+    if not is_event and template.__class__ not in (tuple, Atom, Var):
+        raise type_error("callable", template)
     pattern_variables = set(inputs)
     body_vars = set(variables(body)) - pattern_variables
-    output_vars = [] if is_event else [var for var in variables(form) if var in body_vars]
+    output_vars = [] if is_event else [var for var in variables(template) if var in body_vars]
     recording: Recording = record_event
     if not is_event:
-        recording = _form_recording(compile_builder(form, inputs, "form"), compare(form, pattern) == 0)
-    preserves_ground = is_event or pattern_variables.issuperset(variables(form))
+        recording = _template_recording(
+            compile_builder(template, inputs, "form"), compare(template, pattern) == 0
+        )
+    preserves_ground = is_event or pattern_variables.issuperset(variables(template))
     if body is TRUE:
         return recording, preserves_ground
     test = logic.compile_goal(body, inputs, output_vars, name=name).first_solution
-    # An event with variables may have them bound by the conditions, so the form is an output of the goal then.
-    test_open = logic.compile_goal(body, inputs, [TRUE if is_event else form], name=name).first_solution
-    build = compile_builder(form, [*inputs, *output_vars], "form")
+    # An event with variables may have them bound by the conditions, so the template is then an output of the goal.
+    test_open = logic.compile_goal(body, inputs, [TRUE if is_event else template], name=name).first_solution
+    build = compile_builder(template, [*inputs, *output_vars], "form")
 
     def record(term: Term, values: Values, ground: bool) -> Optional[Term]:
         event = dispatcher.current
@@ -131,14 +135,14 @@ def compile_recording(
 
 
 def record_event(term: Term, values: Values, ground: bool) -> Term:
-    """Return the event: the recording of a form that stands for it."""
+    """Return the event: the recording of a template that stands for it."""
     return term
 
 
-def _form_recording(build: Callable[[Values], Term], is_same: bool) -> Recording:
-    """Return the recording of a form.
+def _template_recording(build: Callable[[Values], Term], is_same: bool) -> Recording:
+    """Return the recording of a template.
 
-    If the form equals the pattern and the event is ground, this is the event itself.
+    If the template equals the pattern and the event is ground, this is the event itself.
     """
     if not is_same:
         return lambda term, values, ground: build(values)
@@ -186,7 +190,7 @@ class Memory:
     Attributes:
         size: maximum number of records.
         trim_length: length of the lists at which they are cut.
-        late_count: number of events that were refused because they were older than all records of a full memory.
+        late_count: number of events that were rejected because they were older than all records of a full memory.
         ends: ends of the records as plain integers, which compare faster than other forms of instants; read-only
             outside of this package.
         records: the records, at the same positions.
@@ -307,8 +311,10 @@ class Memory:
 
     def trim(self) -> None:
         """Remove the entries beyond the size; the newest one remains even if the size is 0, for `latest_end`."""
-        first = max(0, len(self.ends) - max(self.size, 1))
-        self._replace_records(self._removed_count + first, self.ends[first:], self.records[first:])
+        first_position = max(0, len(self.ends) - max(self.size, 1))
+        self._replace_records(
+            self._removed_count + first_position, self.ends[first_position:], self.records[first_position:]
+        )
 
     def at_or_before(self, instant: int) -> Optional[MemoryRecord]:
         """Return the last record whose end is not after ``instant``."""
@@ -322,8 +328,10 @@ class Memory:
         """Return the first record whose end is not before ``instant``."""
         ends = self.ends
         record_count = len(ends)
-        first = record_count - self.size
-        position = bisect_left(ends, instant) if first <= 0 else bisect_left(ends, instant, first)
+        first_position = record_count - self.size
+        position = (
+            bisect_left(ends, instant) if first_position <= 0 else bisect_left(ends, instant, first_position)
+        )
         if position >= record_count:
             return None
         # For the first record, `ends[-1]` is the newest end: the difference is not positive, and no gap is noted.
@@ -379,7 +387,7 @@ class Memory:
 UPDATED = functor("memory_updated", 2)
 
 
-PendingQuery = Tuple[Any, ...]
+QueryEntry = Tuple[Any, ...]
 """A pending query of `PendingQueries`; its first item is its order, which is unique and increases."""
 
 UpdateAction = Callable[["MemoryInstance", int, Frame], Frame]
@@ -403,13 +411,13 @@ class QueryQueue:
     def __init__(self) -> None:
         self.next_instant = NEVER
         self.instants: List[int] = []
-        self.queries: Dict[int, Dict[Any, PendingQuery]] = {}
+        self.queries: Dict[int, Dict[Any, QueryEntry]] = {}
 
-    def add_query(self, instant: int, order: Any, query: PendingQuery) -> None:
+    def add_query(self, instant: int, order: Any, query: QueryEntry) -> None:
         """Store a query under its order until `pop_reached` is called with its instant or a later one."""
-        group = self.queries.get(instant)
-        if group is not None:
-            group[order] = query
+        queries_at_instant = self.queries.get(instant)
+        if queries_at_instant is not None:
+            queries_at_instant[order] = query
             return
         # One heap entry per instant: queries about one instant, the usual case, share it.
         self.queries[instant] = {order: query}
@@ -417,10 +425,10 @@ class QueryQueue:
         if instant < self.next_instant:
             self.next_instant = instant
 
-    def pop_reached(self, end: int) -> List[PendingQuery]:
+    def pop_reached(self, end: int) -> List[QueryEntry]:
         """Remove and return the queries that wait for an instant or an earlier one."""
         instants = self.instants
-        queries: List[PendingQuery] = []
+        queries: List[QueryEntry] = []
         while instants and instants[0] <= end:
             queries += self.queries.pop(heappop(instants), _NO_QUERIES).values()
         self.next_instant = instants[0] if instants else NEVER
@@ -428,9 +436,9 @@ class QueryQueue:
 
     def remove_query(self, instant: int, order: Any) -> None:
         """Remove a query."""
-        group = self.queries[instant]
-        del group[order]
-        if not group:
+        queries_at_instant = self.queries[instant]
+        del queries_at_instant[order]
+        if not queries_at_instant:
             del self.queries[instant]
             # An instant cannot be removed from the middle of a heap; the heap is rebuilt when most of it is stale.
             if len(self.instants) > 2 * len(self.queries) + _STALE_TOLERANCE:
@@ -466,7 +474,7 @@ class MemoryInstance(QueryQueue):
 
     @property
     def key(self) -> Hashable:
-        """Key that is equal for memories that record the same of the same events under the same name."""
+        """Key that is equal for memories with identical definitions."""
         return self.active, term_key(self.definition)
 
     @property
@@ -487,7 +495,7 @@ class MemoryInstance(QueryQueue):
             self.recorder.add(self)
 
 
-_NO_QUERIES: Dict[int, PendingQuery] = {}
+_NO_QUERIES: Dict[int, QueryEntry] = {}
 _STALE_TOLERANCE = 16
 
 
@@ -501,7 +509,7 @@ class Recorder:
         pattern: the event pattern.
         recording: the recording function, and whether it makes a ground record of a ground event.
         on_update: takes instance, end and next frame; returns the frame that processes the update.
-        key: equal for recorders that record the same of the same events; None if that is not known.
+        key: equal for recorders with the same pattern, conditions and template; None if that is not known.
         unused: variables of the pattern whose values are not used.
     """
 
@@ -534,12 +542,12 @@ class Recorder:
         self.instances = (*self.instances, instance)
 
     def remove(self, instance: MemoryInstance) -> None:
-        """Remove a memory; without memories the recorder stops to listen."""
-        self.keep_only(lambda other: other is not instance)
+        """Remove a memory; without memories the recorder stops listening."""
+        self.retain(lambda other: other is not instance)
 
-    def keep_only(self, chosen: Callable[[MemoryInstance], bool]) -> None:
-        """Keep only some of the memories; without memories the recorder stops to listen."""
-        self.instances = tuple(filter(chosen, self.instances))
+    def retain(self, predicate: Callable[[MemoryInstance], bool]) -> None:
+        """Retain the memories that satisfy a predicate; without memories the recorder stops listening."""
+        self.instances = tuple(filter(predicate, self.instances))
         if not self.instances:
             self._dispatcher.remove(self.listener)
 

@@ -128,7 +128,7 @@ class MemoryInstances:
         """
         # The definition outlives the goal, whose variables are undone on backtracking.
         copied: Any = copy(definition)
-        pattern, conditions, form, name, size = (deref(argument) for argument in copied[1:])
+        pattern, conditions, template, name, size = (deref(argument) for argument in copied[1:])
         key = key_of(name)
         if key in self.instances:
             raise permission_error("create", "memory", name, "one already exists")
@@ -143,12 +143,12 @@ class MemoryInstances:
             instance = self._detached.pop(key)
         else:
             self.on_create(instance)
-        recorder = self._find_or_create_recorder(pattern, conditions, form, name)
+        recorder = self._find_or_create_recorder(pattern, conditions, template, name)
         self.instances[key] = instance
         recorder.add(instance)
         if not active or instance is detached_instance:
             return frame
-        reported_record = pattern if is_event_variable(pattern, conditions, form) else form
+        reported_record = pattern if is_event_variable(pattern, conditions, template) else template
         instant = self._stamp()
         return self._dispatcher.dispatch(
             (CREATED, pattern, conditions, reported_record, name, size), instant, instant, frame
@@ -223,12 +223,12 @@ class MemoryInstances:
                 del self.instances[key]
         recorders = {instance.recorder for instance in self.instances.values()}
         for recorder in recorders:
-            recorder.keep_only(lambda candidate: self.find(candidate.id) is candidate)
+            recorder.retain(lambda candidate: self.find(candidate.id) is candidate)
         self._dispatcher.remove_all_except(
             ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders}
         )
 
-    def _find_or_create_recorder(self, pattern: Term, conditions: Term, form: Term, name: Term) -> Recorder:
+    def _find_or_create_recorder(self, pattern: Term, conditions: Term, template: Term, name: Term) -> Recorder:
         """Return the recorder of the newest memory if it records the same of the same events, else a new one.
 
         Only the newest one is considered, because memories record an event in the order in which they were created.
@@ -237,16 +237,16 @@ class MemoryInstances:
         """
         # Conditions may have side effects or depend on time, so their memories never share a recorder.
         can_share = conditions is NIL and pattern.__class__ is not Var
-        key = term_key((MINUS, pattern, form)) if can_share else None
+        key = term_key((MINUS, pattern, template)) if can_share else None
         newest = self._newest_recorder
         can_share_now = key is not None and self._dispatcher.current is None
         if can_share_now and newest is not None and newest.instances and key == newest.key:
             return newest
         title = f"memory {self._logic.brief(name)}"
         recording = compile_recording(
-            self._logic, self._dispatcher, pattern, conditions, form, title, self._warn
+            self._logic, self._dispatcher, pattern, conditions, template, title, self._warn
         )
-        unused = unused_variables(pattern, conditions, form)
+        unused = unused_variables(pattern, conditions, template)
         self._newest_recorder = Recorder(
             self._dispatcher, pattern, recording, self._process_update, key, unused
         )

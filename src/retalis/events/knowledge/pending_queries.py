@@ -637,7 +637,7 @@ class PendingQueries:
         dispatcher = self._dispatcher
         return (
             DerivedQuery(dispatcher, self._general_query, dispatcher.token())
-            if dispatcher.tracked
+            if dispatcher.tracks_lineage
             else self._general_query
         )
 

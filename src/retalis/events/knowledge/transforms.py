@@ -30,7 +30,7 @@ from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import CONS, NIL, Atom, Frame, Functor, String, Term, Var, atom, deref, functor
 from ..dispatch.dispatcher import Dispatcher
 from ..language.rule_head_parser import SYNCHRONIZED
-from .memory import PendingQuery, Warn
+from .memory import QueryEntry, Warn
 from .record_interpolation import UNLIMITED_GAP, MemoryGaps
 from .transform_buffer import REPEATED, CoordinateFrame, Numbers, Transform, TransformBuffer
 
@@ -75,7 +75,7 @@ class AwaitedTransform:
         self.id = transform_term
         self.target = target
         self.source = source
-        self.queries: Dict[int, Dict[Any, PendingQuery]] = {}
+        self.queries: Dict[int, Dict[Any, QueryEntry]] = {}
         self.frames: Dict[int, CoordinateFrame] = {}
 
     def has_reached(self, instant: int) -> bool:
@@ -93,7 +93,7 @@ class AwaitedTransform:
         frame = self._transforms.buffer.find_blocking(self.target, self.source, instant)
         return "" if frame is None else frame.name
 
-    def add_query(self, instant: int, order: int, query: PendingQuery) -> None:
+    def add_query(self, instant: int, order: int, query: QueryEntry) -> None:
         """Store a query under its order until the instant is reached."""
         queries_by_order = self.queries.setdefault(instant, {})
         queries_by_order[order] = query
@@ -108,7 +108,7 @@ class AwaitedTransform:
             del self.queries[instant]
             self._transforms.unregister(self, instant)
 
-    def pop_queries(self, instant: int) -> List[PendingQuery]:
+    def pop_queries(self, instant: int) -> List[QueryEntry]:
         """Remove and return the queries that wait for an instant, which has been reached."""
         return list(self.queries.pop(instant, {}).values())
 

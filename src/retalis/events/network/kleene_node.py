@@ -300,7 +300,7 @@ class KleeneNode(KleeneValues):
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
         policy = options.policy
-        self.tracked = options.tracks_events
+        self.tracks_events = options.tracks_events
         self.extend_run: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
         self.extend_run = self._extend_and_record if options.tracks_events and self.carried else self.extend
         self.consumes_partners = policy.consumes_partners
@@ -477,7 +477,7 @@ class KleeneNode(KleeneValues):
             # The test may have bound variables of the start.
             values = step_values[: len(values)]
         extended, result = self._add_repetition(run, match, values, step_values, last)
-        if extended and self.tracked:
+        if extended and self.tracks_events:
             self.rule.network.tracker.register_repetition(run, match, self)
         return extended, result
 
@@ -521,7 +521,7 @@ class KleeneNode(KleeneValues):
                 return False, None
         # All tests have passed. From here on the run must not stay half extended, see `Run.commit`.
         run.commit(last, fixed, items, values, state)
-        if self.tracked:
+        if self.tracks_events:
             run.repetitions.append(match)
             run.tracked = RepetitionChain(match, run.tracked)
             run.step_values.append((values, step_values))

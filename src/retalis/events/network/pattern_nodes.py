@@ -422,7 +422,7 @@ class ActionNode(NetworkNode):
         tracked = options.tracks_events
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
-        is_of_ground = call.rule.network.dispatcher.is_of_ground
+        consists_of_ground_event = call.rule.network.dispatcher.consists_of_ground_event
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
             if span is not None and match.end - match.start > span:
@@ -444,7 +444,12 @@ class ActionNode(NetworkNode):
             # Events that the goal makes are derived from this match, so that they are retracted together with it.
             continuation = call.with_cause(match, solved, frame) if tracked else (solved, frame)
             return call_goal(
-                match.term, match.values, match.start, match.end, is_of_ground(match), *continuation
+                match.term,
+                match.values,
+                match.start,
+                match.end,
+                consists_of_ground_event(match),
+                *continuation,
             )
 
         may_fire = self.may_fire

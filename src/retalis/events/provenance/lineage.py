@@ -97,7 +97,7 @@ class LineageTracker:
         for listener in self.listeners:
             dispatcher.remove(listener)
         self.listeners = []
-        dispatcher.tracked = self._rules.options.tracks_events
+        dispatcher.tracks_lineage = self._rules.options.tracks_events
         if not self._rules.options.tracks_events:
             dispatcher.create_token = self._untracked_create_token
             self.clear()
