@@ -238,7 +238,7 @@ def test_an_interrupt_leaves_all_in_order():
     engine = run()
     engine.take(("dock(a)", 1))
     (state,) = engine.knowledge.states
-    state._by_shared.clear()  # noqa: SLF001  (as if it had come in the midst)
+    state._open_by_shared_key.clear()  # noqa: SLF001  (as if it had come in the midst)
     engine.knowledge.repair()
     assert engine.take(("undock(a)", 2)) == [("docked(a)", 1, 2)]
 

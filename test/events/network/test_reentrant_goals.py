@@ -116,10 +116,10 @@ def test_conditions_of_what_is_absent_make_their_events_afterwards():
 def test_what_was_put_off_is_done_in_order_and_forgotten_after_an_interrupt():
     dispatcher = Dispatcher()
     postponing, done, end = ReentrancyQueue(dispatcher), [], ("end",)
-    assert postponing.frame_after_deferred(end) is end
+    assert postponing.prepend_deferred_work(end) is end
     for number in (1, 2):
         postponing.defer(lambda frame, number=number: done.append(number) or frame)
-    frame = postponing.frame_after_deferred(end)
+    frame = postponing.prepend_deferred_work(end)
     while frame is not end:
         frame = frame[0].run(frame)
     assert done == [1, 2]
@@ -128,7 +128,7 @@ def test_what_was_put_off_is_done_in_order_and_forgotten_after_an_interrupt():
         postponing.run_operator(_interrupt)
     assert not postponing.is_running
     postponing.clear()
-    assert postponing.frame_after_deferred(end) is end
+    assert postponing.prepend_deferred_work(end) is end
 
 
 def _interrupt():

@@ -99,7 +99,7 @@ class ReentrancyQueue:
         finally:
             self.is_running = False
 
-    def frame_after_deferred(self, frame: Frame) -> Frame:
+    def prepend_deferred_work(self, frame: Frame) -> Frame:
         """Return the frame that executes the deferred work, and continues with ``frame``."""
         return (self, self._dispatcher.current, frame) if self._deferred_work else frame
 
@@ -485,7 +485,7 @@ class StreamNode(NetworkNode):
                 outputs = reentrancy.run_operator(
                     lambda: process(element_match, match.values, match.start, match.end)
                 )
-                frame = reentrancy.frame_after_deferred(frame)
+                frame = reentrancy.prepend_deferred_work(frame)
             if not outputs:
                 return frame
             return self._emit_outputs(
@@ -576,7 +576,7 @@ class StreamNode(NetworkNode):
             outputs = self.stream.advance_to(instant)
         else:
             outputs = reentrancy.run_operator(lambda: self.stream.advance_to(instant))
-            frame = reentrancy.frame_after_deferred(frame)
+            frame = reentrancy.prepend_deferred_work(frame)
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._set_alarm()
