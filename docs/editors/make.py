@@ -29,7 +29,7 @@ def words_of_events() -> List[str]:
     found = [
         spelling
         for one in EVENT_OPERATORS
-        if one.kind is not OperatorKind.REFUSED
+        if one.kind is not OperatorKind.UNSUPPORTED
         for spelling in one.spellings
         if re.fullmatch(r"\w+", spelling)
     ]

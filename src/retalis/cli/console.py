@@ -426,7 +426,7 @@ class Console:
             event = event_of(goal) if goal.__class__ is tuple and goal[0].name == "event" else None
             if event is None:
                 return False
-            self.engine.event(event.term, *event.shown_interval())
+            self.engine.event(event.term, *event.interval_terms())
             print("true.")
         except RetalisError as error:
             self._report(error)

@@ -319,7 +319,7 @@ class Session:
         # The clock moves first, so that alarms that are due before the event run before it.
         if event.end is not None:
             self._clock.move_to(event.end)
-        self.engine.event(event.term, *event.shown_interval())
+        self.engine.event(event.term, *event.interval_terms())
 
     def print_results(self) -> None:
         """Print the solutions of the queries, and the explanations."""

@@ -385,7 +385,7 @@ class TextInput:
             )
             return
         try:
-            event = self._reader.event(text)
+            event = self._reader.parse_event(text)
         except RetalisError as error:
             self._reject(error if error.place else f"{beginning(text)}: {error}")
             return
@@ -401,7 +401,7 @@ class TextInput:
             self._reject(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
 
     def _run_goal(self, text: str, call: Callable[[Term], bool]) -> None:
-        goal = self._reader.goal(text)
+        goal = self._reader.parse_goal(text)
         try:
             if not call(goal):
                 self._reports.warning(f"the goal {beginning(text)} fails")

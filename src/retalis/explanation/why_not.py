@@ -78,11 +78,15 @@ _OR_NAME, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
 _STAR_NAME, *_ = names_of_kind(OperatorKind.RUN)
 _WITHIN_NAME, *_ = names_of_kind(OperatorKind.LIMIT)
 _ABSENCE_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_BETWEEN_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=True))
-_CONDITION_NAMES = [names_of_kind(OperatorKind.CONDITION, timed=timed)[0] for timed in (False, True)]
-_ACTION_NAMES = [names_of_kind(OperatorKind.ACTION, every=every)[0] for every in (False, True)]
-_SHAPE_NAME, *_ = names_of_kind(OperatorKind.SHAPE)
-_DEADLINE_NAME, *_ = names_of_kind(OperatorKind.DEADLINE)
+_BETWEEN_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE, may_lie_between=True))
+_CONDITION_NAMES = [
+    names_of_kind(OperatorKind.CONDITION, has_interval_predicates=timed)[0] for timed in (False, True)
+]
+_ACTION_NAMES = [
+    names_of_kind(OperatorKind.ACTION, calls_for_all_solutions=every)[0] for every in (False, True)
+]
+_RATE_NAME, *_ = names_of_kind(OperatorKind.RATE)
+_TIMEOUT_NAME, *_ = names_of_kind(OperatorKind.TIMEOUT)
 _SHAPE_REASONS = {
     "throttle": "the last one was let through less than {0:g} seconds before",
     "burst": "there was another one less than {0:g} seconds before",
@@ -197,7 +201,7 @@ class WhyNot:
             for var in variables(term)
         ]
         self._rule = rule
-        self._current_time = rule.network.time()
+        self._current_time = rule.network.alarm_time()
         # A match is represented by a copy of all variables of the rule: two matches are joined by unifying them.
         self._rule_variables = (_VALUES_FUNCTOR, *dict.fromkeys(own_variables))
         # After the head was unified, variables of the rule may be bound to variables of the explained event.
@@ -474,7 +478,7 @@ class WhyNot:
         reason = _SHAPE_REASONS[pattern.operator].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
         text = (
-            f"{_SHAPE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
+            f"{_RATE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
         )
         return Part(text, matches, [part], None, bool(part.matches))
 
@@ -492,7 +496,7 @@ class WhyNot:
         reason = "ruled out by what must not happen" if elapsed_matches else "the time after it is not over"
         reason = reason if part.matches else "not tested"
         seconds = timestamps.to_seconds(pattern.span)
-        text = f"{_DEADLINE_NAME} {seconds:g}: {self._format_result(matches, reason)}"
+        text = f"{_TIMEOUT_NAME} {seconds:g}: {self._format_result(matches, reason)}"
         return Part(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
     def _is_within_deadline(self, negated: Candidate, match: Candidate, span: int) -> bool:
@@ -688,7 +692,7 @@ def _spans(operator: EventOperator) -> Callable[[int, int, int, int], Optional[T
     """Return the function from the intervals of a pair to that of the result, or None if they do not satisfy it."""
     lines = [
         "def generated(s1, e1, s2, e2):",
-        f"    if not ({operator.fits}):",
+        f"    if not ({operator.interval_condition}):",
         "        return None",
         f"    return ({operator.start}), ({operator.end})",
     ]

@@ -476,7 +476,7 @@ def snapshot_matches(
         "timeouts": queries.timeouts.snapshot(),
         "timers": (rules.timers.snapshot(), rules.timers.omitted_count),
         "stored_events": rules.store.stored(),
-        "counts": (rules.serial, rules.fired_before, rules.failed_retraction_count),
+        "counts": (rules.serial, rules.fired_by_deleted_rules, rules.failed_retraction_count),
     }
     data["objects"] = graph.encode()
     return data, graph.rules
@@ -534,7 +534,7 @@ def restore_matches(
     knowledge.states.restore(checked.state_intervals)
     knowledge.subscriptions.restore_rate_limiters(checked.rate_limiters)
     rules.store.restore(checked.stored_events)
-    rules.serial, rules.fired_before, rules.failed_retraction_count = checked.counts
+    rules.serial, rules.fired_by_deleted_rules, rules.failed_retraction_count = checked.counts
 
 
 class _CheckedState:

@@ -193,7 +193,7 @@ def test_an_interrupt_may_leave_it_half_done_and_it_is_put_right():
     engine = RecordingEngine(goals="subscribe(a(X) with debounce(2), [], _, t, 1)")
     engine.event("a(1)", 1)
     rate = engine.knowledge.subscriptions.items()[0][1].rate_limiter
-    engine.rules.deadlines.clear()
+    engine.rules.node_timers.clear()
     rate.alarm_instant = None
     engine.rules.repair()
     engine.knowledge.repair()

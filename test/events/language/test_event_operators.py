@@ -31,7 +31,7 @@ def rows(title):
 def test_page_has_the_rows_of_all_patterns():
     assert sorted(map(tuple, rows("| pattern | is matched when | interval |"))) == sorted(
         [
-            *(row for one in EVENT_OPERATORS for row in one.rows),
+            *(row for one in EVENT_OPERATORS for row in one.table_rows),
             *(
                 tuple(row)
                 for row in rows("| pattern | is matched when | interval |")
@@ -42,16 +42,16 @@ def test_page_has_the_rows_of_all_patterns():
 
 
 def test_every_operator_of_patterns_stands_in_a_row():
-    forms = " ".join(row.form for one in EVENT_OPERATORS for row in one.rows)
+    forms = " ".join(row.notation for one in EVENT_OPERATORS for row in one.table_rows)
     for one in EVENT_OPERATORS:
-        if one.kind not in (OperatorKind.RULE, OperatorKind.REFUSED):
+        if one.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED):
             assert re.search(rf"\b{one.spellings[0]}\b", forms), one.name
 
 
 def test_page_has_the_priorities():
     expected = {}
     for one in EVENT_OPERATORS:
-        if one.priority and one.kind is not OperatorKind.REFUSED:
+        if one.priority and one.kind is not OperatorKind.UNSUPPORTED:
             expected.setdefault(str(one.priority), set()).update((one.name, *one.signs))
     found = {
         priority: re.findall(r"`([^`]+)`", names) for priority, names in rows("| priority | operators |")
@@ -68,7 +68,7 @@ def test_page_names_the_aggregates():
 
 def test_tests_know_all():
     """The tests have a table of their own: it is a second opinion of what the operators mean."""
-    known = [one for one in EVENT_OPERATORS if one.kind not in (OperatorKind.RULE, OperatorKind.REFUSED)]
+    known = [one for one in EVENT_OPERATORS if one.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED)]
     names = {one.spellings[0] for one in known}
     assert set(OPERATORS) == set(operator_table.PAIRS)
     assert set(SEQUENCE_AGGREGATES) == set(operator_table.AGGREGATES)

@@ -16,7 +16,7 @@ DAY = 86_400
 def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, aligned):
     period = milliseconds * 10**6
     schedule = parse_schedule(parse_term(f"every({milliseconds / 1000}{'' if aligned else ', from_now'})"))
-    found = schedule.next(now)
+    found = schedule.next_instant(now)
     assert schedule.repeats and schedule.period == period
     assert now < found <= now + period
     assert found % period == 0 if aligned else found == now + period
@@ -36,7 +36,7 @@ def test_the_next_instant_is_the_first_multiple_after_now(milliseconds, now, ali
     ],
 )
 def test_instants_of_the_day_and_single_ones(text, now, wanted):
-    found = parse_schedule(parse_term(text)).next(int(now * SECOND))
+    found = parse_schedule(parse_term(text)).next_instant(int(now * SECOND))
     assert found == (None if wanted is None else round(wanted * SECOND))
 
 

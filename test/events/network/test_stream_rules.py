@@ -152,7 +152,7 @@ def test_alarms_and_wishes_are_as_many_as_nodes_wait():
     for number in range(400):
         engine.event(f"in({number})", number / 50)
         assert len(clock.alarms) <= 3
-        assert len(own.deadlines) <= 2 * 3 + 64
+        assert len(own.node_timers) <= 2 * 3 + 64
     assert sum(rule.match_count for rule in engine.event_rules) >= 650
 
 

@@ -60,7 +60,7 @@ def test_the_short_way_gives_what_the_long_one_gives(text):
         return event_of(EventReader(Operators.prolog()).read(text))
 
     for _ in range(2):  # new to the reader, and known to it
-        assert outcome(reader.event, text) == outcome(at_length, text)
+        assert outcome(reader.parse_event, text) == outcome(at_length, text)
 
 
 def test_stamps_of_many_seconds_keep_their_instants():
@@ -69,7 +69,7 @@ def test_stamps_of_many_seconds_keep_their_instants():
     for second in list(range(60)) * 2:
         for minute in (3, 4):
             stamp = f"datime(1970,1,1,0,{minute},{second},5)"
-            made = reader.event(f"event(a,[{stamp},{stamp}])")
+            made = reader.parse_event(f"event(a,[{stamp},{stamp}])")
             assert made.start == made.end == (minute * 60 + second) * 10**9 + 5
             assert type(made.start) is int
     assert count_entries(reader) - before <= 64 + 10
@@ -85,12 +85,12 @@ def test_an_event_of_an_event_with_stamps_is_that_event():
 def test_events_without_variables_are_told_from_others():
     reader = InputReader(Operators.prolog())
     stamp = "datime(2014,10,19,19,50,5,1)"
-    assert reader.event(f"event(a(1),[{stamp},{stamp}])").ground is True
-    assert reader.event(f"event(a(X),[{stamp},{stamp}])").ground is False
-    assert reader.event("event(a(1))").ground is None
+    assert reader.parse_event(f"event(a(1),[{stamp},{stamp}])").ground is True
+    assert reader.parse_event(f"event(a(X),[{stamp},{stamp}])").ground is False
+    assert reader.parse_event("event(a(1))").ground is None
 
 
 def test_a_stamp_of_thousands_of_digits_is_no_instant():
     stamp = f"datime(2014,10,19,19,50,{'9' * 5000},1)"
     with pytest.raises(RetalisError):
-        InputReader(Operators.prolog()).event(f"event(a,[{stamp},{stamp}])")
+        InputReader(Operators.prolog()).parse_event(f"event(a,[{stamp},{stamp}])")

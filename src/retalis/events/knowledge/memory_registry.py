@@ -228,7 +228,9 @@ class MemoryInstances:
             ListenerPhase.MEMORIES, {recorder.listener for recorder in recorders}
         )
 
-    def _find_or_create_recorder(self, pattern: Term, conditions: Term, template: Term, name: Term) -> Recorder:
+    def _find_or_create_recorder(
+        self, pattern: Term, conditions: Term, template: Term, name: Term
+    ) -> Recorder:
         """Return the recorder of the newest memory if it records the same of the same events, else a new one.
 
         Only the newest one is considered, because memories record an event in the order in which they were created.

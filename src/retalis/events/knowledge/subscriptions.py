@@ -125,7 +125,7 @@ class OutputRateLimiter:
             start: start of its interval.
             end: end of its interval.
         """
-        now = self._rules.time() if self._spec.clocked else 0
+        now = self._rules.alarm_time() if self._spec.clocked else 0
         stream = self._stream
         previous_late_count = stream.late_count
         # A flag may have changed the bounds, which are replaced as a whole.

@@ -28,19 +28,19 @@ class OperatorKind(Enum):
     ALTERNATIVES = "one of two patterns"
     PAIR = "two patterns, and how their intervals lie"
     ABSENCE = "a pattern, and another that must not happen"
-    REFUSED = "none, but looks like one"
+    UNSUPPORTED = "none, but looks like one"
     REPETITION = "a pattern, and how often"
     RUN = "a pattern any number of times"
     AGGREGATE = "a pattern any number of times, collected into a result"
     WINDOW = "a pattern whose matches in a window are measured together"
-    SHAPE = "a pattern, and which of its matches go on"
-    DEADLINE = "a pattern that must not happen for some time"
+    RATE = "a pattern, and which of its matches go on"
+    TIMEOUT = "a pattern that must not happen for some time"
 
 
 class OperatorEntry(NamedTuple):
     """A row of the table of patterns in the documentation: notation, condition, and interval of the result."""
 
-    form: str
+    notation: str
     matched: str
     interval: str
 
@@ -56,24 +56,24 @@ class EventOperator(NamedTuple):
         patterns: for each argument in functional notation, whether it is a pattern.
         signs: further names within patterns; elsewhere they are Prolog's operators.
         functors: spellings that are valid in functional notation, too; None for all.
-        same_as: the operator for which it is another name.
-        names_events: whether events may have its name, with another number of arguments and in heads.
-        names_facts: whether a fact may have its name; otherwise the fact was meant as a rule.
-        timed: whether ``t1/1`` and ``t2/1`` are defined within its goal.
-        every: whether its goal is called for all of its solutions.
+        alias_of: the operator for which it is another name.
+        allows_event_name: whether events may have its name, with another number of arguments and in heads.
+        allows_fact_name: whether a fact may have its name; otherwise the fact was meant as a rule.
+        has_interval_predicates: whether ``t1/1`` and ``t2/1`` are defined within its goal.
+        calls_for_all_solutions: whether its goal is called for all of its solutions.
         comparisons: conditions on the intervals of a pair; all must hold.
         start: start of the result of a pair.
         end: end of the result of a pair.
-        either: whether the sides may arrive in either order; otherwise only the right side completes a pair (a late
-            left side does under ``out_of_order``).
-        alone: whether a single event could be both sides if nothing excluded it.
-        joins_all: whether a right side matches all left sides that fit, under every consumption policy.
+        completes_in_any_order: whether the sides may arrive in either order; otherwise only the right side completes
+            a pair (a late left side does under ``out_of_order``).
+        can_share_event: whether a single event could be both sides if nothing excluded it.
+        joins_all_left: whether a right side matches all left sides that fit, under every consumption policy.
         no_match_text: explanation if no pair matches.
-        between: for an absence, whether it may be between the two sides of a sequence.
-        form: the notation, for operators in functional notation only.
+        may_lie_between: for an absence, whether it may be between the two sides of a sequence.
+        notation: the notation, for operators in functional notation only.
         confused_words: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
-        rows: rows of the table of patterns.
+        table_rows: rows of the table of patterns.
     """
 
     name: str
@@ -83,28 +83,28 @@ class EventOperator(NamedTuple):
     patterns: Tuple[bool, ...] = (True, True)
     signs: Tuple[str, ...] = ()
     functors: Optional[Tuple[str, ...]] = None
-    same_as: str = ""
-    names_events: bool = True
-    names_facts: bool = True
-    timed: bool = False
-    every: bool = False
+    alias_of: str = ""
+    allows_event_name: bool = True
+    allows_fact_name: bool = True
+    has_interval_predicates: bool = False
+    calls_for_all_solutions: bool = False
     comparisons: Tuple[str, ...] = ()
     start: str = "s1 if s1 <= s2 else s2"
     end: str = "e1 if e1 >= e2 else e2"
-    either: bool = True
-    alone: bool = True
-    joins_all: bool = False
+    completes_in_any_order: bool = True
+    can_share_event: bool = True
+    joins_all_left: bool = False
     no_match_text: str = "no pair fits"
-    between: bool = False
-    form: str = ""
+    may_lie_between: bool = False
+    notation: str = ""
     confused_words: Tuple[str, ...] = ()
     advice: str = ""
-    rows: Tuple[OperatorEntry, ...] = ()
+    table_rows: Tuple[OperatorEntry, ...] = ()
 
     @property
     def canonical_name(self) -> str:
         """Name of the operator that this name denotes."""
-        return self.same_as or self.name
+        return self.alias_of or self.name
 
     @property
     def spellings(self) -> Tuple[str, ...]:
@@ -120,7 +120,7 @@ class EventOperator(NamedTuple):
         return tuple([functor(name, len(self.patterns)) for name in (*names, *self.signs)])
 
     @property
-    def fits(self) -> str:
+    def interval_condition(self) -> str:
         """The condition on the intervals of a pair, as an expression."""
         return " and ".join(self.comparisons) or "True"
 
@@ -131,21 +131,23 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
     EventOperator("rule:", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("rule:",)),
     EventOperator("<-", OperatorKind.RULE, 1200, "xfy", (False, True)),
     EventOperator(
-        "iff", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("iff", "IFF"), same_as="<-"
+        "iff", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("iff", "IFF"), alias_of="<-"
     ),
     EventOperator(
         "do",
         OperatorKind.ACTION,
         1124,
         patterns=_GOAL,
-        rows=(OperatorEntry("`P do G`", "P happened, and G, which is called once, succeeded", "that of P"),),
+        table_rows=(
+            OperatorEntry("`P do G`", "P happened, and G, which is called once, succeeded", "that of P"),
+        ),
     ),
     EventOperator(
         "with",
-        OperatorKind.SHAPE,
+        OperatorKind.RATE,
         1065,
         patterns=_GOAL,
-        rows=(
+        table_rows=(
             OperatorEntry("`P with throttle(N)`", "P happened, at most once in N seconds", "that of P"),
             OperatorEntry(
                 "`P with burst(N)`", "P happened, and no other P ended in the N seconds before", "that of P"
@@ -163,7 +165,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.CONDITION,
         1060,
         patterns=_GOAL,
-        rows=(OperatorEntry("`P where G`", "P happened, and goal G has a solution", "that of P"),),
+        table_rows=(OperatorEntry("`P where G`", "P happened, and goal G has a solution", "that of P"),),
     ),
     EventOperator(
         "within",
@@ -172,38 +174,38 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         "xfy",
         patterns=_GOAL,
         functors=("within",),
-        rows=(OperatorEntry("`P within N`", "P happened and took less than N seconds", "that of P"),),
+        table_rows=(OperatorEntry("`P within N`", "P happened and took less than N seconds", "that of P"),),
     ),
     EventOperator(
         "or",
         OperatorKind.ALTERNATIVES,
         1053,
         signs=("\\/",),
-        names_events=False,
-        rows=(OperatorEntry("`P or Q`", "P or Q happened", "that of P or Q"),),
+        allows_event_name=False,
+        table_rows=(OperatorEntry("`P or Q`", "P or Q happened", "that of P or Q"),),
     ),
     EventOperator(
         "check",
         OperatorKind.CONDITION,
         1050,
         patterns=_GOAL,
-        timed=True,
-        rows=(
+        has_interval_predicates=True,
+        table_rows=(
             OperatorEntry(
                 "`P check G`, `P timestamp G`", "as `where`, with `t1(S)` and `t2(E)` inside G", "that of P"
             ),
         ),
     ),
-    EventOperator("timestamp", OperatorKind.CONDITION, 1050, patterns=_GOAL, timed=True),
+    EventOperator("timestamp", OperatorKind.CONDITION, 1050, patterns=_GOAL, has_interval_predicates=True),
     EventOperator(
         "event_multiply",
         OperatorKind.ACTION,
         1050,
         patterns=_GOAL,
-        names_events=False,
-        names_facts=False,
-        every=True,
-        rows=(
+        allows_event_name=False,
+        allows_fact_name=False,
+        calls_for_all_solutions=True,
+        table_rows=(
             OperatorEntry(
                 "`P event_multiply G`", "P happened; one match for each solution of G", "that of P"
             ),
@@ -216,7 +218,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         signs=("#",),
         comparisons=("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"),
         no_match_text="no two of them overlap",
-        rows=(
+        table_rows=(
             OperatorEntry(
                 "`P par Q`", "P and Q overlap by more than an instant", "from the first start to the last end"
             ),
@@ -227,8 +229,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.PAIR,
         1040,
         signs=("/\\",),
-        names_events=False,
-        rows=(
+        allows_event_name=False,
+        table_rows=(
             OperatorEntry(
                 "`P and Q`", "P and Q happened, in any order", "from the first start to the last end"
             ),
@@ -238,10 +240,10 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         "cnot",
         OperatorKind.ABSENCE,
         1031,
-        names_events=False,
-        names_facts=False,
-        between=True,
-        rows=(
+        allows_event_name=False,
+        allows_fact_name=False,
+        may_lie_between=True,
+        table_rows=(
             OperatorEntry(
                 "`(P seq Q) cnot R`", "P happened, then Q, and no R entirely between them", "[s1,e2]"
             ),
@@ -250,39 +252,39 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
             ),
         ),
     ),
-    EventOperator("fnot", OperatorKind.ABSENCE, 1031, names_events=False, names_facts=False),
-    EventOperator("not", OperatorKind.REFUSED, 1031),
+    EventOperator("fnot", OperatorKind.ABSENCE, 1031, allows_event_name=False, allows_fact_name=False),
+    EventOperator("not", OperatorKind.UNSUPPORTED, 1031),
     EventOperator(
         "seq",
         OperatorKind.PAIR,
         1025,
         signs=("*",),
-        names_events=False,
-        names_facts=False,
+        allows_event_name=False,
+        allows_fact_name=False,
         comparisons=("e1 < s2",),
         start="s1",
         end="e2",
-        either=False,
-        alone=False,
+        completes_in_any_order=False,
+        can_share_event=False,
         no_match_text="none of the first ended before one of the second started",
         confused_words=("before", "after", "then", "followed_by"),
         advice='to say that one event ends before another starts, write "seq", the earlier one first',
-        rows=(OperatorEntry("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
+        table_rows=(OperatorEntry("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
     ),
     EventOperator(
         "forall_seq",
         OperatorKind.PAIR,
         1025,
-        names_events=False,
-        names_facts=False,
+        allows_event_name=False,
+        allows_fact_name=False,
         comparisons=("e1 < s2",),
         start="s1",
         end="e2",
-        either=False,
-        alone=False,
-        joins_all=True,
+        completes_in_any_order=False,
+        can_share_event=False,
+        joins_all_left=True,
         no_match_text="none of the first ended before one of the second started",
-        rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
+        table_rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
     ),
     EventOperator(
         "equals",
@@ -292,7 +294,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s1",
         end="e1",
         no_match_text="no two of them have the same interval",
-        rows=(OperatorEntry("`P equals Q`", "P and Q have the same interval", "that interval"),),
+        table_rows=(OperatorEntry("`P equals Q`", "P and Q have the same interval", "that interval"),),
     ),
     EventOperator(
         "meets",
@@ -302,7 +304,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s1",
         end="e2",
         no_match_text="none of the first ended when one of the second started",
-        rows=(OperatorEntry("`P meets Q`", "Q starts when P ends: e1 = s2", "[s1,e2]"),),
+        table_rows=(OperatorEntry("`P meets Q`", "Q starts when P ends: e1 = s2", "[s1,e2]"),),
     ),
     EventOperator(
         "during",
@@ -312,7 +314,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s2",
         end="e2",
         no_match_text="none of the first lies within one of the second",
-        rows=(OperatorEntry("`P during Q`", "P lies within Q, ends included", "that of Q"),),
+        table_rows=(OperatorEntry("`P during Q`", "P lies within Q, ends included", "that of Q"),),
     ),
     EventOperator(
         "starts",
@@ -321,9 +323,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         comparisons=("s1 == s2", "e1 < e2"),
         start="s2",
         end="e2",
-        alone=False,
+        can_share_event=False,
         no_match_text="none of the first starts with one of the second and ends before it",
-        rows=(OperatorEntry("`P starts Q`", "P and Q start together, and P ends first", "that of Q"),),
+        table_rows=(OperatorEntry("`P starts Q`", "P and Q start together, and P ends first", "that of Q"),),
     ),
     EventOperator(
         "finishes",
@@ -332,18 +334,20 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         comparisons=("e1 == e2", "s2 < s1"),
         start="s2",
         end="e2",
-        alone=False,
+        can_share_event=False,
         no_match_text="none of the first ends with one of the second and starts after it",
-        rows=(OperatorEntry("`P finishes Q`", "P and Q end together, and P started later", "that of Q"),),
+        table_rows=(
+            OperatorEntry("`P finishes Q`", "P and Q end together, and P started later", "that of Q"),
+        ),
     ),
     EventOperator(
         "ntimes",
         OperatorKind.REPETITION,
         1025,
         patterns=_GOAL,
-        names_events=False,
-        names_facts=False,
-        rows=(
+        allows_event_name=False,
+        allows_fact_name=False,
+        table_rows=(
             OperatorEntry(
                 "`Q ntimes N`", "Q happened N times in sequence", "from the first start to the last end"
             ),
@@ -356,8 +360,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         "xf",
         patterns=(True,),
         functors=("star_times",),
-        names_events=False,
-        rows=(
+        allows_event_name=False,
+        table_rows=(
             OperatorEntry(
                 "`P seq (Q star_times)`", "P happened, and again at each later Q", "[s1, end of the last Q]"
             ),
@@ -368,9 +372,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.AGGREGATE,
         patterns=(False, True, False),
         functors=("aggregate",),
-        names_events=False,
-        form="aggregate(Kind, Pattern, Result)",
-        rows=(
+        allows_event_name=False,
+        notation="aggregate(Kind, Pattern, Result)",
+        table_rows=(
             OperatorEntry(
                 "`P seq aggregate(K,Q,R)`",
                 "as `star_times`; R is computed from the Q so far",
@@ -383,8 +387,8 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.WINDOW,
         patterns=(False, True, False, False),
         functors=("aggregate",),
-        form="aggregate(Kind, Pattern, Result, Window)",
-        rows=(
+        notation="aggregate(Kind, Pattern, Result, Window)",
+        table_rows=(
             OperatorEntry(
                 "`aggregate(K,Q,R,W)`",
                 "Q happened, or window W ended; R is computed from the Q in W",
@@ -394,10 +398,10 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
     ),
     EventOperator(
         "absent",
-        OperatorKind.DEADLINE,
+        OperatorKind.TIMEOUT,
         patterns=(True, False),
-        form="absent(Pattern, Seconds)",
-        rows=(
+        notation="absent(Pattern, Seconds)",
+        table_rows=(
             OperatorEntry(
                 "`P seq absent(Q,N)`", "N seconds have passed since P ended, with no Q between", "[s1,e1+N]"
             ),
@@ -414,7 +418,7 @@ OPERATORS: Dict[str, EventOperator] = {
 }
 """Operators between two patterns, by name."""
 
-_RUN_OPERATOR_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.DEADLINE)
+_RUN_OPERATOR_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.TIMEOUT)
 
 OPERATOR_NAMES: Dict[Functor, str] = {
     key: operator.name
@@ -438,34 +442,32 @@ ARROWS = frozenset(
 """Functors of rules with a head and a pattern."""
 
 NO_EVENTS = {
-    operator.name: len(operator.patterns) for operator in EVENT_OPERATORS if not operator.names_events
+    operator.name: len(operator.patterns) for operator in EVENT_OPERATORS if not operator.allows_event_name
 }
 """Names that events cannot have with this number of arguments; with another number, they are events."""
 
 FUNCTIONAL_FORMS = tuple(
-    (name, len(operator.patterns), operator.form)
+    (name, len(operator.patterns), operator.notation)
     for operator in EVENT_OPERATORS
-    if operator.form
+    if operator.notation
     for name in operator.functors or (operator.name,)
 )
 """Name, number of arguments and notation of the operators in functional notation only."""
 
 
 def _notations() -> Dict[str, str]:
-    notations: Dict[str, str] = {}
-    for name, count, form in FUNCTIONAL_FORMS:
-        notation = (
-            f"{notations[name]}, or {count}" if name in notations else f"takes {counted(count, 'argument')}"
-        )
-        notations[name] = f"{notation}: {form}"
-    return notations
+    texts: Dict[str, str] = {}
+    for name, count, notation in FUNCTIONAL_FORMS:
+        arity_text = f"{texts[name]}, or {count}" if name in texts else f"takes {counted(count, 'argument')}"
+        texts[name] = f"{arity_text}: {notation}"
+    return texts
 
 
 NOTATIONS = _notations()
 """Notation of the operators in functional notation only, in words, by name."""
 
 NO_FACTS = frozenset(
-    key for operator in EVENT_OPERATORS if not operator.names_facts for key in operator.keys[:1]
+    key for operator in EVENT_OPERATORS if not operator.allows_fact_name for key in operator.keys[:1]
 )
 """Functors of facts that were meant as rules, because no fact can have the name."""
 

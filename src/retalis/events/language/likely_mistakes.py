@@ -119,23 +119,23 @@ def event_warning(term: Term) -> Optional[str]:
         items = list_items(term)
         if items is not None and all(deref(item).__class__ in (Atom, tuple) for item in items):
             return "a list of patterns is a single event; join them with and, or, or seq"
-    return wrong_arity(term) or _misspelling_warning(term)
+    return arity_warning(term) or _misspelling_warning(term)
 
 
 def _misspelling_warning(term: Any) -> Optional[str]:
     """Return a warning if the name of an event resembles an operator with the same number of arguments, or None."""
     event_name = term[0].name
-    for name, count, form in FUNCTIONAL_FORMS:
+    for name, count, notation in FUNCTIONAL_FORMS:
         is_similar = (
             not event_name.startswith(name)
             and SequenceMatcher(None, event_name, name).ratio() >= _MIN_SIMILARITY
         )
         if is_similar and len(term) - 1 == count:
-            return f"{_ORDINARY_EVENT}; did you mean {form}?"
+            return f"{_ORDINARY_EVENT}; did you mean {notation}?"
     return None
 
 
-def wrong_arity(term: Any) -> Optional[str]:
+def arity_warning(term: Any) -> Optional[str]:
     """Return the warning for a term with a special name but another number of arguments, or None."""
     name, count = term[0].name, len(term) - 1
     expected = _ARITIES.get(name)
@@ -143,8 +143,8 @@ def wrong_arity(term: Any) -> Optional[str]:
         expected = _SPECIAL_HEADS[name][0]
     if expected is None or expected == count or (count == expected + 1 and name in _HEADS_WITH_OPTIONS):
         return None
-    form = NOTATIONS.get(name, f"takes {expected} argument{'s' * (expected != 1)}")
-    return f"{_ORDINARY_EVENT}; {name} {form}"
+    notation = NOTATIONS.get(name, f"takes {expected} argument{'s' * (expected != 1)}")
+    return f"{_ORDINARY_EVENT}; {name} {notation}"
 
 
 def suggestion(word: str, candidates: Iterable[str]) -> str:
@@ -179,17 +179,17 @@ def head_warning(head: Any, operator: Optional[str]) -> Optional[str]:
         return f"no pattern can match this event: in patterns {head[0].name} is an operator"
     if len(head) == 3 and head[0].name in _COMPARISONS:
         return _CONDITION_WARNING
-    return wrong_arity(head) if head[0].name in _SPECIAL_HEAD_NAMES else _similar_special_head(head)
+    return arity_warning(head) if head[0].name in _SPECIAL_HEAD_NAMES else _similar_special_head(head)
 
 
 def _similar_special_head(head: Any) -> Optional[str]:
     """Return a warning if the name of a head resembles that of a special head, or None."""
     folded_name = head[0].name.lower().replace("_", "")
-    for special_name, (arity, form) in _SPECIAL_HEADS.items():
+    for special_name, (arity, notation) in _SPECIAL_HEADS.items():
         if arity != len(head) - 1 or folded_name[:1] != special_name[0]:
             continue
         if SequenceMatcher(None, folded_name, special_name).ratio() >= _MIN_SIMILARITY:
-            return f"{_ORDINARY_EVENT}; did you mean {form}?"
+            return f"{_ORDINARY_EVENT}; did you mean {notation}?"
     return None
 
 
@@ -227,28 +227,28 @@ def uncovered_gap_warning(
     if len(parts) < 3:
         return None
     texts = [_pattern_text(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
-    absent = _pattern_text(term[2], names)
-    last = _pattern_text(parts[-1], names)
-    gap = f"the gap before the last part of the sequence, {beginning(last)}"
-    message = f"{operator} covers only {gap}: {beginning(absent)} in an earlier gap does not prevent a match"
-    is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last, absent))
+    negated = _pattern_text(term[2], names)
+    last_text = _pattern_text(parts[-1], names)
+    gap = f"the gap before the last part of the sequence, {beginning(last_text)}"
+    message = f"{operator} covers only {gap}: {beginning(negated)} in an earlier gap does not prevent a match"
+    is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last_text, negated))
     # If the absent pattern uses variables of later parts, it cannot be checked in the first gap: no rule covers all
     # gaps.
     if is_long or _depends_on_later_parts(deref(term[2]), parts):
         return f"{message}; write a {operator} for each gap that it must not lie in"
-    covering_text = f"({texts[0]} seq {texts[1]}) {operator} {absent}"
+    covering_text = f"({texts[0]} seq {texts[1]}) {operator} {negated}"
     for text in texts[2:]:
-        covering_text = f"(({covering_text}) seq {text}) {operator} {absent}"
+        covering_text = f"(({covering_text}) seq {text}) {operator} {negated}"
     if outer_conditions and len(parts) <= _MAX_SHOWN_PARTS:
-        inner_text = covering_text[: -len(f" {operator} {absent}")]
+        inner_text = covering_text[: -len(f" {operator} {negated}")]
         for name, argument in reversed(outer_conditions):
             inner_text = f"({inner_text} {name} {_pattern_text(argument, names)})"
-        covering_text = f"{inner_text} {operator} {absent}"
+        covering_text = f"{inner_text} {operator} {negated}"
     if len(parts) > _MAX_SHOWN_PARTS:
         covering_text += f" and so on up to the last of {len(parts)} parts"
     advice = f"{message}; for none in any gap write {covering_text}"
-    grouped = _grouped_before_last(core, parts, names)
-    return f"{advice}; if only the last gap is meant, write {grouped} {operator} {absent}"
+    grouped_text = _text_grouped_before_last(core, parts, names)
+    return f"{advice}; if only the last gap is meant, write {grouped_text} {operator} {negated}"
 
 
 def _is_condition(term: CompoundTerm) -> bool:
@@ -291,21 +291,21 @@ def _is_goal_or_run(term: Any) -> bool:
     return term.__class__ is tuple and (term[0] in RUN_OPERATORS or term[0].name in ("prolog", "query", "db"))
 
 
-def _depends_on_later_parts(absent: Term, parts: List[Term]) -> bool:
+def _depends_on_later_parts(negated: Term, parts: List[Term]) -> bool:
     """Return whether an absent pattern has variables that are bound after the first gap."""
     early = {*variables(parts[0]), *variables(parts[1])}
     late = {var for part in parts[2:] for var in variables(part)} - early
-    return not late.isdisjoint(variables(absent))
+    return not late.isdisjoint(variables(negated))
 
 
-def _grouped_before_last(core: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
+def _text_grouped_before_last(core: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
     """Return the text of the sequence with parentheses before its last gap."""
-    last = _pattern_text(parts[-1], names)
+    last_text = _pattern_text(parts[-1], names)
     if _operator_name(core) == "ntimes":
-        return f"(({last} ntimes {len(parts) - 1}) seq {last})"
+        return f"(({last_text} ntimes {len(parts) - 1}) seq {last_text})"
     if len(parts) > _MAX_SHOWN_PARTS:
-        return f"((...) seq {last})"
-    return f"(({' seq '.join(_pattern_text(part, names) for part in parts[:-1])}) seq {last})"
+        return f"((...) seq {last_text})"
+    return f"(({' seq '.join(_pattern_text(part, names) for part in parts[:-1])}) seq {last_text})"
 
 
 def _pattern_text(term: Term, names: Mapping[Var, str]) -> str:

@@ -55,7 +55,7 @@ PlaceLookup = Callable[..., Optional[Place]]
 """Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
 _GOAL_OPERANDS = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
 _ABSENCE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_ABSENCE_BEFORE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE, between=False))
+_ABSENCE_BEFORE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE, may_lie_between=False))
 _ABSENT = "absent"
 
 
@@ -109,18 +109,18 @@ class PatternReader:
         """
         term = deref(parent[number])
         if term.__class__ is not tuple:
-            return self._event(parent, number)
+            return self._read_event(parent, number)
         head = term[0]
         if head in ARROWS:
             self.nested_rules.append(term)
-            return self._event(term, 1)
+            return self._read_event(term, 1)
         name = OPERATOR_NAMES.get(head)
         # Programs older than an operator may use its name for events; `is_event` tells the two apart by the
         # arguments.
         if name is None or is_event(term):
             run = None if is_event(term) else RUN_OPERATORS.get(head)
             if run is None:
-                return self._event(parent, number)
+                return self._read_event(parent, number)
             subject = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
             message = f"{subject} can only be the right side of a {SEQ}"
             if run.kind is OperatorKind.AGGREGATE:
@@ -128,27 +128,29 @@ class PatternReader:
             raise self.error(message, term)
         return self._parsers[EVENT_OPERATOR[name].kind](self, name, term)
 
-    def _pair(self, name: str, term: CompoundTerm) -> Pattern:
+    def _parse_pair(self, name: str, term: CompoundTerm) -> Pattern:
         if name == SEQ:
-            return self._sequence(term)
+            return self._parse_sequence(term)
         return PairPattern(name, self.operand(term, 1, name), self.operand(term, 2, name))
 
-    def _unknown_operator(self, name: str, term: CompoundTerm) -> Pattern:
+    def _reject_operator(self, name: str, term: CompoundTerm) -> Pattern:
         raise self.error(
             f"there is no operator {name}; use {_ABSENCE_OPERATORS} for the absence of an event", term
         )
 
-    def _time_limit(self, name: str, term: CompoundTerm) -> WithinPattern:
+    def _parse_time_limit(self, name: str, term: CompoundTerm) -> WithinPattern:
         # The bound is exclusive in the language and inclusive in the network, hence one nanosecond less.
         return WithinPattern(self.operand(term, 1, name), self.span(name, term) - 1)
 
-    def _condition(self, name: str, term: CompoundTerm) -> ConditionPattern:
+    def _parse_condition(self, name: str, term: CompoundTerm) -> ConditionPattern:
         pattern = self.operand(term, 1, name)
-        return ConditionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].timed)
+        return ConditionPattern(
+            pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].has_interval_predicates
+        )
 
-    def _action(self, name: str, term: CompoundTerm) -> ActionPattern:
+    def _parse_action(self, name: str, term: CompoundTerm) -> ActionPattern:
         pattern = self.operand(term, 1, name)
-        return ActionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].every)
+        return ActionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].calls_for_all_solutions)
 
     def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
         """Return the pattern of an operand; see `read`."""
@@ -157,7 +159,7 @@ class PatternReader:
             raise self.error(f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term)
         return self.read(parent, number)
 
-    def _event(self, parent: CompoundTerm, number: int) -> EventPattern:
+    def _read_event(self, parent: CompoundTerm, number: int) -> EventPattern:
         term = deref(parent[number])
         if term.__class__ not in (tuple, Atom, Var):
             class_name = "a string" if term.__class__ is String else "a number"
@@ -169,10 +171,10 @@ class PatternReader:
         self.events.append(EventTerm(term, parent, number))
         return EventPattern(term)
 
-    def _sequence(self, term: CompoundTerm) -> Pattern:
+    def _parse_sequence(self, term: CompoundTerm) -> Pattern:
         left, right = deref(term[1]), deref(term[2])
-        left_goal = self._goal_operand(left)
-        right_goal = self._goal_operand(right)
+        left_goal = self._parse_goal_operand(left)
+        right_goal = self._parse_goal_operand(right)
         # A goal beside ``seq`` is a condition on the other operand. With two goals no event would ever start a match.
         if left_goal is not None and right_goal is not None:
             raise self.error("a sequence of two goals does not wait for any event", term)
@@ -184,8 +186,8 @@ class PatternReader:
         if right.__class__ is tuple and right[0] in RUN_OPERATORS and not is_event(right):
             run = RUN_OPERATORS[right[0]]
             if run.kind is OperatorKind.AGGREGATE:
-                return self._aggregate(first, right, run)
-            if run.kind is OperatorKind.DEADLINE:
+                return self._parse_aggregate(first, right, run)
+            if run.kind is OperatorKind.TIMEOUT:
                 return AbsencePattern(first, self.operand(right, 1, run.name), self.span(run.name, right))
             return KleenePattern(first, self.operand(right, 1, run.name))
         if right.__class__ is tuple and right[0].name == _ABSENT:
@@ -193,12 +195,14 @@ class PatternReader:
             self._warn(self.error(f"this is an ordinary event; {notation}", right))
         return PairPattern(SEQ, first, self.read(term, 2))
 
-    def _goal_operand(self, term: Term) -> Optional[Term]:
+    def _parse_goal_operand(self, term: Term) -> Optional[Term]:
         if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
             return self.goal(term, 1, term[0].name)
         return None
 
-    def _aggregate(self, first: Pattern, term: CompoundTerm, operator: EventOperator) -> AggregatePattern:
+    def _parse_aggregate(
+        self, first: Pattern, term: CompoundTerm, operator: EventOperator
+    ) -> AggregatePattern:
         function_term = deref(term[1])
         name = functor_name(function_term)
         arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
@@ -213,7 +217,7 @@ class PatternReader:
         self.aggregates.append((aggregate, term))
         return aggregate
 
-    def _alternatives(self, name: str, term: CompoundTerm) -> OrPattern:
+    def _parse_alternatives(self, name: str, term: CompoundTerm) -> OrPattern:
         branches: List[Pattern] = []
         # Nested alternatives become one node with many branches. An explicit stack, because programs can be generated
         # with thousands of them, more than the recursion limit of Python.
@@ -227,19 +231,19 @@ class PatternReader:
                 branches.append(self.operand(parent, number, name))
         return OrPattern(tuple(branches))
 
-    def _window(self, name: str, term: CompoundTerm) -> WindowPattern:
+    def _parse_window(self, name: str, term: CompoundTerm) -> WindowPattern:
         window = parse_window(self, term)
         self.windows.append((window, term))
         return window
 
-    def _stream_operator(self, name: str, term: CompoundTerm) -> Pattern:
+    def _parse_rate_operator(self, name: str, term: CompoundTerm) -> Pattern:
         regrouped = regroup_rate_operator(term)
         return parse_rate_operator(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
 
-    def _absence(self, name: str, term: CompoundTerm) -> NotPattern:
+    def _parse_absence(self, name: str, term: CompoundTerm) -> NotPattern:
         pattern = self.operand(term, 1, name)
         negated = self.operand(term, 2, name)
-        is_between = EVENT_OPERATOR[name].between
+        is_between = EVENT_OPERATOR[name].may_lie_between
         inside = is_between and _is_sequence(pattern)
         if is_between and not inside:
             message = (
@@ -252,7 +256,7 @@ class PatternReader:
             self.absences.append(term)
         return NotPattern(pattern, negated, inside)
 
-    def _repetition(self, name: str, term: CompoundTerm) -> Pattern:
+    def _parse_repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
             raise self.error(f"{name} needs a positive integer", term, 2)
@@ -300,7 +304,7 @@ class PatternReader:
             if call.term.__class__ not in (tuple, Atom, Var):
                 raise self.error(f"{operator} needs a goal", call.parent, call.number)
             self.goals.append(call)
-        if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].timed:
+        if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].has_interval_predicates:
             self.interval_calls += required_interval_calls(parent, number)
         return deref(parent[number])
 
@@ -309,16 +313,16 @@ class PatternReader:
         return RuleError(message, self.place(term, number))
 
     _parsers: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
-        OperatorKind.PAIR: _pair,
-        OperatorKind.ALTERNATIVES: _alternatives,
-        OperatorKind.ABSENCE: _absence,
-        OperatorKind.REFUSED: _unknown_operator,
-        OperatorKind.REPETITION: _repetition,
-        OperatorKind.LIMIT: _time_limit,
-        OperatorKind.CONDITION: _condition,
-        OperatorKind.ACTION: _action,
-        OperatorKind.WINDOW: _window,
-        OperatorKind.SHAPE: _stream_operator,
+        OperatorKind.PAIR: _parse_pair,
+        OperatorKind.ALTERNATIVES: _parse_alternatives,
+        OperatorKind.ABSENCE: _parse_absence,
+        OperatorKind.UNSUPPORTED: _reject_operator,
+        OperatorKind.REPETITION: _parse_repetition,
+        OperatorKind.LIMIT: _parse_time_limit,
+        OperatorKind.CONDITION: _parse_condition,
+        OperatorKind.ACTION: _parse_action,
+        OperatorKind.WINDOW: _parse_window,
+        OperatorKind.RATE: _parse_rate_operator,
     }
     """Parsing method for each kind of operator."""
 

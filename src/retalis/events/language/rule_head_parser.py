@@ -166,7 +166,7 @@ def resolve_alarm(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Te
     """
     if head[0] is _ALARM_AFTER:
         # The original engine counts alarms in whole seconds.
-        instant = int(end + duration(head[2]))
+        instant = int(end + alarm_delay(head[2]))
     elif head[0] is _ALARM_AT:
         instant = int(from_any(head[2]))
     else:
@@ -181,7 +181,7 @@ def is_absolute(head: Term) -> bool:
     return head.__class__ is tuple and head[0] is _ALARM_AT
 
 
-def duration(term: Term) -> int:
+def alarm_delay(term: Term) -> int:
     """Return the delay of an alarm in ns.
 
     Raises:
@@ -193,7 +193,7 @@ def duration(term: Term) -> int:
     return from_seconds(seconds)
 
 
-def require_alarm(head: CompoundTerm) -> None:
+def check_alarm_time(head: CompoundTerm) -> None:
     """Check the time in the head of an alarm as far as it is known before its variables are bound.
 
     Raises:
@@ -203,7 +203,7 @@ def require_alarm(head: CompoundTerm) -> None:
     if instant.__class__ is Var:
         return
     if head[0] is _ALARM_AFTER:
-        duration(instant)
+        alarm_delay(instant)
     elif head[0] is _ALARM_AT:
         with_defaults = _with_default_fields(instant)
         try:
@@ -274,7 +274,7 @@ def check_head(
         warn(RuleError("this is an event that contains a colon: a rule has one label", place))
     if head[0] in ALARMS:
         try:
-            require_alarm(head)
+            check_alarm_time(head)
         except UsageError as error:
             raise RuleError(error.message, place_of(head, 2)) from None
     if head[0] in ALARMS or head[0] in SYNCHRONIZED:
@@ -358,7 +358,7 @@ class Schedule(NamedTuple):
         """True if the schedule is a single delay from the time when the timer is set."""
         return self.instant is None and not self.repeats
 
-    def next(self, now: int) -> Optional[int]:
+    def next_instant(self, now: int) -> Optional[int]:
         """Return the first instant after ``now`` for a timer that is set at ``now``; None if it has passed."""
         if self.instant is not None:
             return self.instant if self.instant > now else None

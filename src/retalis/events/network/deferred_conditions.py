@@ -410,14 +410,14 @@ def order_by_result_use(
     return [*early, *late]
 
 
-def dispatch_order(either: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
+def dispatch_order(is_unordered: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
     """Return the event nodes of a pair in the order in which they receive an event that matches several of them.
 
     In a sequence, the right operand comes first: it completes a pair before the left one is stored. Otherwise nodes
     that complete matches of several events precede those of single events; of the former the left operand is first,
     of single events the right one.
     """
-    if not either:
+    if not is_unordered:
         return [*right.leaves, *left.leaves]
     return [*left.joined, *right.joined, *right.single, *left.single]
 

@@ -196,7 +196,7 @@ class JoinNode(NetworkNode):
         identify_left, identify_right = (
             self._identity_functions if options.policy.replaces_identical else (None, None)
         )
-        self.left_buffer.set_identity_function(None if operator.joins_all else identify_left)
+        self.left_buffer.set_identity_function(None if operator.joins_all_left else identify_left)
         self.right_buffer.set_identity_function(None if self._retains_right(options) else identify_right)
         left_action = self._bind_sides(self._left_side(), self._right_side(options), emit, options)
         for negated, absence in zip(self.negated, self.absences):
@@ -208,11 +208,13 @@ class JoinNode(NetworkNode):
 
     def _accepts_late_left(self, options: NetworkOptions) -> bool:
         """Return whether the first operand of a sequence may arrive after the second one."""
-        return options.out_of_order and not self.operator.either
+        return options.out_of_order and not self.operator.completes_in_any_order
 
     def _revives_operands(self, options: NetworkOptions) -> bool:
         """Return whether a retraction can revive operands of a sequence that arrive in order."""
-        return options.emits_revisions and not self.operator.either and not options.out_of_order
+        return (
+            options.emits_revisions and not self.operator.completes_in_any_order and not options.out_of_order
+        )
 
     def _retains_right(self, options: NetworkOptions) -> bool:
         """Return whether second operands are kept for a first one that a retraction may revive."""
@@ -226,7 +228,7 @@ class JoinNode(NetworkNode):
 
     def _right_side(self, options: NetworkOptions) -> MatchSide:
         is_unordered, accepts_late, retains_right = (
-            self.operator.either,
+            self.operator.completes_in_any_order,
             self._accepts_late_left(options),
             self._retains_right(options),
         )
@@ -263,15 +265,15 @@ class JoinNode(NetworkNode):
         Return the action of the left one, and the function that fuses it.
         """
         policy, operator, accepts_late = options.policy, self.operator, self._accepts_late_left(options)
-        is_unordered = operator.either
+        is_unordered = operator.completes_in_any_order
         store_left = store_only(left), self._fuse(left, False, emit, options)
         if self._retains_right(options):
             tracker = self.rule.network.tracker
             store_left = (
-                join_revived_first(tracker, left, policy.consumes_partners, operator.joins_all, emit),
+                join_revived_first(tracker, left, policy.consumes_partners, operator.joins_all_left, emit),
                 None,
             )
-        if operator.joins_all:
+        if operator.joins_all_left:
             self.right.bind(join_all_at_once(right, True, emit), options)
             if not accepts_late:
                 return store_left
@@ -289,7 +291,9 @@ class JoinNode(NetworkNode):
                 else store_left
             )
         # `and` with one event in both operands: each event may complete one pair only.
-        completed_events = self.completed if self.shares_events and is_unordered and operator.alone else None
+        completed_events = (
+            self.completed if self.shares_events and is_unordered and operator.can_share_event else None
+        )
         _bind(
             self.right,
             join_one_partner(right, policy.prefers_newest, True, emit, completed_events),
@@ -358,7 +362,7 @@ class JoinNode(NetworkNode):
         Stored immediately, it would replace an older one of the same event that the left operand must still join
         with.
         """
-        if match.event is None and self.operator.either:
+        if match.event is None and self.operator.completes_in_any_order:
             self.rule.store_deferred(self.right_buffer)
             self.right_buffer.add(match, key)
         else:
@@ -389,11 +393,11 @@ class JoinNode(NetworkNode):
         lines = [
             f"def generated({'l, r' if left_arrives else 'r, l'}):",
             "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
-            f"    if not ({operator.fits}):",
+            f"    if not ({operator.interval_condition}):",
             "        return None",
         ]
         # `and` of two different events: one event may not be both operands.
-        if operator.alone and self.shares_events:
+        if operator.can_share_event and self.shares_events:
             lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
         lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
         if self.span is not None:
@@ -454,15 +458,15 @@ class JoinNode(NetworkNode):
         result = self.join_pair(left, right)
         if result is None:
             return frame
-        if options.policy.consumes_partners or self.operator.joins_all:
+        if options.policy.consumes_partners or self.operator.joins_all_left:
             left.discard()
             right.consumed_by = left
-            if self.operator.either:
+            if self.operator.completes_in_any_order:
                 right.discard()
         return self.emit(result, frame)
 
     def _stores_right(self, options: NetworkOptions) -> bool:
-        return self.operator.either or options.out_of_order
+        return self.operator.completes_in_any_order or options.out_of_order
 
 
 def _bind(node: NetworkNode, emit: Emit, options: NetworkOptions, fuse: Optional[Fuse]) -> None:

@@ -365,7 +365,7 @@ class RuleCompiler(StreamCompiler):
             deferred += self._test_gap(
                 node, DeferredConditions(needs, None, False, (negated, False), *gap), conditions
             )
-        joined = dispatch_order(OPERATORS[core.operator].either, left, right)
+        joined = dispatch_order(OPERATORS[core.operator].completes_in_any_order, left, right)
         if negated is not None:
             joined += negated.first.leaves
         return BuiltPattern(node, deferred, joined, [])

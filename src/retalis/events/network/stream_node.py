@@ -510,7 +510,7 @@ class StreamNode(NetworkNode):
             if meter is not None and meter(1):
                 return []
             # Reading the clock is avoided for operators that depend on time stamps only.
-            now = network.time() if clocked else 0
+            now = network.alarm_time() if clocked else 0
             stream = self.stream
             pruned_count = stream.pruned_count
             if self.replay is not None:
@@ -662,7 +662,7 @@ class StreamNode(NetworkNode):
         """Return the lineage objects of outputs that are invalid without the excluded matches."""
         if self.replay is None:
             return []
-        rerun = self.replay.run_again(self.rule.network.time(), self.rule.meter)
+        rerun = self.replay.run_again(self.rule.network.alarm_time(), self.rule.meter)
         if rerun is None:
             # Its outputs so far remain valid.
             self._reset_operator()

@@ -76,8 +76,10 @@ def interval_of(term: Term) -> Tuple[int, int]:
     return start, end
 
 
-_SECOND = re.compile(r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),", re.ASCII)
-_NANOSECOND = re.compile(r"\d{1,9}\)", re.ASCII)
+_DATIME_TO_SECOND = re.compile(
+    r"datime\((\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9}),", re.ASCII
+)
+_NANOSECONDS = re.compile(r"\d{1,9}\)", re.ASCII)
 
 
 class InputEvent(NamedTuple):
@@ -92,7 +94,7 @@ class InputEvent(NamedTuple):
     end: Any
     ground: Optional[bool] = None
 
-    def shown_interval(self) -> Tuple[Any, Any]:
+    def interval_terms(self) -> Tuple[Any, Any]:
         """Return the terms of start and end; None if the clock is to provide them."""
         if self.start is None:
             return None, None
@@ -110,7 +112,7 @@ class InputReader:
         self._reader = EventReader(operators)
         self._seconds: Cache[str, int] = Cache(64, 1 << 16)
 
-    def goal(self, text: str) -> Term:
+    def parse_goal(self, text: str) -> Term:
         """Parse a goal.
 
         Raises:
@@ -118,7 +120,7 @@ class InputReader:
         """
         return self._reader.read(text)
 
-    def event(self, text: str) -> Optional[InputEvent]:
+    def parse_event(self, text: str) -> Optional[InputEvent]:
         """Parse a goal and return the event that it denotes, or None for another goal.
 
         Raises:
@@ -138,18 +140,18 @@ class InputReader:
         are the second argument and not part of a quoted text in the event.
         """
         position = text.rfind(",[datime(")
-        stamps = text[position + 2 :]
-        stamp_length = (len(stamps) - 3) // 2
-        stamp = stamps[:stamp_length]
+        interval_text = text[position + 2 :]
+        stamp_length = (len(interval_text) - 3) // 2
+        stamp = interval_text[:stamp_length]
         # Two equal timestamps, compared as text.
-        if position < 0 or stamps != f"{stamp},{stamp}])":
+        if position < 0 or interval_text != f"{stamp},{stamp}])":
             return None
         nanosecond_start = stamp.rfind(",") + 1
         # Texts of one second share their first six numbers, so the cache saves the conversion of the calendar date.
         second_instant = self._seconds.get(stamp[:nanosecond_start])
         if second_instant is None:
             second_instant = self._cache_second(stamp[:nanosecond_start])
-        if second_instant is None or not _NANOSECOND.fullmatch(stamp, nanosecond_start):
+        if second_instant is None or not _NANOSECONDS.fullmatch(stamp, nanosecond_start):
             return None
         try:
             goal = self._reader.read(text[:position] + ")")
@@ -163,7 +165,7 @@ class InputReader:
 
     def _cache_second(self, text: str) -> Optional[int]:
         """Convert the text of a datime without its nanoseconds to an instant and cache it; return None if invalid."""
-        match = _SECOND.fullmatch(text)
+        match = _DATIME_TO_SECOND.fullmatch(text)
         if match is None:
             return None
         try:
@@ -189,7 +191,7 @@ def event_of(goal: Term) -> Optional[InputEvent]:
 def _without_interval(arguments: Sequence[Term]) -> InputEvent:
     term = callable_of(arguments[0])
     # event(event(E,[T1,T2])) is the same as event(E,[T1,T2]).
-    if term.__class__ is tuple and term[0] is _EVENT2:
+    if term.__class__ is tuple and term[0] is EVENT2:
         return _with_interval(term[1:])
     return InputEvent(term, None, None)
 
@@ -213,10 +215,9 @@ def _with_instants(arguments: Sequence[Term]) -> InputEvent:
 
 
 EVENT1 = functor("event", 1)
-_EVENT2 = functor("event", 2)
 READERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
     EVENT1: _without_interval,
-    _EVENT2: _with_interval,
+    EVENT2: _with_interval,
     functor("new_event", 2): _with_interval,
     functor("new_event", 3): _with_instant,
     functor("new_event", 5): _with_instants,
@@ -233,7 +234,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
     """Define ``new_event/2,3,5``: with an interval, with seconds and nanoseconds, and with those of start and end."""
     dispatch = dispatcher.dispatch
 
-    def at_instant(
+    def dispatch_at_instant(
         machine: Machine, arguments: Sequence[Term], frame: Frame, is_ground: bool = False
     ) -> Frame:
         event, seconds, nanoseconds = arguments
@@ -243,41 +244,38 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
             if FIRST <= instant < LAST:
                 instant = FloatSeconds(instant)
                 return dispatch(event, instant, instant, frame, None, is_ground or None, is_ground)
-        return general(machine, arguments, frame)
+        return dispatch_general(machine, arguments, frame)
 
-    def general(machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
+    def dispatch_general(machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
         # `is_owned=False`: the event is dispatched as if it came from outside, not as derived from the current event.
         event = READERS[functor("new_event", len(arguments))](arguments)
         return dispatch(event.term, event.start, event.end, frame, is_owned=False)
 
-    logic.define_control("new_event", 2, general, at_once=True)
-    logic.define_control("new_event", 3, at_instant, at_once=True, gate=dispatcher.event_filter)
-    logic.define_control("new_event", 5, general, at_once=True)
-
-
-_EVENT1 = functor("event", 1)
+    logic.define_control("new_event", 2, dispatch_general, at_once=True)
+    logic.define_control("new_event", 3, dispatch_at_instant, at_once=True, gate=dispatcher.event_filter)
+    logic.define_control("new_event", 5, dispatch_general, at_once=True)
 
 
 def define_event_predicates(rules: "RuleBase") -> None:
     """Define the goals that fire events."""
-    _FiringGoals(rules).define(rules.logic)
+    _EventPredicates(rules).define(rules.logic)
 
 
-class _FiringGoals:
+class _EventPredicates:
     """The goals that fire one event, a list of events, or a file."""
 
     def __init__(self, rules: "RuleBase"):
         self.rules = rules
 
     def define(self, logic: PrologSystem) -> None:
-        logic.define_control("event", 1, self.event, at_once=True)
-        logic.define_control("event", 2, self.event, at_once=True)
-        logic.define_control("fire_event_list", 1, self.fire_list)
-        logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return)
-        logic.define_control("execute_event_stream_file", 1, self.execute_file)
-        logic.define("exists_file", 1, self.exists)
+        logic.define_control("event", 1, self.dispatch_event, at_once=True)
+        logic.define_control("event", 2, self.dispatch_event, at_once=True)
+        logic.define_control("fire_event_list", 1, self.fire_event_list)
+        logic.define_control("fire_event_list_return_external_events", 2, self.fire_and_return_events)
+        logic.define_control("execute_event_stream_file", 1, self.execute_stream_file)
+        logic.define("exists_file", 1, self.exists_file)
 
-    def event(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
+    def dispatch_event(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         """Dispatch an event with a given interval or the clock's present time."""
         term = callable_of(arguments[0])
         interval: Optional[Term] = arguments[1] if len(arguments) == 2 else None
@@ -292,7 +290,7 @@ class _FiringGoals:
         next_frame: Frame = self.rules.dispatcher.dispatch(term, start, end, frame, is_owned=False)
         return next_frame
 
-    def fire_list(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
+    def fire_event_list(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
         goals = list_items(arguments[0])
         if goals is None:
             self.rules.on_warning(
@@ -302,17 +300,21 @@ class _FiringGoals:
         # The terms are copied, because their variables may be bound or unbound again before their turn.
         return self._run_goals([copy(goal) for goal in goals], frame)
 
-    def fire_and_return(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
-        goals = [(_EVENT1, copy(item)) for item in items_of(arguments[0])]
+    def fire_and_return_events(
+        self, machine: Machine, arguments: Sequence[Term], frame: Frame
+    ) -> Optional[Frame]:
+        goals = [(EVENT1, copy(item)) for item in items_of(arguments[0])]
         if not machine.unify(arguments[1], make_list([])):
             return None
         return self._run_goals(goals, frame)
 
-    def exists(self, machine: Machine, name: Term) -> bool:
+    def exists_file(self, machine: Machine, name: Term) -> bool:
         files = self.rules.files
         return bool(files.is_file(files.resolve(path_of(name))))
 
-    def execute_file(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Optional[Frame]:
+    def execute_stream_file(
+        self, machine: Machine, arguments: Sequence[Term], frame: Frame
+    ) -> Optional[Frame]:
         files = self.rules.files
         path = files.resolve(path_of(arguments[0]))
         text = files.text(path)
@@ -349,7 +351,7 @@ class _GoalStream:
             next_frame: Optional[Frame] = self.machine.attempt(
                 self.call,
                 (goal,),
-                self._return_frame(frame),
+                self._solution_handler(frame),
                 (_FAILED, self, goal, frame),
                 self._error_handler(goal),
             )
@@ -357,17 +359,17 @@ class _GoalStream:
         continuation: Frame = frame[1]
         return continuation
 
-    def _return_frame(self, frame: Frame) -> Callable[[Values], Frame]:
+    def _solution_handler(self, frame: Frame) -> Callable[[Values], Frame]:
         return lambda outputs: frame
 
     def _error_handler(self, goal: Term) -> Callable[[PrologError], None]:
-        def report(error: PrologError) -> None:
+        def report_error(error: PrologError) -> None:
             # A goal that raises also fails; the mark tells `_Failed` that it has been reported.
             self.goals = iter([_RAISED, *self.goals])
             text = self.rules.logic.show(goal)
             self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
 
-        return report
+        return report_error
 
 
 _RAISED: Any = object()

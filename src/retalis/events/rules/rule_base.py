@@ -130,7 +130,7 @@ class RuleBase:
         declared: declared events.
         options: network options derived from the flags.
         key_bounds: limits for keyed state derived from the flags.
-        fired_before: number of complete matches of deleted rules.
+        fired_by_deleted_rules: number of complete matches of deleted rules.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class RuleBase:
         self.on_error = on_error
         self.warn_singletons = False
         self.failed_retraction_count = 0
-        self.fired_before = 0
+        self.fired_by_deleted_rules = 0
         self.on_reset = on_reset
         self.on_warning = on_warning
         self.condition_state = ConditionState()
@@ -165,7 +165,7 @@ class RuleBase:
         self.tracker = LineageTracker(self)
         self.justifier = Justifier(self, self.tracker)
         self.store = EventLog(self)
-        self.deadlines = NodeTimers(self)
+        self.node_timers = NodeTimers(self)
         self.files = SourceFiles()
         self.loader = EventFileLoader(self)
         self._properties: Dict[Hashable, List[Property]] = {}
@@ -275,7 +275,7 @@ class RuleBase:
         rule.unlisten()
         rule.clear()
         if was_active:
-            self.fired_before += rule.metrics.firing_count
+            self.fired_by_deleted_rules += rule.metrics.firing_count
 
     def detach(self, rule: EventRule) -> None:
         """Deactivate a rule and keep its partial matches."""
@@ -289,7 +289,7 @@ class RuleBase:
             rules: new, active or deactivated rules.
             deleted: deactivated rules to be deleted.
         """
-        # `remove` below counts their matches in `fired_before` only if they are in the table.
+        # `remove` below counts their matches in `fired_by_deleted_rules` only if they are in the table.
         for rule in deleted:
             self._table.add(rule)
         kept_rules = set(rules)
@@ -314,7 +314,7 @@ class RuleBase:
         # All listeners that no rule owns are removed: an interrupt may have left those of a half-removed rule.
         owned_listeners = set(self.tracker.listeners)
         # Each node sets its timeout again.
-        self.deadlines.clear()
+        self.node_timers.clear()
         for rule in self.rules:
             rule.repair()
             if not rule.is_connected:
@@ -424,7 +424,7 @@ class RuleBase:
 
     def clear(self) -> None:
         """Remove all partial matches and stored events after time went back; timers start again."""
-        self.deadlines.clear()
+        self.node_timers.clear()
         for rule in self.rules:
             rule.clear()
         self.tracker.clear()
@@ -446,7 +446,7 @@ class RuleBase:
     @property
     def fired(self) -> int:
         """Number of complete matches of all rules, including deleted ones."""
-        return self.fired_before + sum(rule.metrics.firing_count for rule in self.rules)
+        return self.fired_by_deleted_rules + sum(rule.metrics.firing_count for rule in self.rules)
 
     @property
     def match_count(self) -> int:
@@ -467,14 +467,14 @@ class RuleBase:
             return
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
-    def time(self) -> int:
+    def alarm_time(self) -> int:
         """Return the present time for alarms; in a goal of an alarm, its instant."""
         ringing = self.clock.ringing
         return self.clock.reached() if ringing is None else ringing
 
     def set_node_alarm(self, node: TimedNode, instant: int) -> None:
         """Wake a node when the clock reaches an instant."""
-        self.deadlines.add(node, instant)
+        self.node_timers.add(node, instant)
 
     def report_late(self, rule: EventRule, what: str) -> None:
         """Report that a match was too late to be used."""

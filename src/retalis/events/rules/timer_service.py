@@ -52,7 +52,7 @@ _SMALL_QUEUE = 64
 _FIRST_ORDER = -1
 """Order of the node alarm: before all other alarms of the same instant."""
 
-_Deadline = Tuple[int, int, int, int, TimedNode]
+_TimerEntry = Tuple[int, int, int, int, TimedNode]
 """Instant, serial number of the rule, place of the node in it, order of the request, and the node."""
 
 
@@ -68,8 +68,8 @@ class NodeTimers:
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
-        self._heap: List[_Deadline] = []
-        self._numbers = count()
+        self._heap: List[_TimerEntry] = []
+        self._next_number = count()
         self._rebuild_size = _SMALL_QUEUE
         self._alarm_instants: List[int] = []
 
@@ -87,7 +87,7 @@ class NodeTimers:
 
     def add(self, node: TimedNode, instant: int) -> None:
         """Set the timeout of a node; a later one replaces an earlier one."""
-        heapq.heappush(self._heap, (instant, node.rule.serial, node.position, next(self._numbers), node))
+        heapq.heappush(self._heap, (instant, node.rule.serial, node.position, next(self._next_number), node))
         if len(self._heap) > self._rebuild_size:
             self._drop_all_stale()
         self._set_alarm()
@@ -142,7 +142,7 @@ class NodeTimers:
             self._set_alarm()
 
 
-def _is_current(entry: _Deadline) -> bool:
+def _is_current(entry: _TimerEntry) -> bool:
     return entry[-1].alarm_instant == entry[0]
 
 
@@ -211,16 +211,16 @@ class ProgramTimer:
 
     Attributes:
         key: identity of the timer: its event and schedule.
-        name: key of the event; None for an event with variables.
+        event_key: key of the event; None for an event with variables.
         instant: the next instant; None before the clock has a time.
         alarm_instant: instant of the alarm in the clock, at most `instant`; None if there is no alarm.
     """
 
-    __slots__ = ("key", "name", "event", "schedule", "instant", "alarm_instant")
+    __slots__ = ("key", "event_key", "event", "schedule", "instant", "alarm_instant")
 
     def __init__(self, event: Term, schedule: Schedule):
         self.key: Hashable = term_key((TIMER, event, schedule.term))
-        self.name = _event_key(event)
+        self.event_key = _event_key(event)
         self.event = event
         self.schedule = schedule
         self.instant: Optional[int] = None
@@ -243,22 +243,22 @@ class TimerTable:
 
     def __init__(self, timers: Iterable[ProgramTimer] = ()):
         self.by_key: Dict[Hashable, ProgramTimer] = {}
-        self._by_name: Dict[Hashable, Dict[Hashable, ProgramTimer]] = {}
+        self._by_event_key: Dict[Hashable, Dict[Hashable, ProgramTimer]] = {}
         for timer in timers:
             self.add(timer)
 
     def add(self, timer: ProgramTimer) -> None:
         """Add a timer, or replace the one with the same key."""
         self.by_key[timer.key] = timer
-        self._by_name.setdefault(timer.name, {})[timer.key] = timer
+        self._by_event_key.setdefault(timer.event_key, {})[timer.key] = timer
 
     def remove(self, key: Hashable) -> ProgramTimer:
         """Remove and return a timer."""
         timer = self.by_key.pop(key)
-        timers_of_event = self._by_name[timer.name]
+        timers_of_event = self._by_event_key[timer.event_key]
         del timers_of_event[key]
         if not timers_of_event:
-            del self._by_name[timer.name]
+            del self._by_event_key[timer.event_key]
         return timer
 
     def unifying(self, event: Term) -> List[ProgramTimer]:
@@ -266,9 +266,9 @@ class TimerTable:
         name = _event_key(event)
         if name is None:
             return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
-        general = self._by_name.get(None, {}).values()
-        timers = list(self._by_name.get(name, {}).values())
-        return timers + [timer for timer in general if may_unify(timer.event, event)]
+        timers_of_variable_events = self._by_event_key.get(None, {}).values()
+        timers = list(self._by_event_key.get(name, {}).values())
+        return timers + [timer for timer in timers_of_variable_events if may_unify(timer.event, event)]
 
 
 class Timers:
@@ -284,19 +284,19 @@ class Timers:
 
     def __init__(self, program: "RuleBase"):
         self._program = program
-        self._all = TimerTable()
+        self._active = TimerTable()
         self._inactive: Dict[Hashable, ProgramTimer] = {}
-        self._jumps = 0
-        self._stale = 0
+        self._jump_count = 0
+        self._stale_alarm_count = 0
         self._delayed_goal_count = 0
         self.omitted_count = 0
 
     def __len__(self) -> int:
-        return len(self._all.by_key)
+        return len(self._active.by_key)
 
     def __iter__(self) -> Iterator[ProgramTimer]:
         """Yield the timers, oldest first."""
-        return iter(list(self._all.by_key.values()))
+        return iter(list(self._active.by_key.values()))
 
     # ---- goals ---------------------------------------------------------------------------------------
 
@@ -308,33 +308,33 @@ class Timers:
             PrologError: if there are too many timers.
         """
         timer = ProgramTimer(copy(event), parse_schedule(copy(when)))
-        timer_to_set = self._all.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
+        timer_to_set = self._active.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
         now = self._goal_time()
         if timer_to_set is None:
             if len(self) >= MAX_TIMERS:
                 raise resource_error("timers", reason=f"more than {MAX_TIMERS} timers are set")
-            if now > 0 and timer.schedule.next(now) is None:
+            if now > 0 and timer.schedule.next_instant(now) is None:
                 self._warn_past(timer)
                 return
             timer_to_set = timer
         # During a reload an unchanged timer is reactivated with its alarm, so its period does not start again.
-        elif timer_to_set.key not in self._all.by_key and timer_to_set.alarm_instant is not None:
-            self._all.add(timer_to_set)
+        elif timer_to_set.key not in self._active.by_key and timer_to_set.alarm_instant is not None:
+            self._active.add(timer_to_set)
             return
-        self._all.add(timer_to_set)
+        self._active.add(timer_to_set)
         self._schedule_next(timer_to_set, now)
 
     def cancel(self, event: Term) -> int:
         """Remove the timers whose events unify with a term; return their number."""
-        timers = self._all.unifying(event)
+        timers = self._active.unifying(event)
         for timer in timers:
-            self._all.remove(timer.key)
+            self._active.remove(timer.key)
             self._invalidate_alarm(timer)
         return len(timers)
 
     def find(self, event: Term, when: Term) -> Optional[ProgramTimer]:
         """Return the timer of an event and a schedule, or None."""
-        return self._all.by_key.get(term_key((TIMER, event, when)))
+        return self._active.by_key.get(term_key((TIMER, event, when)))
 
     # ---- alarms --------------------------------------------------------------------------------------
 
@@ -355,9 +355,9 @@ class Timers:
 
     def _schedule_next(self, timer: ProgramTimer, now: int) -> None:
         """Compute the next instant of a timer, from the given time or from the clock's first time."""
-        timer.instant = timer.schedule.next(now) if now > 0 else None
+        timer.instant = timer.schedule.next_instant(now) if now > 0 else None
         if now > 0 and timer.instant is None:
-            self._all.remove(timer.key)
+            self._active.remove(timer.key)
             self._invalidate_alarm(timer)
             self._warn_past(timer)
             return
@@ -369,7 +369,7 @@ class Timers:
             # An earlier alarm is kept; `on_alarm` sets the alarm for the later instant.
             if timer.alarm_instant <= instant:
                 return
-            self._stale += 1
+            self._stale_alarm_count += 1
         timer.alarm_instant = instant
         self._program.clock.call_at(instant, TimerAlarm(self, timer, instant))
 
@@ -378,23 +378,23 @@ class Timers:
         if timer.alarm_instant is None:
             return
         timer.alarm_instant = None
-        self._stale += 1
+        self._stale_alarm_count += 1
         # Lazy deletion as in `NodeTimers`: amortized constant cost per removal.
         clock = self._program.clock
-        if 2 * self._stale > len(clock.alarms) + _STALE_MARGIN:
+        if 2 * self._stale_alarm_count > len(clock.alarms) + _STALE_MARGIN:
             clock.drop(lambda alarm: isinstance(alarm, TimerAlarm) and not self.is_valid_alarm(alarm))
-            self._stale = 0
+            self._stale_alarm_count = 0
 
     def is_valid_alarm(self, alarm: "TimerAlarm") -> bool:
         """Return whether an alarm is the valid one of an existing timer."""
         timer = alarm.timer
-        exists = self._all.by_key.get(timer.key) is timer or self._inactive.get(timer.key) is timer
+        exists = self._active.by_key.get(timer.key) is timer or self._inactive.get(timer.key) is timer
         return exists and timer.alarm_instant == alarm.alarm_instant
 
     def on_alarm(self, alarm: "TimerAlarm") -> None:
         """Process an alarm of a timer."""
         if not self.is_valid_alarm(alarm):
-            self._stale -= 1
+            self._stale_alarm_count -= 1
             return
         timer = alarm.timer
         timer.alarm_instant = None
@@ -410,7 +410,7 @@ class Timers:
                 timer.instant = instant + timer.schedule.period
                 self._set_alarm(timer)
             else:
-                self._all.remove(timer.key)
+                self._active.remove(timer.key)
             self._dispatch(timer.event, int(instant))
 
     def _skip_missed(self, timer: ProgramTimer, instant: int) -> bool:
@@ -422,10 +422,10 @@ class Timers:
         if missed_count < MAX_FIRINGS_PER_JUMP:
             return False
         timer.instant = instant + missed_count * schedule.period
-        self._jumps += 1
+        self._jump_count += 1
         self.omitted_count += missed_count
         # Warned at jump 1, 2, 4, 8 and so on.
-        if self._jumps & (self._jumps - 1) == 0:
+        if self._jump_count & (self._jump_count - 1) == 0:
             show = self._program.logic.brief
             seconds = missed_count * schedule.period // SECOND
             self._program.on_warning(
@@ -453,7 +453,7 @@ class Timers:
     def clear(self) -> None:
         """Remove all timers."""
         for timer in self:
-            self._all.remove(timer.key)
+            self._active.remove(timer.key)
             self._invalidate_alarm(timer)
 
     def restart(self) -> None:
@@ -461,11 +461,11 @@ class Timers:
 
         Timers with a relative time are removed, like other alarms, because they belong to the time before.
         """
-        self._stale = 0
+        self._stale_alarm_count = 0
         for timer in self:
             timer.alarm_instant = None
             if timer.schedule.is_relative:
-                self._all.remove(timer.key)
+                self._active.remove(timer.key)
             else:
                 self._schedule_next(timer, self._program.clock.reached())
 
@@ -473,7 +473,7 @@ class Timers:
         """Make each timer have its alarm again, after an interrupt."""
         # An interrupt may have come between two assignments of `TimerTable.add` or `remove`, so the indexes are
         # rebuilt.
-        self._all = TimerTable(self)
+        self._active = TimerTable(self)
         alarms = {
             alarm.timer: alarm
             for _, _, alarm in self._program.clock.alarms
@@ -486,12 +486,12 @@ class Timers:
 
     def all_by_key(self) -> Dict[Hashable, ProgramTimer]:
         """Return the timers by key."""
-        return dict(self._all.by_key)
+        return dict(self._active.by_key)
 
     def detach(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Deactivate timers; those that are set again unchanged continue."""
         for key in timers:
-            self._inactive[key] = self._all.remove(key)
+            self._inactive[key] = self._active.remove(key)
 
     def discard_detached(self) -> None:
         """Remove the deactivated timers."""
@@ -502,7 +502,7 @@ class Timers:
     def restore_all(self, timers: Mapping[Hashable, ProgramTimer]) -> None:
         """Restore exactly these timers, whether or not they have been deactivated."""
         removed = [timer for timer in self if timers.get(timer.key) is not timer]
-        self._all, self._inactive = TimerTable(timers.values()), {}
+        self._active, self._inactive = TimerTable(timers.values()), {}
         for timer in removed:
             self._invalidate_alarm(timer)
         self.repair()
@@ -521,7 +521,7 @@ class Timers:
         for event, schedule_term, instant, alarm_instant, order in saved:
             timer = ProgramTimer(event, parse_schedule(schedule_term))
             timer.instant, timer.alarm_instant = instant, alarm_instant
-            self._all.add(timer)
+            self._active.add(timer)
             self._program.clock.put_back(alarm_instant, order, TimerAlarm(self, timer, alarm_instant))
 
 
@@ -552,10 +552,10 @@ _WAITING = atom("waits")
 
 def define_timers(logic: PrologSystem, timers: Timers, require: Callable[[Term], None]) -> None:
     """Define the timer goals; ``require`` raises an error for an event that does not match its declaration."""
-    _TimerGoals(timers, require).define(logic)
+    _TimerPredicates(timers, require).define(logic)
 
 
-class _TimerGoals:
+class _TimerPredicates:
     """The goals ``timer/2``, ``cancel_timer/1,2`` and ``timers/1``."""
 
     def __init__(self, timers: Timers, require: Callable[[Term], None]):
@@ -565,8 +565,8 @@ class _TimerGoals:
     def define(self, logic: PrologSystem) -> None:
         logic.define("timer", 2, self.set)
         logic.define("cancel_timer", 1, self.cancel)
-        logic.define("cancel_timer", 2, self.cancel_counting)
-        logic.define("timers", 1, self.list)
+        logic.define("cancel_timer", 2, self.cancel_and_count)
+        logic.define("timers", 1, self.list_timers)
 
     def set(self, machine: Machine, event: Term, when: Term) -> bool:
         event, when = callable_of(event), deref(when)
@@ -583,10 +583,10 @@ class _TimerGoals:
         self.timers.cancel(deref(event))
         return True
 
-    def cancel_counting(self, machine: Machine, event: Term, number: Term) -> bool:
+    def cancel_and_count(self, machine: Machine, event: Term, number: Term) -> bool:
         return bool(machine.unify(number, self.timers.cancel(deref(event))))
 
-    def list(self, machine: Machine, listed: Term) -> bool:
+    def list_timers(self, machine: Machine, listed: Term) -> bool:
         rows: List[Any] = []
         for timer in self.timers:
             instant = _WAITING if timer.instant is None else shown(int(timer.instant))
