@@ -475,7 +475,7 @@ def snapshot_matches(
         "rate_limiters": [graph.write(entry) for entry in knowledge.subscriptions.snapshot()],
         "timeouts": queries.timeouts.snapshot(),
         "timers": (rules.timers.snapshot(), rules.timers.omitted_count),
-        "stored_events": rules.store.stored(),
+        "stored_events": rules.event_log.stored_events(),
         "counts": (rules.serial, rules.fired_by_deleted_rules, rules.failed_retraction_count),
     }
     data["objects"] = graph.encode()
@@ -533,7 +533,7 @@ def restore_matches(
     rules.timers.restore(*checked.timers)
     knowledge.states.restore(checked.state_intervals)
     knowledge.subscriptions.restore_rate_limiters(checked.rate_limiters)
-    rules.store.restore(checked.stored_events)
+    rules.event_log.restore(checked.stored_events)
     rules.serial, rules.fired_by_deleted_rules, rules.failed_retraction_count = checked.counts
 
 

@@ -264,7 +264,7 @@ class NegationBuffer:
                 if condition is None or condition(pair_values, negated_match):
                     # The lineage records what prevented the pair, so that the pair is tried again if this match is
                     # retracted.
-                    self.rule.network.tracker.blocker = match
+                    self.rule.network.tracker.blocking_match = match
                     return True
         return False
 

@@ -338,12 +338,12 @@ def negation_buffer_for(
 
     def condition(values: Values, match: PartialMatch) -> bool:
         pair_values: Any = values + tuple([match.values[index] for index in new_positions])
-        previous_blocker = tracker.blocker
+        previous_blocker = tracker.blocking_match
         for test in tests:
             pair_values = test(pair_values, match.start, match.end)
             if pair_values is None:
                 # This match is suppressed by a negation of its own, which is not what blocks the pair.
-                tracker.blocker = previous_blocker
+                tracker.blocking_match = previous_blocker
                 return False
         return True
 

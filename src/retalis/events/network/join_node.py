@@ -436,9 +436,9 @@ class JoinNode(NetworkNode):
         tracker = self.rule.network.tracker
 
         def join_and_record(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
-            tracker.blocker = None
+            tracker.blocking_match = None
             result = join(match, partner)
-            if result is None and tracker.blocker is not None:
+            if result is None and tracker.blocking_match is not None:
                 tracker.record_suppressed(self, (match, partner) if left_arrives else (partner, match))
             return result
 

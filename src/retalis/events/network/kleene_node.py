@@ -489,9 +489,9 @@ class KleeneNode(KleeneValues):
         If a negation prevents it, record that, to try again if the cause is retracted.
         """
         tracker = self.rule.network.tracker
-        tracker.blocker = None
+        tracker.blocking_match = None
         extended, result = self.extend(run, match, keyed)
-        if not extended and tracker.blocker is not None:
+        if not extended and tracker.blocking_match is not None:
             tracker.record_suppressed(self, (run, match))
         return extended, result
 

@@ -580,7 +580,7 @@ class StreamNode(NetworkNode):
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._set_alarm()
-        arrival_number = self.rule.network.tracker.next_deadline_number() if self.stream.tracked else 0
+        arrival_number = self.rule.network.tracker.next_alarm_number() if self.stream.tracked else 0
         return self._emit_outputs(outputs, frame, arrival_number)
 
     def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:

@@ -180,24 +180,24 @@ def lineage_nodes_of(match: PartialMatch) -> List[LineageNode]:
     tracked: List[LineageNode] = []
     for source in lineage_sources(match):
         if isinstance(source, RepetitionChain):
-            _link(source)
+            _link_repetitions(source)
             tracked.append(source)
         elif isinstance(source, Occurrence):
             tracked.append(source)
     return tracked
 
 
-def _link(last: RepetitionChain) -> None:
+def _link_repetitions(last: RepetitionChain) -> None:
     """Register repetitions with the events they are made of, and each repetition with its predecessor."""
-    new = []
+    new_repetitions = []
     # A run is linked when its first result fires. Links of earlier repetitions exist already, so the walk stops at
     # the first linked one.
     repetition: Any = last
     while repetition.match is not None and not repetition.linked:
         repetition.linked = True
-        new.append(repetition)
+        new_repetitions.append(repetition)
         repetition = repetition.earlier
-    for repetition in reversed(new):
+    for repetition in reversed(new_repetitions):
         origins = lineage_nodes_of(repetition.match)
         if repetition.earlier.match is not None:
             origins.append(repetition.earlier)
@@ -213,17 +213,17 @@ log = logging.getLogger("retalis.events")
 _EVENT2 = functor("event", 2)
 _MAX_STORED_EVENTS = 100_000
 _PERSISTENT_FILE = "persistent.txt"
-_PERSISTENT = functor("persistent_event", 1)
-_LOGGED = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
+_PERSISTENCE_SELECTOR = functor("persistent_event", 1)
+_LOG_SELECTORS = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
 
 
 class EventSelection(Predicate):
     """Predicate whose facts select events; its first fact makes the log observe all events."""
 
-    def __init__(self, rules: "RuleBase", store: "EventLog", key: Functor):
+    def __init__(self, rules: "RuleBase", event_log: "EventLog", key: Functor):
         super().__init__(rules.logic.database, key)
         self.dynamic = True
-        self._log = store
+        self._log = event_log
 
     def record_change(self) -> None:
         """Start observation when a clause is added or removed."""
@@ -241,12 +241,12 @@ class EventLog:
         self._record_listener: Optional[Listener] = None
         self._failed_writes = 0
 
-    def store_all(self, on: bool) -> None:
+    def set_storing(self, is_on: bool) -> None:
         """Start or stop storing events."""
         dispatcher = self._rules.dispatcher
-        if on and self._store_listener is None:
+        if is_on and self._store_listener is None:
             self._store_listener = dispatcher.listen(ListenerPhase.TRACE, Var(), self._store_event)
-        elif not on and self._store_listener is not None:
+        elif not is_on and self._store_listener is not None:
             dispatcher.remove(self._store_listener)
             self._store_listener = None
 
@@ -254,7 +254,7 @@ class EventLog:
         self._events.append((term, start, end))
         return frame
 
-    def stored(self) -> List[Tuple[Term, int, int]]:
+    def stored_events(self) -> List[Tuple[Term, int, int]]:
         """Return the stored events, the oldest first."""
         return list(self._events)
 
@@ -268,7 +268,7 @@ class EventLog:
 
     def define(self) -> None:
         """Define the predicates whose facts select events."""
-        for key in (_PERSISTENT, *_LOGGED):
+        for key in (_PERSISTENCE_SELECTOR, *_LOG_SELECTORS):
             self._rules.logic.database.predicates[key] = EventSelection(self._rules, self, key)
 
     def start_recording(self) -> None:
@@ -277,11 +277,11 @@ class EventLog:
             self._record_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
 
     def _record(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        if self._is_selected(_PERSISTENT, term):
+        if self._is_selected(_PERSISTENCE_SELECTOR, term):
             self._write((_EVENT2, term, interval_term(start, end)))
-        if any(self._is_selected(key, term) for key in _LOGGED):
-            shown = (_EVENT2, term, interval_term(start, end))
-            log.info("%s", self._rules.logic.show(shown))
+        if any(self._is_selected(key, term) for key in _LOG_SELECTORS):
+            event_term = (_EVENT2, term, interval_term(start, end))
+            log.info("%s", self._rules.logic.show(event_term))
         return frame
 
     def _write(self, event: Term) -> None:
@@ -309,10 +309,10 @@ class EventLog:
             return False
         # Facts may be added and removed at any time, so they are read for each event.
         heads = (clause.head for clause in predicate.active_clauses())
-        return any(_selects(deref(head[1]), term) for head in heads if head.__class__ is tuple)
+        return any(_matches_selection(deref(head[1]), term) for head in heads if head.__class__ is tuple)
 
 
-def _selects(pattern: Term, event: Term) -> bool:
+def _matches_selection(pattern: Term, event: Term) -> bool:
     """Return whether ``Name/Arity`` (both may be variables) or an event pattern matches an event."""
     if pattern.__class__ is tuple and pattern[0] is SLASH:
         key = functor_of(event)
@@ -328,10 +328,10 @@ def _selects(pattern: Term, event: Term) -> bool:
 
 
 def stored_event_solutions(
-    stored: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
+    stored_events: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
 ) -> Iterator[bool]:
     """Unify an event and its interval with each stored event."""
-    for term, start, end in stored:
+    for term, start, end in stored_events:
         mark = len(machine.trail)
         if machine.unify(event, copy(term)) and machine.unify(interval, interval_term(start, end)):
             yield True

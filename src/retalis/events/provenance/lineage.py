@@ -77,19 +77,19 @@ class LineageTracker:
     """Recorder of events and their lineage; executes retractions.
 
     Attributes:
-        blocker: the negated match that made the last test fail.
+        blocking_match: the negated match that made the last test fail.
     """
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
-        self._recent: Deque[Occurrence] = deque()
-        self._by_term: Dict[Hashable, List[Occurrence]] = {}
+        self._remembered_events: Deque[Occurrence] = deque()
+        self._occurrences_by_term: Dict[Hashable, List[Occurrence]] = {}
         self.listeners: List[Listener] = []
         self._untracked_create_token = rules.dispatcher.create_token
-        self.blocker: Optional[PartialMatch] = None
-        self._numbers = count()
-        self._arrivals = count(1)
-        self._deadline_number = 0
+        self.blocking_match: Optional[PartialMatch] = None
+        self._next_suppressed_number = count()
+        self._next_event_number = count(1)
+        self._alarm_number = 0
 
     def configure(self) -> None:
         """Start or stop tracking according to the flags."""
@@ -109,9 +109,9 @@ class LineageTracker:
 
     def repair(self) -> None:
         """Repair the state after an interrupt."""
-        self._by_term.clear()
-        for occurrence in self._recent:
-            self._by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
+        self._occurrences_by_term.clear()
+        for occurrence in self._remembered_events:
+            self._occurrences_by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
             if occurrence.retracted:
                 # A retraction may have been interrupted after marking and before removal.
                 for match in occurrence.dependents:
@@ -121,32 +121,32 @@ class LineageTracker:
     def snapshot(self) -> Tuple[List[Occurrence], int, int]:
         """Return the remembered events, and the counters of suppressed matches and of events; see `restore`."""
         # Reading a counter consumes its value, so both are replaced.
-        numbers, arrivals = next(self._numbers), next(self._arrivals)
-        self._numbers, self._arrivals = count(numbers), count(arrivals)
-        return list(self._recent), numbers, arrivals
+        suppressed_number, event_number = next(self._next_suppressed_number), next(self._next_event_number)
+        self._next_suppressed_number, self._next_event_number = count(suppressed_number), count(event_number)
+        return list(self._remembered_events), suppressed_number, event_number
 
     def restore(self, saved: Tuple[List[Occurrence], int, int]) -> None:
         """Set the state that another tracker returned from `snapshot`."""
-        recent, numbers, arrivals = saved
-        self._recent = deque(recent if self._rules.options.tracks_events else ())
-        self._numbers, self._arrivals = count(numbers), count(arrivals)
+        remembered_events, suppressed_number, event_number = saved
+        self._remembered_events = deque(remembered_events if self._rules.options.tracks_events else ())
+        self._next_suppressed_number, self._next_event_number = count(suppressed_number), count(event_number)
         self.repair()
 
     def clear(self) -> None:
         """Drop all remembered events."""
-        self._recent.clear()
-        self._by_term.clear()
+        self._remembered_events.clear()
+        self._occurrences_by_term.clear()
 
     def current_number(self) -> int:
         """Return the number of the current event, or of the current deadline if the clock has activated a node."""
         dispatcher = self._rules.dispatcher
-        number: int = self._deadline_number if dispatcher.current is None else dispatcher.token().number
+        number: int = self._alarm_number if dispatcher.current is None else dispatcher.token().number
         return number
 
-    def next_deadline_number(self) -> int:
+    def next_alarm_number(self) -> int:
         """Return a number for a deadline of the clock: after all events so far, before those that follow."""
-        self._deadline_number = next(self._arrivals)
-        return self._deadline_number
+        self._alarm_number = next(self._next_event_number)
+        return self._alarm_number
 
     def _create_token(self, context: Context) -> Occurrence:
         """Return the token of an event without one: an input event, or one that a goal created."""
@@ -173,20 +173,20 @@ class LineageTracker:
 
     def _remember(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         occurrence: Occurrence = self._rules.dispatcher.token()
-        occurrence.number = next(self._arrivals)
-        self._recent.append(occurrence)
-        self._by_term.setdefault(term_key(term), []).append(occurrence)
-        if len(self._recent) > MAX_REMEMBERED_EVENTS:
-            oldest = self._recent.popleft()
+        occurrence.number = next(self._next_event_number)
+        self._remembered_events.append(occurrence)
+        self._occurrences_by_term.setdefault(term_key(term), []).append(occurrence)
+        if len(self._remembered_events) > MAX_REMEMBERED_EVENTS:
+            oldest = self._remembered_events.popleft()
             # The links are cut in both directions; otherwise old occurrences would be kept alive by newer ones.
             oldest.derived = []
             oldest.forgotten = True
             _unlink(oldest)
             key = term_key(oldest.term)
-            occurrences = self._by_term[key]
+            occurrences = self._occurrences_by_term[key]
             occurrences.remove(oldest)
             if not occurrences:
-                del self._by_term[key]
+                del self._occurrences_by_term[key]
         return frame
 
     def fire(self, rule: "EventRule", match: PartialMatch, head: Term, frame: Frame) -> Frame:
@@ -218,9 +218,9 @@ class LineageTracker:
 
     def record_suppressed(self, node: RetryNode, match_or_pair: MatchOrPair) -> None:
         """Record a match that the last negated match has suppressed."""
-        if self.blocker is not None:
-            entry = Suppressed(node, match_or_pair, next(self._numbers))
-            for occurrence in lineage_nodes_of(self.blocker):
+        if self.blocking_match is not None:
+            entry = Suppressed(node, match_or_pair, next(self._next_suppressed_number))
+            for occurrence in lineage_nodes_of(self.blocking_match):
                 occurrence.suppressed.append(entry)
 
     def _retract(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
@@ -232,17 +232,17 @@ class LineageTracker:
         if retracted is None:
             retracted = [
                 occurrence
-                for occurrence in self._by_term.get(term_key(values[0]), ())
+                for occurrence in self._occurrences_by_term.get(term_key(values[0]), ())
                 if not occurrence.retracted
             ]
             if not retracted:
                 self._rules.report_nothing_retracted(values[0], token.rule)
                 return frame
             meter = self._meter(token.rule or _deriving_rule(retracted))
-            removed = self._remove_derived(retracted, meter)
-            if removed is None:
+            removal = self._remove_derived(retracted, meter)
+            if removal is None:
                 return frame
-            invalidated, retries = removed
+            invalidated, retries = removal
         else:
             meter = self._meter(token.rule)
         work = _RetractionSteps(metered(self._steps([*retracted, *invalidated], retries, start, end), meter))
@@ -343,7 +343,7 @@ class LineageTracker:
 
     def all(self) -> List[Occurrence]:
         """Return the remembered events that are not retracted, the oldest first."""
-        return [occurrence for occurrence in self._recent if not occurrence.retracted]
+        return [occurrence for occurrence in self._remembered_events if not occurrence.retracted]
 
 
 def _number(suppressed: Suppressed) -> int:

@@ -172,7 +172,7 @@ class _RulePredicates:
         for rule in self.rules.rules:
             rule.clear()
         self.rules.on_reset(True)
-        self.rules.store.clear()
+        self.rules.event_log.clear()
         self.rules.tracker.clear()
         return True
 
@@ -275,7 +275,7 @@ class _QueryPredicates:
         logic.define("t2", 1, lambda machine, instant: self.unify_condition_bound(machine, instant, 1))
         logic.define_nondeterministic("fired_event", 2, self.enumerate_fired_events)
         logic.define_nondeterministic("stored_event", 1, self.enumerate_stored_events)
-        self.rules.store.define()
+        self.rules.event_log.define()
         logic.define("see_db", 0, self.print_partial_matches)
         logic.define_nondeterministic("justify_event", 3, self.enumerate_explanations)
         logic.define_nondeterministic("justification_edge", 2, self.enumerate_edges)
@@ -287,10 +287,10 @@ class _QueryPredicates:
         return interval is not None and bool(machine.unify(instant, shown(interval[position])))
 
     def enumerate_fired_events(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
-        return stored_event_solutions(self.rules.store.stored(), machine, event, interval)
+        return stored_event_solutions(self.rules.event_log.stored_events(), machine, event, interval)
 
     def enumerate_stored_events(self, machine: Machine, event: Term) -> Iterator[bool]:
-        events = self.rules.store.stored()
+        events = self.rules.event_log.stored_events()
         solutions = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
         return _unify_each(machine, (event,), iter(solutions))
 

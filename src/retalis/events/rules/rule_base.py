@@ -164,7 +164,7 @@ class RuleBase:
         self.key_bounds = self.flags.key_bounds()
         self.tracker = LineageTracker(self)
         self.justifier = Justifier(self, self.tracker)
-        self.store = EventLog(self)
+        self.event_log = EventLog(self)
         self.node_timers = NodeTimers(self)
         self.files = SourceFiles()
         self.loader = EventFileLoader(self)
@@ -410,7 +410,7 @@ class RuleBase:
             for rule in self.rules:
                 self._configure(rule)
         elif name == "store_fired_events":
-            self.store.store_all(self.flags.is_on(name))
+            self.event_log.set_storing(self.flags.is_on(name))
         elif name == UNDECLARED.name:
             # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
             self.declared.in_use = True
@@ -437,7 +437,7 @@ class RuleBase:
         self.on_reset(True)
         self._properties.clear()
         self.declared.clear()
-        self.store.clear()
+        self.event_log.clear()
         self.tracker.clear()
         self.timers.clear()
         self.flags.reset()
