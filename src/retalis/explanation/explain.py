@@ -28,7 +28,7 @@ from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import Atom, Term, Trail, Var, atom, deref, functor, functor_name
 from ..prolog.terms.unification import undo, unify
-from .why_not import Part, TimeFormat, WhyNot, names_of_bound_variables, show_term
+from .why_not import PartResult, TimeFormat, WhyNot, names_of_bound_variables, show_term
 
 _COMMA_FUNCTOR = functor(",", 2)
 _MAX_SUBSCRIPTIONS = 20
@@ -381,11 +381,11 @@ class _Explainer:
             lines.append(ExplanationLine(text, below or [ExplanationLine("no such event happened", [])]))
         return lines
 
-    def _explain_part(self, part: Part, above: Tuple[EventRule, ...]) -> ExplanationLine:
+    def _explain_part(self, part: PartResult, above: Tuple[EventRule, ...]) -> ExplanationLine:
         below = [self._explain_part(inner, above) for inner in part.parts]
         if part.event is not None and not part.matches:
             below += self._explain_missing(part.event, None, above)
-        return ExplanationLine(f"{part.mark} {part.text}", below)
+        return ExplanationLine(f"{part.symbol} {part.text}", below)
 
     def _find_retracted(self, term: Term) -> List[ExplanationLine]:
         """Return matching events that happened and were retracted."""
@@ -447,7 +447,7 @@ def _parse_request(request: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
     return request, None
 
 
-def _explain_no_firing(rule: EventRule, part: Part, interval: Optional[Tuple[int, int]]) -> str:
+def _explain_no_firing(rule: EventRule, part: PartResult, interval: Optional[Tuple[int, int]]) -> str:
     """Return why a rule did not fire although all parts of its pattern matched."""
     has_window = any(isinstance(subpattern, WindowPattern) for subpattern in walk(rule.definition.pattern))
     has_interval = any((match.start, match.end) == interval for match in part.matches)

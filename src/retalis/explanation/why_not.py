@@ -87,7 +87,7 @@ _ACTION_NAMES = [
 ]
 _RATE_NAME, *_ = names_of_kind(OperatorKind.RATE)
 _TIMEOUT_NAME, *_ = names_of_kind(OperatorKind.TIMEOUT)
-_SHAPE_REASONS = {
+_RATE_REASONS = {
     "throttle": "the last one was let through less than {0:g} seconds before",
     "burst": "there was another one less than {0:g} seconds before",
     "debounce": "the {0:g} seconds after the last one are not over",
@@ -118,7 +118,7 @@ _NO_VALUES: Term = (_VALUES_FUNCTOR,)
 _PLACEHOLDER_MATCH = Candidate(_NO_VALUES, 0, 0)
 
 
-class Part(NamedTuple):
+class PartResult(NamedTuple):
     """Result for a part of a pattern.
 
     Attributes:
@@ -126,19 +126,19 @@ class Part(NamedTuple):
         matches: matches of the part.
         parts: results of the parts below it.
         event: the event, if the part is a single event.
-        tested: False if the part was not tested, because a part below it did not match.
+        was_tested: False if the part was not tested, because a part below it did not match.
     """
 
     text: str
     matches: List[Candidate]
-    parts: List["Part"]
+    parts: List["PartResult"]
     event: Optional[Term] = None
-    tested: bool = True
+    was_tested: bool = True
 
     @property
-    def mark(self) -> str:
+    def symbol(self) -> str:
         """``+`` for a part that matched, ``-`` for one that did not, ``?`` for one that was not tested."""
-        if not self.tested:
+        if not self.was_tested:
             return "?"
         return "+" if self.matches else "-"
 
@@ -170,8 +170,8 @@ class TimeFormat:
         if self._origin is None:
             return self._show(timestamps.shown(instant))
         nanoseconds = int(instant) - self._origin
-        whole, rest = divmod(abs(nanoseconds), 10**9)
-        fraction = f".{rest:09d}".rstrip("0") if rest else ""
+        whole, remainder = divmod(abs(nanoseconds), 10**9)
+        fraction = f".{remainder:09d}".rstrip("0") if remainder else ""
         return f"{'-' if nanoseconds < 0 else ''}{whole}{fraction}"
 
 
@@ -194,7 +194,7 @@ class WhyNot:
     ):
         self._logic = logic
         self._occurrences = occurrences
-        own_variables = [
+        rule_variables = [
             var
             for term in (rule.definition.term, rule.definition.head)
             if term is not None
@@ -203,34 +203,34 @@ class WhyNot:
         self._rule = rule
         self._current_time = rule.network.alarm_time()
         # A match is represented by a copy of all variables of the rule: two matches are joined by unifying them.
-        self._rule_variables = (_VALUES_FUNCTOR, *dict.fromkeys(own_variables))
+        self._rule_variables = (_VALUES_FUNCTOR, *dict.fromkeys(rule_variables))
         # After the head was unified, variables of the rule may be bound to variables of the explained event.
         self._names = names_of_bound_variables(rule.definition.names)
         self._field_named_variables = rule.definition.names
         self._times = TimeFormat(self._show, origin)
-        self._evaluators: Dict[type, Callable[[Any], Part]] = {
-            EventPattern: self._evaluate_occurs,
+        self._evaluators: Dict[type, Callable[[Any], PartResult]] = {
+            EventPattern: self._evaluate_event,
             PairPattern: self._evaluate_pair,
             RepeatedPattern: self._evaluate_repeated,
-            OrPattern: self._evaluate_either,
-            NotPattern: self._evaluate_absent,
-            KleenePattern: self._evaluate_star,
+            OrPattern: self._evaluate_or,
+            NotPattern: self._evaluate_negation,
+            KleenePattern: self._evaluate_kleene,
             AggregatePattern: self._evaluate_aggregate,
             ConditionPattern: self._evaluate_condition,
             WithinPattern: self._evaluate_within,
             ActionPattern: self._evaluate_action,
-            WindowPattern: self._evaluate_windowed,
-            RatePattern: self._evaluate_shaped,
-            AbsencePattern: self._evaluate_awaited,
+            WindowPattern: self._evaluate_window,
+            RatePattern: self._evaluate_rate_operator,
+            AbsencePattern: self._evaluate_absence_timeout,
         }
 
-    def evaluate(self, pattern: Any) -> Part:
+    def evaluate(self, pattern: Any) -> PartResult:
         """Return the result for a pattern."""
         return self._evaluators[type(pattern)](pattern)
 
     # ---- one method per type of pattern ----------------------------------------------------------------
 
-    def _evaluate_occurs(self, pattern: EventPattern) -> Part:
+    def _evaluate_event(self, pattern: EventPattern) -> PartResult:
         matches = []
         for occurrence in self._occurrences:
             check_limits(1)
@@ -241,9 +241,9 @@ class WhyNot:
                 )
             undo(trail, 0)
         text = f"{self._show(pattern.term)}: {self._format_result(matches, 'did not happen', pattern.term)}"
-        return Part(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
+        return PartResult(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
 
-    def _evaluate_pair(self, pattern: PairPattern) -> Part:
+    def _evaluate_pair(self, pattern: PairPattern) -> PartResult:
         left, right = self.evaluate(pattern.left), self.evaluate(pattern.right)
         spans = _spans(OPERATORS[pattern.operator])
         values_agree = False
@@ -263,22 +263,22 @@ class WhyNot:
             reason = (
                 OPERATORS[pattern.operator].no_match_text if values_agree else "no pair with the same values"
             )
-        return Part(
+        return PartResult(
             f"{pattern.operator}: {self._format_result(matches, reason)}",
             matches[-MAX_CANDIDATES:],
             [left, right],
         )
 
-    def _evaluate_repeated(self, pattern: RepeatedPattern) -> Part:
+    def _evaluate_repeated(self, pattern: RepeatedPattern) -> PartResult:
         # A repetition of many events is cut off: the first missing event is among the first repetitions.
         return self.evaluate(pattern._replace(times=min(pattern.times, MAX_REPETITIONS)).as_sequence())
 
-    def _evaluate_either(self, pattern: OrPattern) -> Part:
+    def _evaluate_or(self, pattern: OrPattern) -> PartResult:
         parts = [self.evaluate(branch) for branch in pattern.branches]
         matches = [match for part in parts for match in part.matches]
-        return Part(f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}", matches, parts)
+        return PartResult(f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}", matches, parts)
 
-    def _evaluate_absent(self, pattern: NotPattern) -> Part:
+    def _evaluate_negation(self, pattern: NotPattern) -> PartResult:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         matches = [
             match
@@ -288,7 +288,7 @@ class WhyNot:
         name = _BETWEEN_NAMES if pattern.inside else _ABSENCE_NAMES
         reason = "ruled out by what must not happen" if part.matches else "not tested"
         text = f"{name}: {self._format_result(matches, reason)}"
-        return Part(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
+        return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
     def _rules_out(self, negated: Candidate, match: Candidate) -> bool:
         if self._join_values(match, negated) is None:
@@ -297,24 +297,24 @@ class WhyNot:
             return negated.end < match.start
         return match.gap[0] < negated.start and negated.end < match.gap[1]
 
-    def _evaluate_star(self, pattern: KleenePattern) -> Part:
+    def _evaluate_kleene(self, pattern: KleenePattern) -> PartResult:
         first_part, repeated_part = self.evaluate(pattern.first), self.evaluate(pattern.repeated)
         extended = [
             Candidate(values, match.start, last.end)
             for match, last, values in self._find_ordered_pairs(first_part, repeated_part)
         ]
         matches = first_part.matches + extended[-MAX_CANDIDATES:]
-        return Part(
+        return PartResult(
             f"{_STAR_NAME}: {self._format_result(matches, 'it did not start')}",
             matches,
             [first_part, repeated_part],
         )
 
-    def _evaluate_aggregate(self, pattern: AggregatePattern) -> Part:
+    def _evaluate_aggregate(self, pattern: AggregatePattern) -> PartResult:
         first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
-        names = variables(value)
-        evaluate = Evaluators(self._rule).compile_expression(pattern.kind, value, names)
+        value_vars = variables(value)
+        evaluate = Evaluators(self._rule).compile_expression(pattern.kind, value, value_vars)
         aggregate = SequenceAggregate(pattern.kind, lambda values: values[-1], evaluate)
         matches: List[Candidate] = []
         results: List[str] = []
@@ -334,7 +334,7 @@ class WhyNot:
             for _, last, values in self._find_ordered_pairs(
                 first_part._replace(matches=[match]), collected_part
             ):
-                measured = tuple([self._instantiate(values, term) for term in (*names, value)])
+                measured = tuple([self._instantiate(values, term) for term in (*value_vars, value)])
                 try:
                     state = aggregate.add(state, measured)
                 except RuleError as error:
@@ -345,9 +345,11 @@ class WhyNot:
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]
         text = f"{pattern.kind}: {self._format_result(matches, reason, pattern.result)}"
-        return Part(text, matches, [first_part, collected_part])
+        return PartResult(text, matches, [first_part, collected_part])
 
-    def _find_ordered_pairs(self, first: Part, second: Part) -> Iterator[Tuple[Candidate, Candidate, Term]]:
+    def _find_ordered_pairs(
+        self, first: PartResult, second: PartResult
+    ) -> Iterator[Tuple[Candidate, Candidate, Term]]:
         """Yield pairs of matches whose second one starts after the end of the first, and their joint values."""
         for match in first.matches:
             for later in second.matches:
@@ -356,7 +358,7 @@ class WhyNot:
                     if values is not None:
                         yield match, later, values
 
-    def _evaluate_condition(self, pattern: ConditionPattern) -> Part:
+    def _evaluate_condition(self, pattern: ConditionPattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
         matches = []
         problems: Dict[str, None] = {}
@@ -372,21 +374,21 @@ class WhyNot:
                 matches.append(match._replace(values=values))
         name = _CONDITION_NAMES[pattern.timed]
         if not part.matches:
-            return Part(f"{name} {self._show(pattern.goal)}: not tested", [], [part], None, False)
+            return PartResult(f"{name} {self._show(pattern.goal)}: not tested", [], [part], None, False)
         rejected = self._format_candidates(part.matches, pattern.goal)
         rejected = f"false for {rejected}" if " = " in rejected else f"false {rejected}"
         if problems:
             rejected = f"{rejected}, with the error: {next(reversed(list(problems)))}"
         text = f"{name} {self._show(pattern.goal)}: {self._format_result(matches, rejected, pattern.goal)}"
-        return Part(text, matches, [part])
+        return PartResult(text, matches, [part])
 
-    def _evaluate_within(self, pattern: WithinPattern) -> Part:
+    def _evaluate_within(self, pattern: WithinPattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
         matches = [match for match in part.matches if match.end - match.start <= pattern.span]
         # The parser has subtracted a nanosecond, because `within` excludes the bound that is written.
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.matches else "not tested"
-        return Part(
+        return PartResult(
             f"{_WITHIN_NAME} {seconds:g}: {self._format_result(matches, reason)}",
             matches,
             [part],
@@ -394,15 +396,15 @@ class WhyNot:
             bool(part.matches),
         )
 
-    def _evaluate_action(self, pattern: ActionPattern) -> Part:
+    def _evaluate_action(self, pattern: ActionPattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
         text = f"{_ACTION_NAMES[pattern.every]} {self._show(pattern.goal)}"
         if not part.matches:
-            return Part(f"{text}: not called", [], [part], None, False)
+            return PartResult(f"{text}: not called", [], [part], None, False)
         # The goal is not called here, because it may have effects: the action counts as done.
-        return Part(text, part.matches, [part])
+        return PartResult(text, part.matches, [part])
 
-    def _evaluate_windowed(self, pattern: WindowPattern) -> Part:
+    def _evaluate_window(self, pattern: WindowPattern) -> PartResult:
         # The window is evaluated separately from its input, so that missing events and unfinished windows can be told
         # apart.
         part = self.evaluate(pattern.collected)
@@ -411,7 +413,7 @@ class WhyNot:
             text += f" (run again over the newest {MAX_CANDIDATES} events only)"
         node = self._rule.stream_node(pattern)
         if not part.matches or node is None:
-            return Part(f"{text}: nothing was measured", [], [part], None, bool(part.matches))
+            return PartResult(f"{text}: nothing was measured", [], [part], None, bool(part.matches))
         # The state of the rule's own window depends on consumption, so a new window is run over the matches.
         window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
         for match in part.matches:
@@ -440,9 +442,9 @@ class WhyNot:
         shown_results = self._format_result(
             matches, f"{reason}{window.problem}", (_VALUES_FUNCTOR, *pattern.results)
         )
-        return Part(f"{text}: {shown_results}", matches, parts)
+        return PartResult(f"{text}: {shown_results}", matches, parts)
 
-    def _evaluate_steps(self, steps: Sequence[RowPatternStep], progress: Sequence[int]) -> List[Part]:
+    def _evaluate_steps(self, steps: Sequence[RowPatternStep], progress: Sequence[int]) -> List[PartResult]:
         """Return the results for the steps of a row pattern, for the sequence of events that got farthest."""
         parts = []
         reached = True
@@ -450,17 +452,19 @@ class WhyNot:
             is_complete = count >= step.min_count
             text = f"step {self._show(step_term(step))}"
             if not reached:
-                parts.append(Part(f"{text}: not reached", [], [], None, False))
+                parts.append(PartResult(f"{text}: not reached", [], [], None, False))
             else:
                 events = "1 event" if count == 1 else f"{count} events"
                 missing = "" if is_complete else f" of {step.min_count}"
                 parts.append(
-                    Part(f"{text}: took {events}{missing}", [_PLACEHOLDER_MATCH] if is_complete else [], [])
+                    PartResult(
+                        f"{text}: took {events}{missing}", [_PLACEHOLDER_MATCH] if is_complete else [], []
+                    )
                 )
             reached = reached and is_complete
         return parts
 
-    def _evaluate_shaped(self, pattern: RatePattern) -> Part:
+    def _evaluate_rate_operator(self, pattern: RatePattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
         stream = rate_operator(pattern)
         node = self._rule.stream_node(pattern)
@@ -475,14 +479,14 @@ class WhyNot:
         # Operators with deadlines emit at the current time, even without a further event.
         outputs += stream.advance_to(self._current_time)
         matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
-        reason = _SHAPE_REASONS[pattern.operator].format(timestamps.to_seconds(pattern.span))
+        reason = _RATE_REASONS[pattern.operator].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
         text = (
             f"{_RATE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
         )
-        return Part(text, matches, [part], None, bool(part.matches))
+        return PartResult(text, matches, [part], None, bool(part.matches))
 
-    def _evaluate_awaited(self, pattern: AbsencePattern) -> Part:
+    def _evaluate_absence_timeout(self, pattern: AbsencePattern) -> PartResult:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         elapsed_matches = [match for match in part.matches if match.end + pattern.span <= self._current_time]
         matches = [
@@ -497,7 +501,7 @@ class WhyNot:
         reason = reason if part.matches else "not tested"
         seconds = timestamps.to_seconds(pattern.span)
         text = f"{_TIMEOUT_NAME} {seconds:g}: {self._format_result(matches, reason)}"
-        return Part(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
+        return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
     def _is_within_deadline(self, negated: Candidate, match: Candidate, span: int) -> bool:
         """Return whether a match of the negated part lies entirely within the time span after a match."""
@@ -619,13 +623,13 @@ def names_of_bound_variables(names: Mapping[Var, str]) -> Dict[Var, str]:
     return own
 
 
-def _create_negated_part(negated: Part) -> Part:
+def _create_negated_part(negated: PartResult) -> PartResult:
     """Return the result for a negated part."""
     reason = negated
     # A condition that was not tested explains nothing: the missing event is below it.
-    while not reason.tested and reason.parts:
+    while not reason.was_tested and reason.parts:
         reason = reason.parts[0]
-    return Part(f"must not happen: {reason.text}", negated.matches or [_PLACEHOLDER_MATCH], [])
+    return PartResult(f"must not happen: {reason.text}", negated.matches or [_PLACEHOLDER_MATCH], [])
 
 
 class _WindowEvaluation:

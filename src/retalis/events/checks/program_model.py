@@ -179,14 +179,14 @@ def parse_sources_again(logic: PrologSystem, folder: Path, loaded_paths: Iterabl
         folder: the folder of the program.
         loaded_paths: real paths of the loaded files; files that goals name are parsed even if they were not loaded.
     """
-    positions = ParsedSources([], [], [], [], set())
+    sources = ParsedSources([], [], [], [], set())
     real_folder = Path(os.path.realpath(folder))
     goal_files = [folder / GOALS]
     for path in goal_files:
-        _add_goals(positions, goal_files, path, logic)
+        _add_goals(sources, goal_files, path, logic)
     read_paths = {os.path.realpath(path) for path in goal_files}
     paths = [
-        *_loaded_files(positions.goals, folder),
+        *_loaded_files(sources.goals, folder),
         *sorted(_path_as_written(path, real_folder, folder) for path in loaded_paths),
     ]
     for path in paths:
@@ -194,9 +194,9 @@ def parse_sources_again(logic: PrologSystem, folder: Path, loaded_paths: Iterabl
             read_paths.add(os.path.realpath(path))
             text = _read_short_text(path)
             if text:
-                positions.sources.add(str(path))
-                _add_file(positions, read_program(text, logic.operators.copy(), str(path), OF_FILES))
-    return positions
+                sources.sources.add(str(path))
+                _add_file(sources, read_program(text, logic.operators.copy(), str(path), OF_FILES))
+    return sources
 
 
 def _path_as_written(path: Path, real_folder: Path, folder: Path) -> Path:
@@ -233,7 +233,7 @@ def _read_short_text(path: Path) -> str:
     return text if len(text) <= MAX_SOURCE_CHARACTERS else ""
 
 
-def _add_goals(positions: ParsedSources, files: List[Path], path: Path, logic: PrologSystem) -> None:
+def _add_goals(sources: ParsedSources, files: List[Path], path: Path, logic: PrologSystem) -> None:
     for read_term in read_goals(_read_short_text(path), logic.operators, str(path)):
         if not isinstance(read_term, ReadTerm):
             continue
@@ -244,8 +244,8 @@ def _add_goals(positions: ParsedSources, files: List[Path], path: Path, logic: P
             if included not in files and len(files) < _MAX_FILES:
                 files.append(included)
             continue
-        positions.read_terms.append(read_term)
-        positions.goals.append(_source_goal(goal, read_term))
+        sources.read_terms.append(read_term)
+        sources.goals.append(_source_goal(goal, read_term))
 
 
 def _source_goal(goal: Term, read_term: ReadTerm) -> SourceTerm:
@@ -258,20 +258,20 @@ def _source_goal(goal: Term, read_term: ReadTerm) -> SourceTerm:
     return SourceTerm(None, parent, 1, place_of, read_term.place)
 
 
-def _add_file(positions: ParsedSources, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
+def _add_file(sources: ParsedSources, program: Iterable[Union[ReadTerm, SyntaxFault]]) -> None:
     for read_term in program:
         if isinstance(read_term, SyntaxFault):
             continue
         checker = FileChecker()
         checker.check_read_term(read_term)
-        positions.read_terms.append(read_term)
+        sources.read_terms.append(read_term)
         for definition in [*checker.rules, *checker.nested_rules]:
-            positions.rules.append(SourceRule(definition, read_term.place_of))
+            sources.rules.append(SourceRule(definition, read_term.place_of))
         for entry in checker.entries:
             if entry.kind is EntryKind.CLAUSE:
-                positions.clauses.append(clause_of(entry.term, read_term.place_of, read_term.place))
+                sources.clauses.append(clause_of(entry.term, read_term.place_of, read_term.place))
             elif entry.kind is EntryKind.DIRECTIVE:
-                positions.goals.append(_source_goal(entry.term, read_term))
+                sources.goals.append(_source_goal(entry.term, read_term))
 
 
 def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> SourceTerm:

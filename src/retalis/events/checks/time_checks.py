@@ -55,23 +55,23 @@ class _Trigger(NamedTuple):
 def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules by which an event raises itself immediately and without end."""
     # Removing triggers outside of cycles first keeps the search fast for programs with thousands of rules.
-    steps = _cyclic_triggers([step for rule in program.rules for step in _triggers_of_rule(rule)])
-    indices_by_event = _indices_by_event(steps)
+    triggers = _cyclic_triggers([trigger for rule in program.rules for trigger in _triggers_of_rule(rule)])
+    indices_by_event = _indices_by_event(triggers)
     reported: Set[int] = set()
-    for index, step in enumerate(steps):
-        cycle = None if index in reported else _shortest_cycle(steps, indices_by_event, index)
+    for index, trigger in enumerate(triggers):
+        cycle = None if index in reported else _shortest_cycle(triggers, indices_by_event, index)
         if cycle is None or any(member in reported for member in cycle):
             continue
         reported.update(cycle)
-        names = " <- ".join(str(key_of(steps[member].head)) for member in reversed([*cycle, cycle[0]]))
+        names = " <- ".join(str(key_of(triggers[member].head)) for member in reversed([*cycle, cycle[0]]))
         subject = (
-            f"{key_of(step.head)} fires itself"
+            f"{key_of(trigger.head)} fires itself"
             if len(cycle) == 1
             else f"these events fire each other ({names})"
         )
         yield RuleError(
             f"{subject}, at once and without end: give the rule a condition (where) or another head",
-            step.rule.definition.place,
+            trigger.rule.definition.place,
         )
 
 
@@ -96,33 +96,33 @@ def _sole_triggers(pattern: Pattern) -> Iterator[Term]:
         yield from _sole_triggers(pattern.pattern)
 
 
-def _indices_by_event(steps: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
+def _indices_by_event(triggers: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
     """Return the indices of the triggers of each functor."""
     indices: Dict[Optional[Functor], List[int]] = {}
-    for index, step in enumerate(steps):
-        indices.setdefault(key_of(step.event), []).append(index)
+    for index, trigger in enumerate(triggers):
+        indices.setdefault(key_of(trigger.event), []).append(index)
     return indices
 
 
-def _cyclic_triggers(steps: List[_Trigger]) -> List[_Trigger]:
+def _cyclic_triggers(triggers: List[_Trigger]) -> List[_Trigger]:
     """Return the triggers that can be part of a cycle: all others are removed in topological order."""
-    makers = Counter(key_of(step.head) for step in steps)
-    indices_by_event = _indices_by_event(steps)
+    producer_counts = Counter(key_of(trigger.head) for trigger in triggers)
+    indices_by_event = _indices_by_event(triggers)
     removed: Set[int] = set()
     # Kahn's algorithm: triggers whose event no trigger raises are not part of a cycle.
-    sources = [key for key in indices_by_event if not makers[key]]
+    sources = [key for key in indices_by_event if not producer_counts[key]]
     while sources:
         for index in indices_by_event.get(sources.pop(), ()):
             removed.add(index)
-            key = key_of(steps[index].head)
-            makers[key] -= 1
-            if not makers[key]:
+            key = key_of(triggers[index].head)
+            producer_counts[key] -= 1
+            if not producer_counts[key]:
                 sources.append(key)
-    return [step for index, step in enumerate(steps) if index not in removed]
+    return [trigger for index, trigger in enumerate(triggers) if index not in removed]
 
 
 def _shortest_cycle(
-    steps: List[_Trigger], indices_by_event: Dict[Optional[Functor], List[int]], start: int
+    triggers: List[_Trigger], indices_by_event: Dict[Optional[Functor], List[int]], start: int
 ) -> Optional[List[int]]:
     """Return the shortest cycle through a trigger, or None."""
     predecessor: Dict[int, int] = {}
@@ -130,15 +130,19 @@ def _shortest_cycle(
     while level:
         next_level = []
         for index in level:
-            for next_index in indices_by_event.get(key_of(steps[index].head), ()):
-                step = steps[next_index]
+            for next_index in indices_by_event.get(key_of(triggers[index].head), ()):
+                trigger = triggers[next_index]
                 # Breadth first, so the first way back is the shortest.
-                if next_index == start and _raises(steps[index], step):
+                if next_index == start and _raises(triggers[index], trigger):
                     cycle = [index]
                     while cycle[-1] != start:
                         cycle.append(predecessor[cycle[-1]])
                     return cycle[::-1]
-                if next_index not in predecessor and next_index != start and _raises(steps[index], step):
+                if (
+                    next_index not in predecessor
+                    and next_index != start
+                    and _raises(triggers[index], trigger)
+                ):
                     predecessor[next_index] = index
                     next_level.append(next_index)
         level = next_level
@@ -214,12 +218,12 @@ class _Instants:
 
     def __init__(self, program: ProgramModel):
         self._program = program
-        self._rules: Dict[Functor, List[SourceRule]] = {}
-        self._goals: Set[Functor] = set()
+        self._rules_by_event: Dict[Functor, List[SourceRule]] = {}
+        self._events_of_goals: Set[Functor] = set()
         for rule in program.rules:
             key = None if rule.definition.head is None else key_of(event_raised_by(rule.definition.head))
             if key is not None:
-                self._rules.setdefault(key, []).append(rule)
+                self._rules_by_event.setdefault(key, []).append(rule)
         for subterm in program.all_subterms():
             term = subterm.term
             if (
@@ -230,11 +234,11 @@ class _Instants:
                 key = key_of(term[1])
                 # ``new_event/3`` sets an interval; a goal with a variable may raise any event.
                 if key is not None and term[0] is not _NEW_EVENT_INTERVAL:
-                    self._goals.add(key)
+                    self._events_of_goals.add(key)
                 elif key is None:
-                    self._goals.add(_ANY_EVENT)
+                    self._events_of_goals.add(_ANY_EVENT)
 
-        self._instant_functors = self._instant_heads()
+        self._instant_functors = self._find_instant_heads()
 
     def is_instant(self, pattern: Pattern) -> bool:
         """Return whether each match of a pattern is an instant."""
@@ -244,29 +248,33 @@ class _Instants:
         )
 
     def _is_message(self, key: Functor) -> bool:
-        return key not in self._rules and _is_message(self._program, key)
+        return key not in self._rules_by_event and _is_message(self._program, key)
 
-    def _instant_heads(self) -> Set[Functor]:
+    def _find_instant_heads(self) -> Set[Functor]:
         """Return the heads that are always instants, for chains of rules of any length."""
-        missing: Dict[Functor, Set[Functor]] = {}
+        missing_instants: Dict[Functor, Set[Functor]] = {}
         dependents: Dict[Functor, List[Functor]] = {}
-        for key, rules in self._rules.items():
-            required = None if key in self._goals or _ANY_EVENT in self._goals else _required_instants(rules)
+        for key, rules in self._rules_by_event.items():
+            required = (
+                None
+                if key in self._events_of_goals or _ANY_EVENT in self._events_of_goals
+                else _required_instants(rules)
+            )
             if required is not None:
-                missing[key] = {
+                missing_instants[key] = {
                     required_key for required_key in required if not self._is_message(required_key)
                 }
-                for required_key in missing[key]:
+                for required_key in missing_instants[key]:
                     dependents.setdefault(required_key, []).append(key)
         instants: Set[Functor] = set()
         # A worklist instead of recursion: rules can form chains of any length.
-        ready = [key for key, required in missing.items() if not required]
+        ready = [key for key, required in missing_instants.items() if not required]
         while ready:
             instant = ready.pop()
             instants.add(instant)
             for key in dependents.get(instant, ()):
-                missing[key].discard(instant)
-                if not missing[key]:
+                missing_instants[key].discard(instant)
+                if not missing_instants[key]:
                     ready.append(key)
         return instants
 
@@ -317,26 +325,27 @@ def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
         for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             term = subterm.term
             if term.__class__ is tuple and OPERATOR_NAMES.get(term[0]) == "within" and len(term) == 3:
-                fault = _long_span_text(deref(term[2]))
-                if fault:
-                    yield RuleError(f"within {fault}", rule.place_of(term, 2))
+                problem = _long_span_text(deref(term[2]))
+                if problem:
+                    yield RuleError(f"within {problem}", rule.place_of(term, 2))
     labels = {
         term_key(rule.definition.label): rule for rule in program.rules if rule.definition.label is not None
     }
     for key, properties in program.rule_base.all_properties().items():
         for prop in properties:
-            fault = ""
+            problem = ""
             if prop.known and prop.word is None and "step" not in prop.name:
-                fault = (
+                problem = (
                     "0: nothing but instants is ever matched"
                     if prop.number == 0
                     else _long_span_text(prop.number)
                 )
-                fault = "" if prop.name == "ttl" else fault
-            if fault:
+                problem = "" if prop.name == "ttl" else problem
+            if problem:
                 rule_of_label = labels.get(key)
                 yield RuleError(
-                    f"{prop.name} {fault}", None if rule_of_label is None else rule_of_label.definition.place
+                    f"{prop.name} {problem}",
+                    None if rule_of_label is None else rule_of_label.definition.place,
                 )
 
 
@@ -510,7 +519,7 @@ def find_invalid_timers(program: ProgramModel) -> Iterator[RuleError]:
     if not program.logic.is_system_predicate(TIMER):
         return
     for subterm in program.calls():
-        fault = schedule_error(subterm.term[2]) if subterm.key is TIMER else None
-        if fault is not None:
-            text = f"timer/2: {fault}, found {program.logic.brief(subterm.term[2], program.names)}"
+        problem = schedule_error(subterm.term[2]) if subterm.key is TIMER else None
+        if problem is not None:
+            text = f"timer/2: {problem}, found {program.logic.brief(subterm.term[2], program.names)}"
             yield RuleError(text, subterm.place_of(subterm.term, 2))

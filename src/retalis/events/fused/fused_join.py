@@ -231,7 +231,7 @@ class _ActionGenerator:
     def _advance_clock(self) -> List[Statement]:
         """Return statements that set the clock to the end of the event, and drop expired matches."""
         return [
-            # `tick` rejects timestamps too far in the future; ``max_timestamp`` is its last limit.
+            # `EventRule.advance_clock` rejects timestamps too far in the future; ``max_timestamp`` is its last limit.
             Block("if event_end > rule.max_timestamp:", ["rule.advance_clock(event_end)"]),
             Block(
                 "else:",
