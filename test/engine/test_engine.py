@@ -52,7 +52,7 @@ def test_stamped_events_move_the_clock_and_late_ones_do_not_move_it_back():
     for second in range(200):
         engine.event(f"a({second})", second)
     assert engine.clock.now() == 199 * 10**9
-    assert engine.rules.rules[0].waiting == 60
+    assert engine.rules.rules[0].stored_match_count == 60
     assert [event for event, _, _ in engine.events].count("ring(194)") == 1
     assert ("ring(195)", 195 * 10**9, 200 * 10**9) not in engine.events
     engine.event("late", 3)

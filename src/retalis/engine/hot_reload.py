@@ -298,7 +298,7 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
             engine, engine.deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment
         )
         try:
-            with engine.rules.files.loading_again(engine.rules.files.omitted):
+            with engine.rules.files.reloading(engine.rules.files.omitted):
                 return transaction.run(lambda: _load(engine, folder))
         finally:
             engine.deployments[key] = transaction.deployment
@@ -322,7 +322,7 @@ def load_into_trial(
     """
     logic = trial_engine.logic
     logic.output = logic.error_output = lambda text: None
-    with trial_engine.rules.files.loading_again(engine.rules.files.omitted):
+    with trial_engine.rules.files.reloading(engine.rules.files.omitted):
         trial_engine.executor.call(lambda: _load(trial_engine, folder), (_LOADING_WORK,))
     trial_deployment = program_items(trial_engine)
     # An id that exists in the running engine but not in the deployment was added by a service. Loading the folder

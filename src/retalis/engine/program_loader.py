@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Callable, Optional, TypeVar
 
 from ..events.dispatch.dispatcher import Dispatcher
-from ..events.program.goal_file import FileGoal, errors_in, goals_of
+from ..events.program.goal_file import FileGoal, errors_in, read_file_goals
 from ..events.rules.rule_base import RuleBase
 from ..foundation.errors import Errors, ProgramErrors, RetalisError, RuleError
 from ..prolog.machine.resource_limits import NO_LIMITS
@@ -72,7 +72,7 @@ class ProgramLoader:
         self._register_own(folder)
         errors = Errors()
         # Each goal is read after the previous one has run, because a goal may define operators for later goals.
-        for goal in goals_of(text, source, folder, self._logic.operators, self._files, self._load):
+        for goal in read_file_goals(text, source, folder, self._logic.operators, self._files, self._load):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
                 continue

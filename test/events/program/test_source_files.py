@@ -301,7 +301,7 @@ def test_a_file_that_is_not_there_is_an_existence_error_with_its_name(goal, tmp_
 
 def test_only_what_is_loaded_again_may_not_leave_out_more():
     files = SourceFiles()
-    with files.loading_again({"one.pl": 2}):
+    with files.reloading({"one.pl": 2}):
         assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (2, 0)
     assert (files.max_omitted("one.pl"), files.max_omitted("two.pl")) == (None, None)
 
@@ -358,14 +358,14 @@ def test_an_interrupted_load_is_restored(tmp_path):
             context.__enter__()
         files.sandbox.is_loading = False
         assert files.absolute("x") == str(tmp_path / "two" / "x")
-        assert files.innermost == tmp_path / "two" / "two.pl"
+        assert files.innermost_file == tmp_path / "two" / "two.pl"
         files.restore(state)
         assert files.absolute("x") == str(tmp_path / "one" / "x")
-        assert files.innermost == tmp_path / "one" / "one.pl"
+        assert files.innermost_file == tmp_path / "one" / "one.pl"
         assert files.sandbox.is_loading
         files.restore(None)
         assert files.absolute("x") == os.path.abspath("x")
-        assert files.innermost is None
+        assert files.innermost_file is None
         assert not files.sandbox.is_loading
 
 

@@ -240,10 +240,15 @@ class MemoryInstances:
         # Conditions may have side effects or depend on time, so their memories never share a recorder.
         can_share = conditions is NIL and pattern.__class__ is not Var
         key = term_key((MINUS, pattern, template)) if can_share else None
-        newest = self._newest_recorder
+        newest_recorder = self._newest_recorder
         can_share_now = key is not None and self._dispatcher.current is None
-        if can_share_now and newest is not None and newest.instances and key == newest.key:
-            return newest
+        if (
+            can_share_now
+            and newest_recorder is not None
+            and newest_recorder.instances
+            and key == newest_recorder.key
+        ):
+            return newest_recorder
         title = f"memory {self._logic.brief(name)}"
         recording = compile_recording(
             self._logic, self._dispatcher, pattern, conditions, template, title, self._warn
@@ -288,8 +293,8 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return None
         # As in `instant_of`.
-        is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
-        record = instance.memory.at_or_before(time.source if is_new else instant_of(time))
+        is_unconverted = time.__class__ is Lazy and time.make is to_term and time.made is None
+        record = instance.memory.at_or_before(time.source if is_unconverted else instant_of(time))
         return record if not instance.has_variables or record is None else _with_new_variables(record)
 
     def next_inf(name: Term, time: Any) -> Optional[MemoryRecord]:
@@ -297,26 +302,26 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return None
         # As in `instant_of`.
-        is_new = time.__class__ is Lazy and time.make is to_term and time.made is None
-        record = instance.memory.at_or_after(time.source if is_new else instant_of(time))
+        is_unconverted = time.__class__ is Lazy and time.make is to_term and time.made is None
+        record = instance.memory.at_or_after(time.source if is_unconverted else instant_of(time))
         return record if not instance.has_variables or record is None else _with_new_variables(record)
 
-    def following(name: Term, low: Term, high: Term) -> Optional[MemoryRecord]:
+    def next_record(name: Term, low: Term, high: Term) -> Optional[MemoryRecord]:
         if memories.find(name) is None:
             return None
         record, last_instant = next_inf(name, low), instant_of(high)
         return None if record is None or record[2] > last_instant else record
 
     record_and_interval = (1, 2, 3)
-    shows = (None, timestamps.shown, timestamps.shown)
+    converters = (None, timestamps.shown, timestamps.shown)
     for key, function in (
         (functor("prev", 5), prev),
         (functor("prev_binary", 5), prev),
         (functor("next_inf", 5), next_inf),
-        (functor("next", 6), following),
-        (functor("next_binary", 6), following),
+        (functor("next", 6), next_record),
+        (functor("next_binary", 6), next_record),
     ):
-        logic.define_function(key.name, key.arity, function, record_and_interval, shows)
+        logic.define_function(key.name, key.arity, function, record_and_interval, converters)
 
 
 def _with_new_variables(record: MemoryRecord) -> MemoryRecord:

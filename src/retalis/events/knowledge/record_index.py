@@ -68,7 +68,7 @@ class RecordIndex:
 _NO_POSITIONS: List[int] = []
 
 
-def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
+def candidate_positions(memory: Memory, record: Term) -> Union[List[int], range]:
     """Return the positions of the records that may unify with a term, in order.
 
     Positions beyond the memory's size are included.
@@ -92,7 +92,7 @@ def candidates(memory: Memory, record: Term) -> Union[List[int], range]:
 def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
     """Define the deterministic predicates that search for a record by pattern."""
 
-    def newest(machine: Machine, name: Term, record: Term, start: Term, end: Term) -> bool:
+    def unify_newest(machine: Machine, name: Term, record: Term, start: Term, end: Term) -> bool:
         instance = memories.find(name)
         if instance is None:
             return False
@@ -101,7 +101,7 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
             machine, instance, (record, start, end), memory.first_position, len(memory.ends), -1
         )
 
-    def prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
+    def unify_prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
         instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
@@ -110,7 +110,9 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
             machine, instance, (record, start, end), memory.first_position, memory.position_after(instant), -1
         )
 
-    def next_inf(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
+    def unify_next_inf(
+        machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term
+    ) -> bool:
         instant, instance = instant_of(time), memories.find(name)
         if instance is None:
             return False
@@ -119,7 +121,7 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
             machine, instance, (record, start, end), memory.position_reaching(instant), len(memory.ends), 1
         )
 
-    def following(
+    def unify_next(
         machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
     ) -> bool:
         first_instant, last_instant, instance = instant_of(low), instant_of(high), memories.find(name)
@@ -135,18 +137,18 @@ def define_matching(logic: PrologSystem, memories: MemoryInstances) -> None:
             1,
         )
 
-    logic.define("newest_matching", 4, newest)
-    logic.define("prev_matching", 5, prev)
-    logic.define("next_inf_matching", 5, next_inf)
-    logic.define("next_matching", 6, following)
+    logic.define("newest_matching", 4, unify_newest)
+    logic.define("prev_matching", 5, unify_prev)
+    logic.define("next_inf_matching", 5, unify_next_inf)
+    logic.define("next_matching", 6, unify_next)
 
 
 def _unify_first(
     machine: Machine,
     instance: MemoryInstance,
     target: Tuple[Term, Term, Term],
-    first: int,
-    last: int,
+    start_position: int,
+    end_position: int,
     step: int,
 ) -> bool:
     """Unify with the first matching record between two positions.
@@ -155,23 +157,23 @@ def _unify_first(
         machine: the machine.
         instance: the memory.
         target: record, start and end to unify with.
-        first: first position.
-        last: position after the last one.
+        start_position: first position.
+        end_position: position after the last one.
         step: 1 to search forwards, -1 to search backwards.
     """
     memory, (record, start, end) = instance.memory, target
-    positions: Sequence[int] = candidates(memory, record)
-    low, high = bisect_left(positions, first), bisect_left(positions, last)
+    positions: Sequence[int] = candidate_positions(memory, record)
+    low, high = bisect_left(positions, start_position), bisect_left(positions, end_position)
     order = range(low, high) if step > 0 else range(high - 1, low - 1, -1)
     for count, index in enumerate(order, 1):
         if not count % RECORDS_PER_CHECK:
             check_limits(RECORDS_PER_CHECK)
-        term, began, ended = memory.records[positions[index]]
+        term, start_instant, end_instant = memory.records[positions[index]]
         # Variables in a stored record belong to the memory; the reader gets new ones.
         record_term = copy(term) if instance.has_variables else term
-        to_shown_time = timestamps.shown
+        to_time_term = timestamps.shown
         if machine.unify_all(
-            (record, record_term), (start, to_shown_time(began)), (end, to_shown_time(ended))
+            (record, record_term), (start, to_time_term(start_instant)), (end, to_time_term(end_instant))
         ):
             return True
     return False

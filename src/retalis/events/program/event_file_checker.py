@@ -54,8 +54,8 @@ from ..language.rule_head_parser import (
     split_label,
 )
 from ..language.state_parser import HOLDS, STATE, declares_state
-from .file_directives import FileDeclarations, Goals, goals_of
-from .source_files import renaming
+from .file_directives import FileDeclarations, Goals, directive_goals
+from .source_files import renaming_clauses
 
 _CLAUSE = functor(":-", 2)
 _GRAMMAR = functor("-->", 2)
@@ -203,7 +203,7 @@ class FileChecker:
         if goal.__class__ is tuple and goal[0] in _LOAD_KINDS:
             self._add_load_entries(goal, goal_place)
             return
-        goals = goals_of(term, place_of)
+        goals = directive_goals(term, place_of)
         self._declared.check_events(
             events_raised_by_goals(calls(term, 1)), term, self._names, place_of, place
         )
@@ -213,12 +213,12 @@ class FileChecker:
     def _add_load_entries(self, goal: CompoundTerm, place: Optional[Place]) -> None:
         """Process a directive that loads a file, with clauses for predicates that it renames."""
         self.entries.append(FileEntry(_LOAD_KINDS[goal[0]], deref(goal[1]), place))
-        self.entries += [FileEntry(EntryKind.CLAUSE, clause, place) for clause in renaming(*goal[1:])]
+        self.entries += [FileEntry(EntryKind.CLAUSE, clause, place) for clause in renaming_clauses(*goal[1:])]
 
     def _add_initialization(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Process ``initialization/1,2``: the goal is called after loading or at the time that the term states."""
         call_time = deref(term[2]) if term[0] is _INITIALIZATION_AT else _AFTER_LOAD
-        goals = goals_of(term, place_of)
+        goals = directive_goals(term, place_of)
         if call_time is _MAIN:
             self._warn(
                 "initialization(Goal, main) is not called: nothing here is started as a program of its own",

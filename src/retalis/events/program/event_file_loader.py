@@ -48,7 +48,7 @@ from .event_file_checker import (
 from .file_directives import Directives
 from .file_kind import apply_reader_settings, is_event_file
 from .prolog_file_loader import PrologFileLoader, PrologSource
-from .source_files import LIBRARY, SourceFiles, require_library
+from .source_files import LIBRARY, SourceFiles, check_library
 from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ class EventFileLoader:
         """
         name = deref(name)
         if name.__class__ is tuple and name[0] is LIBRARY:
-            require_library(name)
+            check_library(name)
             return
         path = self._files.find(name)
         # A module is loaded once, as in SWI-Prolog; another import of it only makes its predicates visible.
@@ -251,7 +251,7 @@ class EventFileLoader:
             return CheckedProgram([PrologSource(text, source)], [], [])
         reading = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
         self._read(read_program(text, reading.operators, source, OF_FILES), reading)
-        errors.extend(reading.conditions.unclosed())
+        errors.extend(reading.conditions.unclosed_errors())
         return self._check_contents(reading.checker, errors)
 
     def _open_included(self, name: Term) -> Tuple[str, str]:
@@ -373,7 +373,7 @@ class EventFileLoader:
         name = deref(entry.term)
         try:
             if name.__class__ is tuple and name[0] is LIBRARY:
-                require_library(name)
+                check_library(name)
                 return None
             path = self._files.find(name)
             if self._files.module(path) or (

@@ -25,7 +25,7 @@ _CALLABLE = (tuple, Atom, Var)
 Goals = List[Tuple[Term, Optional[Place]]]
 
 
-def goals_of(directive: Term, place_of: PlaceLookup) -> Goals:
+def directive_goals(directive: Term, place_of: PlaceLookup) -> Goals:
     """Return the goals of a directive that are called in sequence, each with its position."""
     goals: Goals = []
     stack: List[Tuple[Any, int]] = [(directive, 1)]
@@ -51,7 +51,7 @@ class Directives:
         self._logic = logic
         self._last_index = 0
         self._goal_count = 0
-        logic.define("$goal", 1, self._note_goal)
+        logic.define("$goal", 1, self._record_goal)
 
     def run(self, goal: Term, goals: Goals, place: Optional[Place]) -> Optional[RuleError]:
         """Run a directive; return a warning if it fails, with the position of the last goal that was called.
@@ -80,12 +80,12 @@ class Directives:
         finally:
             self._last_index, self._goal_count = outer_state
 
-    def _note_goal(self, machine: Machine, number: Term) -> bool:
-        reached = deref(number)
-        if not isinstance(reached, int) or not 0 <= reached < self._goal_count:
+    def _record_goal(self, machine: Machine, number: Term) -> bool:
+        goal_index = deref(number)
+        if not isinstance(goal_index, int) or not 0 <= goal_index < self._goal_count:
             # A program has called the marker by its name.
             return False
-        self._last_index = reached
+        self._last_index = goal_index
         return True
 
 

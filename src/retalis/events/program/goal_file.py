@@ -14,7 +14,7 @@ from ...prolog.syntax.term_reader import ReadTerm, read_term
 from ...prolog.terms.types import Term, deref, functor
 from .source_files import SourceFiles
 
-Read = Union[ReadTerm, SyntaxFault]
+ReadResult = Union[ReadTerm, SyntaxFault]
 Load = Callable[[Optional[Path], Callable[[], Any]], Any]
 
 _DIRECTIVES = (functor(":-", 1), functor("?-", 1))
@@ -44,7 +44,7 @@ def goal_of(term: Term) -> Term:
     return deref(term[1]) if term.__class__ is tuple and term[0] in _DIRECTIVES else term
 
 
-def goals_of(
+def read_file_goals(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
 ) -> Iterator[Union[FileGoal, RetalisError]]:
     """Yield the goals of a goal file; the goals of included files take the place of the ``include`` goal.
@@ -60,13 +60,13 @@ def goals_of(
         load: executes a function exclusively, with the permissions of a program file in a folder.
     """
     if folder is None:
-        yield from _goals_of_text(text, source, None, operators, files, load)
+        yield from _read_goals_of_text(text, source, None, operators, files, load)
         return
     with files.loading_file(folder / Path(source).name):
-        yield from _goals_of_text(text, source, folder, operators, files, load)
+        yield from _read_goals_of_text(text, source, folder, operators, files, load)
 
 
-def _goals_of_text(
+def _read_goals_of_text(
     text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
 ) -> Iterator[Union[FileGoal, RetalisError]]:
     for entry in read_goals(text, operators, source):
@@ -80,8 +80,8 @@ def _goals_of_text(
         try:
             # Included files are opened with the permissions of the program, when the goals before them have been
             # called.
-            path, inner = load(folder, partial(_find_text, files, term[1]))
-            yield from goals_of(inner, str(path), path.parent, operators, files, load)
+            path, included_text = load(folder, partial(_find_text, files, term[1]))
+            yield from read_file_goals(included_text, str(path), path.parent, operators, files, load)
         except RetalisError as error:
             yield RuleError(error.message, entry.place)
 
@@ -91,7 +91,7 @@ def _find_text(files: SourceFiles, name: Term) -> Tuple[Path, str]:
     return path, files.text(path)
 
 
-def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
+def read_goals(text: str, operators: Operators, source: str) -> Iterator[ReadResult]:
     """Yield the goals of a goal file, or a `SyntaxFault` for each text that is not a goal.
 
     A line is a goal if it reads as a term, with or without a full stop. Otherwise the goal continues to a line that
@@ -128,8 +128,8 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[Read]:
 def _with_full_stop_advice(fault: SyntaxFault, lines: List[str], position: int) -> SyntaxFault:
     """Return the error of a line, with advice about the full stop if the line ends in the middle of a term."""
     place = fault.place
-    follows = position + 1 < len(lines) and not _is_blank(lines[position + 1])
-    if place is None or not follows or not _is_blank(lines[position][place.column - 1 :]):
+    has_next_line = position + 1 < len(lines) and not _is_blank(lines[position + 1])
+    if place is None or not has_next_line or not _is_blank(lines[position][place.column - 1 :]):
         return fault
     # The advice after the semicolon (a superfluous comma) would be misleading here.
     message = fault.message.partition("; ")[0]
@@ -150,7 +150,7 @@ def _line_number(fault: SyntaxFault) -> int:
     return 0 if fault.place is None else fault.place.line
 
 
-def _read_lines(lines: List[str], start: int, end: int, operators: Operators, source: str) -> Read:
+def _read_lines(lines: List[str], start: int, end: int, operators: Operators, source: str) -> ReadResult:
     try:
         return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
     except SyntaxFault as fault:

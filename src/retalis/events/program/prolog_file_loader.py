@@ -153,7 +153,7 @@ class _FileConsultation:
         omitted = self._omitted = _OmittedTerms(self._rules.on_warning, self._files.max_omitted(file.source))
         program = read_program(file.text, self._logic.operators, file.source, OF_FILES)
         self._process_terms(program)
-        for unclosed in self._conditions.unclosed():
+        for unclosed in self._conditions.unclosed_errors():
             self._omitted.append(unclosed)
         self._finish()
         omitted.finish()
@@ -211,7 +211,7 @@ class _FileConsultation:
 
     def _name_module(self, goal: Term) -> None:
         """Bind the name of a module to the name of its file if it is a variable."""
-        goal, path = deref(goal), self._files.innermost
+        goal, path = deref(goal), self._files.innermost_file
         if goal.__class__ is tuple and goal[0] in _MODULE_DECLARATIONS and path is not None:
             name = deref(goal[1])
             if isinstance(name, Var):

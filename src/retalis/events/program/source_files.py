@@ -67,7 +67,7 @@ LIBRARIES = frozenset(
 """Libraries of other Prolog systems whose usual predicates are built in."""
 
 
-def require_library(term: Term) -> None:
+def check_library(term: Term) -> None:
     """Check that ``library(Name)`` is built in.
 
     Raises:
@@ -80,7 +80,7 @@ def require_library(term: Term) -> None:
         raise existence_error("library", name, (CONTEXT, Var(), atom(_UNKNOWN_LIBRARY_ADVICE)))
 
 
-def renaming(file: Term, imports: Term = NIL) -> List[Term]:
+def renaming_clauses(file: Term, imports: Term = NIL) -> List[Term]:
     """Return clauses that define the names given by ``use_module(File, [p/1 as q])``.
 
     They call the predicates of the module named like the file, or global ones if there is no such module.
@@ -232,7 +232,7 @@ class SourceFiles:
             self._base_folder = outer_folder
 
     @contextmanager
-    def loading_again(self, previous_counts: Dict[str, int]) -> Iterator[None]:
+    def reloading(self, previous_counts: Dict[str, int]) -> Iterator[None]:
         """Reject files with more omitted terms than before, for a reload."""
         self.omitted, self._is_reload = dict(previous_counts), True
         try:
@@ -299,7 +299,7 @@ class SourceFiles:
         return self.sandbox.read(str(path), str(path))
 
     @property
-    def innermost(self) -> Optional[Path]:
+    def innermost_file(self) -> Optional[Path]:
         """The file that is being loaded; the innermost one of nested loads."""
         return self._open_files[-1] if self._open_files else None
 

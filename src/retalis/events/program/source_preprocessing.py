@@ -35,8 +35,8 @@ class _IfDirective:
         self.is_else = False
         """True in the branch of ``else``."""
 
-    def enter_branch(self, holds: bool) -> None:
-        self.is_compiled = self.is_outer_compiled and holds and not self.was_chosen
+    def enter_branch(self, condition_holds: bool) -> None:
+        self.is_compiled = self.is_outer_compiled and condition_holds and not self.was_chosen
         self.was_chosen |= self.is_compiled
 
 
@@ -44,11 +44,11 @@ class ConditionalCompilation:
     """The open ``if`` directives of a file, outermost first.
 
     Args:
-        holds: returns whether the goal of an ``if`` at a position succeeds.
+        condition_holds: returns whether the goal of an ``if`` at a position succeeds.
     """
 
-    def __init__(self, holds: ConditionTest):
-        self._holds = holds
+    def __init__(self, condition_holds: ConditionTest):
+        self._condition_holds = condition_holds
         self._open_directives: List[_IfDirective] = []
 
     @property
@@ -68,11 +68,11 @@ class ConditionalCompilation:
             directive = _IfDirective(place, not self.is_skipping)
             self._open_directives.append(directive)
             # Conditions in skipped text are not called: their predicates may not exist.
-            directive.enter_branch(directive.is_outer_compiled and self._holds(goal[1], place))
+            directive.enter_branch(directive.is_outer_compiled and self._condition_holds(goal[1], place))
         elif goal.__class__ is tuple and key is _ELIF:
             directive = self._innermost_directive("elif", place)
             is_candidate = directive.is_outer_compiled and not directive.was_chosen
-            directive.enter_branch(is_candidate and self._holds(goal[1], place))
+            directive.enter_branch(is_candidate and self._condition_holds(goal[1], place))
         elif key is _ELSE:
             directive = self._innermost_directive("else", place)
             directive.enter_branch(True)
@@ -85,7 +85,7 @@ class ConditionalCompilation:
             return False
         return True
 
-    def unclosed(self) -> List[RuleError]:
+    def unclosed_errors(self) -> List[RuleError]:
         """Return an error for each ``if`` without ``endif``."""
         return [RuleError("this if has no endif", directive.place) for directive in self._open_directives]
 
@@ -97,7 +97,7 @@ class ConditionalCompilation:
         return self._open_directives[-1]
 
 
-_TERM, _GOAL = functor("term_expansion", 2), functor("goal_expansion", 2)
+_TERM_EXPANSION, _GOAL_EXPANSION = functor("term_expansion", 2), functor("goal_expansion", 2)
 _NECK, _SINGLE_SIDED = functor(":-", 2), functor("=>", 2)
 _DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 
@@ -130,10 +130,10 @@ class TermExpansion:
         Raises:
             PrologError: the error of the program's predicate.
         """
-        if not self._is_defined(_TERM):
+        if not self._is_defined(_TERM_EXPANSION):
             return None
         result = Var()
-        if not self._logic.once((_TERM, term, result)):
+        if not self._logic.once((_TERM_EXPANSION, term, result)):
             return None
         expansion = deref(result)
         items = list_items(expansion)
@@ -147,7 +147,7 @@ class TermExpansion:
             RuleError: if an expansion does not end.
         """
         term = deref(term)
-        if term.__class__ is not tuple or not self._is_defined(_GOAL):
+        if term.__class__ is not tuple or not self._is_defined(_GOAL_EXPANSION):
             return term
         if term[0] is _NECK or term[0] is _SINGLE_SIDED:
             body = self._expand_goal(term[2])
@@ -169,7 +169,7 @@ class TermExpansion:
         # Expanded until there is no further expansion, as in SWI-Prolog; then the goals inside of the result.
         while goal.__class__ is not Var:
             result = Var()
-            if not self._logic.once((_GOAL, goal, result)):
+            if not self._logic.once((_GOAL_EXPANSION, goal, result)):
                 break
             expansion_count += 1
             if expansion_count > _MAX_EXPANSIONS:

@@ -69,9 +69,9 @@ def topic_type(topic: str, message_type: str) -> TopicType:
         UsageError: if the name or type is invalid in ROS.
     """
     message_type = ros1_type_name(message_type)
-    fault = topic_fault(topic) or type_fault(message_type)
-    if fault is not None:
-        raise UsageError(fault)
+    error_text = topic_fault(topic) or type_fault(message_type)
+    if error_text is not None:
+        raise UsageError(error_text)
     return TopicType(topic, message_type)
 
 
@@ -104,8 +104,8 @@ class Topics(NamedTuple):
             topic: name of the topic.
             canonical_name: returns the canonical form of a topic name.
         """
-        canonical = canonical_name(topic)
-        return next((event for name, event in self.events if canonical_name(name) == canonical), "")
+        canonical_topic = canonical_name(topic)
+        return next((event for name, event in self.events if canonical_name(name) == canonical_topic), "")
 
 
 def read_text(path: Union[str, Path]) -> str:
@@ -154,10 +154,11 @@ def read_direct(value: object) -> DirectTopics:
     if isinstance(choice, bool) or choice == AUTO:
         return choice
     if isinstance(choice, list):
-        flat = [item for entry in choice for item in (entry if isinstance(entry, list) else [entry])]
-        if len(flat) % 2 == 0 and all(isinstance(item, str) for item in flat):
+        flat_items = [item for entry in choice for item in (entry if isinstance(entry, list) else [entry])]
+        if len(flat_items) % 2 == 0 and all(isinstance(item, str) for item in flat_items):
             return tuple(
-                topic_type(topic, message_type) for topic, message_type in zip(flat[::2], flat[1::2])
+                topic_type(topic, message_type)
+                for topic, message_type in zip(flat_items[::2], flat_items[1::2])
             )
     raise UsageError(
         "expected auto, true, false, or a list of topics and types [topic, package/Type, ...], "
@@ -205,12 +206,12 @@ class _TopicReader:
         self.text = text
         self.lines = text.splitlines()
         self.parser = expat.ParserCreate()
-        self.parser.StartElementHandler = self.element
-        self.parser.EndElementHandler = lambda tag: self.open.pop()
+        self.parser.StartElementHandler = self.on_start_element
+        self.parser.EndElementHandler = lambda tag: self.open_elements.pop()
         # Refusing the document type excludes all entity declarations before they are read.
-        self.parser.StartDoctypeDeclHandler = self.doctype
-        self.open: List[Tuple[str, int]] = []
-        self.inside = False
+        self.parser.StartDoctypeDeclHandler = self.reject_document_type
+        self.open_elements: List[Tuple[str, int]] = []
+        self.has_root = False
         self.topics_by_tag: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
         self.latched: Set[str] = set()
         self.events: List[TopicEvent] = []
@@ -227,36 +228,35 @@ class _TopicReader:
             self.errors.append(fault)
         except expat.ExpatError as error:
             message = f"this is not XML: {expat.errors.messages[error.code]}"
-            if self.open:
-                message += (
-                    f"; <{self.open[-1][0][:MAX_SHOWN_CHARACTERS]}> of line {self.open[-1][1]} is not closed"
-                )
-            self.errors.append(SyntaxFault(message, self.place(error.lineno, error.offset)))
+            if self.open_elements:
+                tag, line = self.open_elements[-1]
+                message += f"; <{tag[:MAX_SHOWN_CHARACTERS]}> of line {line} is not closed"
+            self.errors.append(SyntaxFault(message, self.place_at(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
         subscribed, published = (tuple(self.topics_by_tag[tag]) for tag in ("subscribe_to", "publish_to"))
         return Topics(subscribed, published, frozenset(self.latched), tuple(self.events))
 
-    def place(self, line: int, offset: int) -> Place:
+    def place_at(self, line: int, offset: int) -> Place:
         text = self.lines[line - 1] if line <= len(self.lines) else ""
         return place_in(self.source, line, offset + 1, text)
 
     def current_place(self) -> Place:
         """Return the position of the parser."""
-        return self.place(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
+        return self.place_at(self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber)
 
-    def doctype(self, *declared: object) -> None:
+    def reject_document_type(self, *declared: object) -> None:
         """Refuse a document type: its entities could expand a small text to a huge one, or read other files."""
         raise SyntaxFault("a document type (<!DOCTYPE ...>) is not allowed", self.current_place())
 
-    def element(self, tag: str, attributes: Dict[str, str]) -> None:
+    def on_start_element(self, tag: str, attributes: Dict[str, str]) -> None:
         place = self.current_place()
-        if len(self.open) >= MAX_XML_DEPTH:
+        if len(self.open_elements) >= MAX_XML_DEPTH:
             raise SyntaxFault(f"elements are nested more than {MAX_XML_DEPTH} deep", place)
         tag = tag if tag in self.topics_by_tag else tag[:MAX_SHOWN_CHARACTERS]
-        self.open.append((tag, place.line))
-        if not self.inside:
-            self.inside = True
+        self.open_elements.append((tag, place.line))
+        if not self.has_root:
+            self.has_root = True
             if tag != "publish_subscribe":
                 self.add_error(f"the root must be <publish_subscribe>, found <{tag}>", place)
             return
@@ -275,22 +275,22 @@ class _TopicReader:
             self.add_error(f"<{tag}>: {error.message}", place)
             return
         if tag == "publish_to":
-            self.latch(topic.topic, attributes.get("latch", "false").strip(), place)
+            self.record_latch(topic.topic, attributes.get("latch", "false").strip(), place)
         else:
-            self.name(topic.topic, attributes.get("event"), place)
+            self.add_event_name(topic.topic, attributes.get("event"), place)
         self.topics_by_tag[tag].append(topic)
 
-    def name(self, topic: str, event: Optional[str], place: Place) -> None:
+    def add_event_name(self, topic: str, event: Optional[str], place: Place) -> None:
         if event is None or any(entry.topic == topic for entry in self.topics_by_tag["subscribe_to"]):
             # Of several entries for a topic the first one counts.
             return
-        fault = event_name_error(event.strip())
-        if fault is None:
+        error_text = event_name_error(event.strip())
+        if error_text is None:
             self.events.append(TopicEvent(topic, event.strip()))
         else:
-            self.add_error(f"<subscribe_to>: {fault}", place)
+            self.add_error(f"<subscribe_to>: {error_text}", place)
 
-    def latch(self, topic: str, value: str, place: Place) -> None:
+    def record_latch(self, topic: str, value: str, place: Place) -> None:
         if value == "true":
             self.latched.add(topic)
         elif value != "false":

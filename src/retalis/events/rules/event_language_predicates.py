@@ -48,7 +48,7 @@ def define_load_predicates(rules: "RuleBase") -> None:
         return True
 
     def load_context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
-        path = rules.files.innermost
+        path = rules.files.innermost_file
         for entry in () if path is None else _load_context_of(path):
             # Bindings are undone before the next solution, because the machine expects none from a previous one.
             mark = len(machine.trail)
