@@ -12,14 +12,13 @@ from .output import JSON_HELP
 from .stderr_report import StderrReporter
 
 DESCRIPTION = """\
-Feed bags to a program and print what it publishes, as output(TERM,TOPIC) terms. Bags are of ROS 1, compressed or
-not, or of ROS 2: a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Several bags are
-played as one, in the order in which their messages came. ROS 2 messages are read as those of ROS 1 with the same
-names.
+Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. ROS 1 bags may be compressed. A ROS 2
+bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Several bags are played as one,
+in the order of receipt. ROS 2 messages are read as ROS 1 messages of the same name.
 
-With --jobs or --scheduler each bag is a separate run, and several run at a time. Folders stand for all bags below
-them, in the order of their names; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the
-bags one after the other.
+With --jobs or --scheduler each bag is a separate run, and several run at the same time. A folder stands for all bags
+below it, sorted by name; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the bags one
+after the other.
 """
 JSON_LINES_HELP = """\
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    unless --quiet; T is the bag's time
@@ -101,14 +100,14 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         action="append",
         default=[],
         metavar="TOPIC=TYPE",
-        help="a topic to turn into events, in addition to those in pub_sub.xml",
+        help="a topic whose messages become events, in addition to those of pub_sub.xml",
     )
     add_direct(parser)
     add(
         "--max-skew",
         type=non_negative(float),
         metavar="SECONDS",
-        help="skip messages whose stamp differs by more than this from the former ones on their topic and frame "
+        help="skip messages whose stamp differs by more than this from earlier stamps of their topic and frame "
         "(0: no limit)",
     )
     add(

@@ -40,8 +40,8 @@ def add_chunk_limit_option(parser: argparse.ArgumentParser) -> None:
         type=positive_integer,
         default=MAX_CHUNK_MEGABYTES,
         metavar="N",
-        help="refuse chunks and compressed messages of bags that are larger unpacked, and compressed files that "
-        f"would become larger than this and 100 times their size ({MAX_CHUNK_MEGABYTES})",
+        help="maximum unpacked size of a chunk or a compressed message of a bag; for a compressed file, the larger "
+        f"of this and 100 times its size ({MAX_CHUNK_MEGABYTES})",
     )
 
 

@@ -32,14 +32,14 @@ _LIMIT_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str
         float,
         None,
         "N",
-        "what it may write to standard output and standard error, in megabytes (0)",
+        "text that it may write to standard output and standard error, in megabytes (0)",
     ),
     (
         "--watchdog",
         float,
         None,
         "N",
-        "warn about anything that takes longer than this many seconds, naming rule, goal and event (0)",
+        "warn if an event, goal or query takes longer than this many seconds, with its rule (0)",
     ),
 )
 
@@ -49,7 +49,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     add_swi(parser)
     group = parser.add_argument_group(
         "limits",
-        "Whatever exceeds a limit ends with a resource error, and the rest goes on; 0 means no limit. "
+        "A goal that exceeds a limit ends with a resource error, and the run continues; 0 means no limit. "
         "A megabyte is 1,000,000 bytes. "
         "Defaults are in brackets.",
     )
@@ -60,7 +60,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         type=positive_integer,
         default=Settings().max_depth,
         metavar="N",
-        help=f"longest chain of events derived one from another ({Settings().max_depth})",
+        help=f"maximum length of a chain of derived events ({Settings().max_depth})",
     )
 
 
@@ -116,7 +116,7 @@ def add_direct(parser: argparse.ArgumentParser) -> None:
         type=_parse_direct,
         default=AUTO,
         metavar="TOPICS",
-        help="the topics that a node subscribes by itself, as its parameter ~direct says: auto (tf and "
+        help="topics that become events without pub_sub.xml, as parameter ~direct of a node: auto (tf and "
         "ar_pose_marker if pub_sub.xml does not name them), true (both), false, or a list [topic, type, ...] (auto)",
     )
 

@@ -22,8 +22,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     parser = add_command(
         "complete",
         help="print the completion of this command for bash",
-        description="Print a script that has bash complete commands, options, and the names of nodes and memories. "
-        "For this shell: source <(retalis complete bash). For all to come, write that line into ~/.bashrc.",
+        description="Print a script with which bash completes commands, options, and names of nodes and memories. "
+        "For this shell: source <(retalis complete bash). For all new shells, add this line to ~/.bashrc.",
     )
     parser.add_argument(
         "shell",
@@ -31,7 +31,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         choices=("bash", "words"),
         default="bash",
         metavar="bash",
-        help="the only one so far",
+        help="the shell; only bash is supported",
     )
     parser.add_argument("words", nargs=argparse.REMAINDER, metavar="WORD", help=argparse.SUPPRESS)
     parser.set_defaults(run=run)

@@ -186,12 +186,12 @@ UNRESTRICTED = Settings(folders=None, write_folders=None)
 """Settings without restrictions of files: a typed goal may open the files that its user may open."""
 
 DESCRIPTION = """\
-Load files and ask goals. Files hold event rules, clauses and directives; a folder is a program with
-goalPredicates.txt. A goal ends with a full stop; ";" asks for another solution, return for none. [FILE]. loads
-a file, or loads it again in place of what it said before; make. does so with all files that have changed.
-[user]. reads clauses that are typed, trace(GOAL). (or trace, GOAL.) shows a goal's ports, help. says more, ctrl-C
-ends a goal, quit. or ctrl-D the console. From a pipe, goals are read one after the other and the first of their
-solutions are printed.
+Load files and answer goals. Files contain event rules, clauses and directives; a folder is a program with
+goalPredicates.txt. A goal ends with a full stop; ";" prints another solution, return ends the goal. [FILE]. loads
+a file, or replaces it if it was loaded before; make. loads all changed files again. [user]. reads typed clauses,
+trace(GOAL). (or trace, GOAL.) prints the ports of a goal, help. lists the commands. Ctrl-C ends a goal, quit. or
+ctrl-D ends the console. From a pipe, goals are read one after the other, and the first solutions of each are
+printed.
 """
 
 

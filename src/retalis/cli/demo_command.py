@@ -21,8 +21,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     parser = add_command(
         "demo",
         help="run the NAO example over a bag, without ROS",
-        description="Make a bag of a simulated NAO, run the NAO program over it, and print where each marker "
-        "was located last, beside its true position. Exit status 0 when all markers were located.",
+        description="Create a bag of a simulated NAO, run the NAO program over it, and print the last computed "
+        "position and the true position of each marker. The exit status is 0 if all markers were located.",
     )
     parser.add_argument(
         "--bag", type=Path, metavar="BAG", help="play this bag instead (made by examples/nao/make_bag.py)"

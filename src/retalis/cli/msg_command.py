@@ -36,7 +36,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         choices=sorted(FORMATS),
         default="term",
         help="term: a variable for each slot, slots as comments (default); names: slots by name; "
-        "zero: with zeros, to be sent",
+        "zero: a message with zeros, to publish",
     )
     add_chunk_limit_option(parser)
     parser.set_defaults(run=run)

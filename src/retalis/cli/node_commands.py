@@ -82,7 +82,7 @@ def _add_query(add_command: AddCommand) -> None:
 
 
 def _add_watch(add_command: AddCommand) -> None:
-    watch = _add_node_command(add_command, "watch", "print the outputs of a node as they come")
+    watch = _add_node_command(add_command, "watch", "print the outputs of a node as they are published")
     add = watch.add_argument
     add(
         "--event",

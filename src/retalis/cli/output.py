@@ -14,8 +14,8 @@ EVENT_FUNCTOR = functor("event", 2)
 MEMORY_EVENT_FUNCTOR = functor("memory_event", 2)
 OUTPUT_FUNCTOR = functor("output", 3)
 JSON_HELP = """\
-with --json each line is one object. Terms are strings that read back; T, T1 and T2 are whole nanoseconds since
-the epoch, whatever form the stamps have in terms:
+with --json each line is one object. Terms are texts that can be parsed as terms; T, T1 and T2 are whole nanoseconds
+since the epoch, for every form of stamps in terms:
 """
 
 
