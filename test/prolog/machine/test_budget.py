@@ -14,9 +14,9 @@ from retalis.prolog.machine.resource_limits import (
     MEGABYTE,
     SLICE,
     Budget,
-    Left,
     LimitError,
     LimitPassed,
+    RemainingLimits,
 )
 
 
@@ -37,23 +37,23 @@ def budget():
 
 
 def test_nothing_is_left_to_look_at_without_limits(budget):
-    assert budget.left() is None
+    assert budget.remaining_limits() is None
 
 
 def test_what_is_left_of_inferences(budget):
     budget.allow(Limits(inferences=1000))
-    assert budget.left() == Left(None, 1000, None)
+    assert budget.remaining_limits() == RemainingLimits(None, 1000, None)
     budget.check_limits(400)
-    assert budget.left() == Left(None, 600, None)
+    assert budget.remaining_limits() == RemainingLimits(None, 600, None)
 
 
 def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
     budget.check_limits(5000)
     for most in (300, 200):
         budget.add_ceiling(budget.ceiling_after(most), LimitPassed("inference", atom("ball")))
-    assert budget.left() == Left(None, 200, None)
+    assert budget.remaining_limits() == RemainingLimits(None, 200, None)
     budget.check_limits(150)
-    assert budget.left() == Left(None, 50, None)
+    assert budget.remaining_limits() == RemainingLimits(None, 50, None)
     with pytest.raises(LimitPassed):
         budget.check_limits(51)
 
@@ -61,7 +61,7 @@ def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
 def test_what_is_left_up_to_the_nearest_alarm(budget):
     for instant in (1e12, 1e11):
         budget.add_alarm(instant, LimitPassed("time", atom("ball")))
-    assert budget.left() == Left(1e11, None, None)
+    assert budget.remaining_limits() == RemainingLimits(1e11, None, None)
 
 
 def test_no_two_ceilings_are_the_same(budget):
@@ -92,7 +92,7 @@ def test_what_is_left_of_memory_is_counted_from_now(budget, monkeypatch, now):
     monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
     monkeypatch.setattr(_budget, "monotonic", lambda: now)
     budget.allow(Limits(megabytes=2))
-    assert budget.left() == Left(None, None, 52 * MEGABYTE)
+    assert budget.remaining_limits() == RemainingLimits(None, None, 52 * MEGABYTE)
 
 
 def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
@@ -154,11 +154,11 @@ def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
         assert turn.entry == ("inner",) and budget.goal is None
         budget.goal = object()
         budget.check_limits(900)
-        return budget.left()
+        return budget.remaining_limits()
 
-    assert budget.run_as_entry(("inner",), inner) == Left(None, 100, None)
+    assert budget.run_as_entry(("inner",), inner) == RemainingLimits(None, 100, None)
     assert turn.entry == ("outer",) and budget.goal is outer
-    assert budget.left() == Left(None, 100, None)
+    assert budget.remaining_limits() == RemainingLimits(None, 100, None)
 
 
 def test_output_is_limited_for_each_entry(budget, turn):
@@ -304,6 +304,8 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
                 else:
                     assert wanted is None
                     if name == "left":
-                        assert found == Left(model.deadline, Model.LIMITS.inferences - model.spent, None)
+                        assert found == RemainingLimits(
+                            model.deadline, Model.LIMITS.inferences - model.spent, None
+                        )
     finally:
         turn.thread = None

@@ -14,7 +14,7 @@ from retalis.prolog.swi import libswipl
 
 ALLOWED = Settings(allow_swi=True)
 
-NOT_ON_PYPY = pytest.mark.skipif(PYPY, reason=libswipl.ON_PYPY)
+NOT_ON_PYPY = pytest.mark.skipif(PYPY, reason=libswipl.PYPY_MESSAGE)
 
 
 def test_programs_may_not_unless_they_are_allowed_to(tmp_path):
@@ -35,7 +35,7 @@ def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     libswipl.find_library.cache_clear()
     starting = pytest.importorskip("retalis.prolog.swi.swi_startup")
-    monkeypatch.setattr(starting, "_started", starting._started.__wrapped__)  # noqa: SLF001
+    monkeypatch.setattr(starting, "_start_runtime", starting._start_runtime.__wrapped__)  # noqa: SLF001
     monkeypatch.setattr(libswipl, "LIBRARY_NAMES", ("libswipl_that_is_not_there.so",))
     monkeypatch.setattr(libswipl, "LIBRARY_PATTERNS", ())
     with pytest.raises(ProgramErrors, match="SWI-Prolog, which is not installed here: .* swi-prolog-nox"):

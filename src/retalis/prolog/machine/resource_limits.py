@@ -578,7 +578,7 @@ class Budget:
             raise self._exceeded("output")
         self._printed += size
 
-    def left(self) -> "Optional[Left]":
+    def remaining_limits(self) -> "Optional[RemainingLimits]":
         """Return the remaining limits for a step that cannot check them itself; None if nothing is limited.
 
         Raises:
@@ -590,14 +590,14 @@ class Budget:
         if self._memory is None and self.limits.megabytes is not None:
             self._memory = resident_bytes() + int(self.limits.megabytes * MEGABYTE)
         if not self.alarms and not self.ceilings and self.limits.inferences is None:
-            return Left(self._deadline, None, self._memory)
+            return RemainingLimits(self._deadline, None, self._memory)
         times = [instant for instant, _ in self.alarms]
         if self._deadline is not None:
             times.append(self._deadline)
         inferences = [ceiling - self.inferences for ceiling in self.ceilings]
         if self.limits.inferences is not None:
             inferences.append(self.limits.inferences - self._spent)
-        return Left(min(times, default=None), min(inferences, default=None), self._memory)
+        return RemainingLimits(min(times, default=None), min(inferences, default=None), self._memory)
 
     def _mark_used(self) -> None:
         """Record that the entry has used resources, so that they are reset at its end."""
@@ -685,12 +685,12 @@ class Budget:
         return error
 
 
-class Left(NamedTuple):
+class RemainingLimits(NamedTuple):
     """The remaining limits: an instant of the monotonic clock (s), inferences, and bytes of the whole process."""
 
-    until: Optional[float]
+    deadline: Optional[float]
     inferences: Optional[int]
-    memory: Optional[int]
+    max_memory: Optional[int]
 
 
 class _NestedRun:

@@ -37,7 +37,7 @@ from weakref import ref
 
 from ...foundation.cpython_and_pypy import PYPY
 from ...foundation.errors import UsageError
-from ..machine.resource_limits import Left, resident_bytes
+from ..machine.resource_limits import RemainingLimits, resident_bytes
 
 if TYPE_CHECKING:
     from .swi_session import SwiEngine
@@ -55,7 +55,7 @@ class _SignalStack(Structure):
 
 
 @contextmanager
-def signal_stack_kept() -> Iterator[None]:
+def preserved_signal_stack() -> Iterator[None]:
     """Restore the signal stack of this thread at the end of the context."""
     saved_stack = _SignalStack()
     _C.sigaltstack(None, byref(saved_stack))
@@ -89,15 +89,15 @@ LIBRARY_PATTERNS = (
 )
 """Paths of the library in the folders of SWI-Prolog, which the dynamic linker does not search."""
 
-MISSING = (
+NOT_INSTALLED_MESSAGE = (
     "use_swi needs SWI-Prolog, which is not installed here: ./install.py --with-swi installs it, "
     "as apt install swi-prolog-nox does"
 )
 
-OLDEST = "7.6.4"
+MIN_VERSION = "7.6.4"
 """Oldest version that has all functions used here."""
 
-ON_PYPY = "use_swi needs CPython: PyPy releases its global lock in each call of a C library"
+PYPY_MESSAGE = "use_swi needs CPython: PyPy releases its global lock in each call of a C library"
 
 # Argument vector of SWI-Prolog: no signal handlers except the one that interrupts system calls, no user files.
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
@@ -126,29 +126,31 @@ class SwiLibrary:
     takes up to 5 ms if other threads are busy, so it is released only once per goal.
 
     Args:
-        library: path or name of the library.
+        path: path or name of the library.
 
     Attributes:
-        kinds: results of ``term_type`` by the name of a type, which differ between versions.
-        utf8: flag for UTF-8 text.
-        written: flag for any term as text.
-        atom: flag for a text that becomes an atom.
+        term_types: results of ``term_type`` by the name of a type. They differ between versions.
+        utf8_flag: flag of `get_text` and `unify_text` for UTF-8 text.
+        any_term_as_text: flag of `get_text` for any term, as it is written.
+        atom_flag: flag of `unify_text` for an atom.
     """
 
-    def __init__(self, library: str):
-        short = ctypes.PyDLL(library, mode=ctypes.RTLD_GLOBAL)
-        long = ctypes.CDLL(library, mode=ctypes.RTLD_GLOBAL)
+    def __init__(self, path: str):
+        locking_library = ctypes.PyDLL(path, mode=ctypes.RTLD_GLOBAL)
+        releasing_library = ctypes.CDLL(path, mode=ctypes.RTLD_GLOBAL)
 
-        def declare(name: str, result: Any, *arguments: Any, of: ctypes.CDLL = short) -> ForeignFunction:
-            function = of["PL_" + name]
+        def declare(
+            name: str, result: Any, *arguments: Any, library: ctypes.CDLL = locking_library
+        ) -> ForeignFunction:
+            function = library["PL_" + name]
             function.restype, function.argtypes = result, arguments
             return function
 
         term, handle, text = c_size_t, c_size_t, c_char_p
-        self.initialise = declare("initialise", c_int, c_int, POINTER(c_char_p), of=long)
+        self.initialise = declare("initialise", c_int, c_int, POINTER(c_char_p), library=releasing_library)
         # Engines
         self.create_engine = declare("create_engine", c_void_p, c_void_p)
-        self.destroy_engine = declare("destroy_engine", c_int, c_void_p, of=long)
+        self.destroy_engine = declare("destroy_engine", c_int, c_void_p, library=releasing_library)
         self.set_engine = declare("set_engine", c_int, c_void_p, POINTER(c_void_p))
         self.attach_thread = declare("thread_attach_engine", c_int, c_void_p)
         self.thread_self = declare("thread_self", c_int)
@@ -157,22 +159,26 @@ class SwiLibrary:
         self.predicate_of = declare("pred", c_void_p, handle, c_void_p)
         self.new_module = declare("new_module", c_void_p, handle)
         self.open_query = declare("open_query", c_size_t, c_void_p, c_int, c_void_p, term)
-        self.next_solution = declare("next_solution", c_int, c_size_t, of=long)
-        self.close_query = declare("close_query", c_int, c_size_t, of=long)
-        self.close_done = declare("close_query", c_int, c_size_t)  # for a query that has no goals left to run
+        self.next_solution = declare("next_solution", c_int, c_size_t, library=releasing_library)
+        self.close_query = declare("close_query", c_int, c_size_t, library=releasing_library)
+        self.close_finished_query = declare(
+            "close_query", c_int, c_size_t
+        )  # for a query that has no goals left to run
         self.current_query = declare("current_query", c_size_t)
         self.exception = declare("exception", term, c_size_t)
         self.raise_exception = declare("raise_exception", c_int, term)
         self.clear_exception = declare("clear_exception", None)
-        self.handle_signals = declare("handle_signals", c_int, of=long)
-        self.call_predicate = declare("call_predicate", c_int, c_void_p, c_int, c_void_p, term, of=long)
+        self.handle_signals = declare("handle_signals", c_int, library=releasing_library)
+        self.call_predicate = declare(
+            "call_predicate", c_int, c_void_p, c_int, c_void_p, term, library=releasing_library
+        )
         self.register = declare("register_foreign_in_module", c_int, text, text, c_int, c_void_p, c_int)
         # Terms
         self.open_frame = declare("open_foreign_frame", c_size_t)
         self.discard_frame = declare("discard_foreign_frame", None, c_size_t)
         self.new_refs = declare("new_term_refs", term, c_int)
         self.copy_ref = declare("put_term", c_int, term, term)
-        self.read_text = declare("chars_to_term", c_int, text, term)
+        self.parse_term = declare("chars_to_term", c_int, text, term)
         self.new_functor = declare("new_functor", handle, handle, c_int)
         self.register_atom = declare("register_atom", None, handle)
         self.unregister_atom = declare("unregister_atom", None, handle)
@@ -196,9 +202,9 @@ class SwiLibrary:
         self.get_functor = declare("get_functor", c_int, term, POINTER(c_size_t))
         self.get_argument = declare("get_arg", c_int, c_int, term, term)
         self.get_list = declare("get_list", c_int, term, term, term)
-        self.kinds: Dict[str, int] = {}
-        self.utf8 = self.written = 0
-        self.atom = 2
+        self.term_types: Dict[str, int] = {}
+        self.utf8_flag = self.any_term_as_text = 0
+        self.atom_flag = 2
 
     def start(self) -> None:
         """Start SWI-Prolog, and prepare it for the use of engines.
@@ -207,7 +213,7 @@ class SwiLibrary:
             UsageError: if it does not start.
         """
         arguments = (c_char_p * (len(_ARGUMENTS) + 1))(*_ARGUMENTS)
-        with signal_stack_kept():
+        with preserved_signal_stack():
             started = self.initialise(len(_ARGUMENTS), arguments)
         if not started:
             raise UsageError(
@@ -215,7 +221,7 @@ class SwiLibrary:
             )
         self._detect_constants()
 
-    def leave(self) -> None:
+    def detach_thread(self) -> None:
         """Detach this thread from its engine."""
         self.set_engine(None, None)
 
@@ -223,23 +229,23 @@ class SwiLibrary:
         """Detect the constants of this version for term types and text flags, from samples."""
         frame = self.open_frame()
         ref = self.new_refs(2)
-        self.kinds["variable"] = self.term_type(ref)
+        self.term_types["variable"] = self.term_type(ref)
         samples = {"atom": b"a", "integer": b"1", "float": b"1.5", "nil": b"[]", "pair": b"[a]"}
         for name, text in {**samples, "compound": b"f(x)", "rational": b"1r3", "dict": b"_{a: 1}"}.items():
-            read = self.read_text(text, ref)
-            term_type = self.term_type(ref) if read else 0
-            # Versions without a type read its sample as another one, such as a rational as an integer.
-            self.kinds[name] = term_type if term_type not in self.kinds.values() else 0
+            was_parsed = self.parse_term(text, ref)
+            term_type = self.term_type(ref) if was_parsed else 0
+            # Versions without a type read its sample as a term of another type, such as a rational as an integer.
+            self.term_types[name] = term_type if term_type not in self.term_types.values() else 0
         self.clear_exception()
         self.put_text(ref, b"text")
-        self.kinds["string"] = self.term_type(ref)
+        self.term_types["string"] = self.term_type(ref)
         sample = "\u0430".encode()
         for flag, flag_text in _TEXT_FLAGS:
-            self.read_text(b"'\\u0430'", ref)
-            length, place = c_size_t(), c_void_p()
-            got = self.get_text(ref, ctypes.byref(length), ctypes.byref(place), ATOM_TEXT | flag)
-            if got and ctypes.string_at(place.value or 0, length.value) == sample:
-                self.utf8, self.written = flag, flag_text
+            self.parse_term(b"'\\u0430'", ref)
+            length, address = c_size_t(), c_void_p()
+            was_read = self.get_text(ref, ctypes.byref(length), ctypes.byref(address), ATOM_TEXT | flag)
+            if was_read and ctypes.string_at(address.value or 0, length.value) == sample:
+                self.utf8_flag, self.any_term_as_text = flag, flag_text
                 break
         self.discard_frame(frame)
 
@@ -252,7 +258,7 @@ def find_library() -> SwiLibrary:
         UsageError: if SWI-Prolog is not installed or too old, or on PyPy.
     """
     if PYPY:
-        raise UsageError(ON_PYPY)
+        raise UsageError(PYPY_MESSAGE)
     too_old = ""
     for name in (*LIBRARY_NAMES, *(path for pattern in LIBRARY_PATTERNS for path in sorted(glob(pattern)))):
         try:
@@ -261,7 +267,9 @@ def find_library() -> SwiLibrary:
             continue
         except AttributeError as error:  # a later name may be that of a newer version
             too_old = f"'{name}' is older, or another library: {error}"
-    raise UsageError(f"use_swi needs SWI-Prolog {OLDEST} or later: {too_old}" if too_old else MISSING)
+    raise UsageError(
+        f"use_swi needs SWI-Prolog {MIN_VERSION} or later: {too_old}" if too_old else NOT_INSTALLED_MESSAGE
+    )
 
 
 _CHECK_INTERVAL_SECONDS = 0.02
@@ -287,28 +295,36 @@ class LimitedGoal:
     """A goal with limits that runs in SWI-Prolog.
 
     Args:
-        left: resources that it may still use.
+        remaining: resources that it may still use.
         engine: number of its engine in SWI-Prolog.
         initial_inferences: inferences of that engine at the start of the goal, if they are limited.
 
     Attributes:
-        fired: name of the resource for which it has been interrupted; empty before.
+        exceeded_resource: name of the resource for which it has been interrupted; empty before.
     """
 
-    __slots__ = ("left", "initial_inferences", "engine", "thread", "fired", "next_interrupt", "interrupts")
+    __slots__ = (
+        "remaining",
+        "initial_inferences",
+        "engine",
+        "thread_id",
+        "exceeded_resource",
+        "next_interrupt",
+        "interrupt_count",
+    )
 
-    def __init__(self, left: Left, engine: int, initial_inferences: int = 0):
-        self.left = left
+    def __init__(self, remaining: RemainingLimits, engine: int, initial_inferences: int = 0):
+        self.remaining = remaining
         self.initial_inferences = initial_inferences
         self.engine = engine
-        self.thread = get_ident()
-        self.fired = ""
+        self.thread_id = get_ident()
+        self.exceeded_resource = ""
         self.next_interrupt = 0.0
-        self.interrupts = 0
+        self.interrupt_count = 0
 
-    def exceeded(self, now: float, inferences: Callable[[int], int]) -> str:
+    def find_exceeded(self, now: float, inferences: Callable[[int], int]) -> str:
         """Return the name of the exceeded resource, or an empty string."""
-        deadline, max_inferences, max_memory = self.left
+        deadline, max_inferences, max_memory = self.remaining
         if (
             max_inferences is not None
             and inferences(self.engine) > self.initial_inferences + max_inferences + _EXTRA_INFERENCES
@@ -319,7 +335,7 @@ class LimitedGoal:
         # The memory of SWI-Prolog is that of the process, as its stacks are not counted by Python.
         if max_memory is not None and resident_bytes() > max_memory:
             return "memory"
-        return self.fired
+        return self.exceeded_resource
 
 
 class Interrupter:
@@ -329,31 +345,31 @@ class Interrupter:
         swi: the library.
 
     Attributes:
-        asleep: whether `wake` has to be called for a new goal.
+        is_idle: whether `start` has to be called for a new goal.
     """
 
     def __init__(self, swi: SwiLibrary):
         self._swi = swi
         self._lock = Lock()
-        self._wake = Event()
-        self._runners: List[ref[SwiEngine]] = []
+        self._wake_event = Event()
+        self._engines: List[ref[SwiEngine]] = []
         self._thread: Optional[Thread] = None
-        self.asleep = True
+        self.is_idle = True
 
-    def add(self, runner: "SwiEngine") -> None:
-        """Check the goals of an object from now on; only a weak reference to it is held."""
-        self._runners = [*(reference for reference in self._runners if reference() is not None), ref(runner)]
+    def add(self, engine: "SwiEngine") -> None:
+        """Add an engine whose goals are checked; only a weak reference to it is held."""
+        self._engines = [*(reference for reference in self._engines if reference() is not None), ref(engine)]
 
-    def wake(self) -> None:
+    def start(self) -> None:
         """Start the thread, or end its sleep."""
-        self.asleep = False
+        self.is_idle = False
         # The thread is started with the first limited goal, as most programs have none.
         if self._thread is None:
             self._thread = Thread(target=self._run, name="retalis guard of SWI-Prolog", daemon=True)
             self._thread.start()
-        self._wake.set()
+        self._wake_event.set()
 
-    def settle(self) -> None:
+    def wait_for_interrupt(self) -> None:
         """Wait for the end of an interrupt in progress, and discard its effect, since its goal has ended."""
         # An interrupt that arrives after its goal has ended would hit the next goal of the same engine.
         with self._lock:
@@ -361,48 +377,49 @@ class Interrupter:
             self._swi.clear_exception()
 
     def _run(self) -> None:
-        with signal_stack_kept():
+        with preserved_signal_stack():
             # An attached thread has an engine of its own, which it needs to call predicates of the bridge.
             self._swi.attach_thread(None)
-        idle = 0
+        idle_checks = 0
         while True:
-            idle = 0 if self._check_goals(monotonic()) else idle + 1
-            if idle > _MAX_IDLE_CHECKS:
-                self._wake.clear()
-                self.asleep = True
-                # A goal that started before `asleep` was set did not call `wake`, so the goals are checked once more.
+            idle_checks = 0 if self._check_goals(monotonic()) else idle_checks + 1
+            if idle_checks > _MAX_IDLE_CHECKS:
+                self._wake_event.clear()
+                self.is_idle = True
+                # A goal that started before `is_idle` was set did not call `start`, so the goals are checked once
+                # more.
                 if not self._check_goals(monotonic()):
-                    self._wake.wait()
-                self.asleep = False
-                idle = 0
+                    self._wake_event.wait()
+                self.is_idle = False
+                idle_checks = 0
             sleep(_CHECK_INTERVAL_SECONDS)
 
     def _check_goals(self, now: float) -> bool:
         """Interrupt the goals that exceed a limit; return whether any goal runs."""
-        runs = False
-        for reference in self._runners:
-            runner = reference()
-            watched = None if runner is None else runner.watched
-            if runner is None or watched is None:
+        has_running_goal = False
+        for reference in self._engines:
+            engine = reference()
+            limited_goal = None if engine is None else engine.limited_goal
+            if engine is None or limited_goal is None:
                 continue
-            runs = True
-            if now > watched.next_interrupt:
-                resource = watched.exceeded(now, self._inferences)
+            has_running_goal = True
+            if now > limited_goal.next_interrupt:
+                resource = limited_goal.find_exceeded(now, self._count_inferences)
                 if resource:
-                    self._interrupt_once(runner, watched, resource)
-        return runs
+                    self._interrupt_exceeded(engine, limited_goal, resource)
+        return has_running_goal
 
-    def _interrupt_once(self, runner: "SwiEngine", watched: LimitedGoal, resource: str) -> None:
+    def _interrupt_exceeded(self, engine: "SwiEngine", limited_goal: LimitedGoal, resource: str) -> None:
         with self._lock:
-            watched.next_interrupt = monotonic() + _REPEAT_INTERVAL_SECONDS
-            watched.interrupts += 1
-            # Set before the check whether the goal still runs: the engine resets `watched` at the end of the goal and
-            # reads `fired` after that, so one of the two sees the other's change.
-            watched.fired = resource
-            if runner.watched is watched:
-                self._interrupt(watched)
+            limited_goal.next_interrupt = monotonic() + _REPEAT_INTERVAL_SECONDS
+            limited_goal.interrupt_count += 1
+            # Set before the check whether the goal still runs: the engine resets `limited_goal` when the goal ends
+            # and reads `exceeded_resource` after that, so one of the two sees the other's change.
+            limited_goal.exceeded_resource = resource
+            if engine.limited_goal is limited_goal:
+                self._interrupt(limited_goal)
 
-    def _inferences(self, engine: int) -> int:
+    def _count_inferences(self, engine: int) -> int:
         """Return the number of inferences of an engine."""
         swi = self._swi
         frame = swi.open_frame()
@@ -415,15 +432,15 @@ class Interrupter:
         swi.discard_frame(frame)
         return count.value
 
-    def _interrupt(self, watched: LimitedGoal) -> None:
+    def _interrupt(self, limited_goal: LimitedGoal) -> None:
         """Raise an exception in a thread's goal, and end a system call in which it blocks."""
         swi = self._swi
         frame = swi.open_frame()
         ref = swi.new_refs(2)
-        swi.unify_integer(ref, watched.engine)
-        swi.unify_integer(ref + 1, 0 if watched.interrupts <= _MAX_CATCHABLE_INTERRUPTS else 1)
+        swi.unify_integer(ref, limited_goal.engine)
+        swi.unify_integer(ref + 1, 0 if limited_goal.interrupt_count <= _MAX_CATCHABLE_INTERRUPTS else 1)
         swi.call_predicate(None, CATCH, swi.predicate(b"interrupt", 2, b"retalis_bridge"), ref)
         swi.clear_exception()
         swi.discard_frame(frame)
         # Ends a blocking system call with EINTR, after which SWI-Prolog handles the exception.
-        signal.pthread_kill(watched.thread, signal.SIGUSR2)
+        signal.pthread_kill(limited_goal.thread_id, signal.SIGUSR2)

@@ -1,14 +1,14 @@
 """Execution of goals in an engine of SWI-Prolog.
 
-An engine is attached to its thread for each call and detached after it. A goal that may have more solutions stays
+An engine is attached to its thread for each call and detached after it. A goal that may have more solutions remains
 open as a query. SWI-Prolog requires that the innermost open query is used first. The machine of the program
-backtracks in the same order, except when solutions are dropped out of order, such as by Python's garbage collection:
-such a query is marked and closed as soon as it is the innermost one.
+backtracks in the same order, except when solutions are dropped out of order, such as by Python's garbage collection.
+Such a query is marked as abandoned, and closed as soon as it is the innermost one.
 
-Calls nest: a goal in SWI-Prolog may call back a goal of the program (`SwiEngine.answer`), which may call SWI-Prolog
-again. Each nesting is a `GoalLevel`. An exception at any point, also one of a signal handler, is followed by
-`_restore`, which returns the engine to the state at the start of the level: that state does not depend on how far the
-call had proceeded.
+Calls nest: a goal in SWI-Prolog may call back a goal of the program (`SwiEngine.run_callback`), which may call
+SWI-Prolog again. Each nesting is a `GoalLevel`. An exception at any point, including one of a signal handler, is
+followed by `_restore`, which returns the engine to the state at the start of the level, however far the call had
+proceeded.
 """
 
 from contextlib import closing
@@ -21,7 +21,7 @@ from weakref import finalize
 from ...foundation.errors import RetalisError
 from ..machine.errors import PrologError, from_python, resource_error
 from ..machine.machine import LAST, Machine
-from ..machine.resource_limits import MEGABYTE, Left, LimitError
+from ..machine.resource_limits import MEGABYTE, LimitError, RemainingLimits
 from ..system.prolog_system import PrologSystem
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, variant_key
@@ -34,9 +34,9 @@ from .libswipl import (
     SOLVED,
     LimitedGoal,
     SwiLibrary,
-    signal_stack_kept,
+    preserved_signal_stack,
 )
-from .swi_startup import BRIDGE, Started
+from .swi_startup import BRIDGE, SwiRuntime
 from .swi_terms import Bindings, Refs, SwiTerms
 
 
@@ -45,35 +45,35 @@ class OpenGoal:
 
     Attributes:
         query: handle of the query.
-        frame: handle of the foreign frame to discard with it.
-        refs: term references of its variables.
-        over: whether its other solutions are not needed.
-        closed: whether it has been closed.
+        foreign_frame: handle of the foreign frame to discard when the query is closed.
+        refs: term references of the variables of the goal.
+        is_abandoned: whether no further solutions are needed.
+        is_closed: whether the query has been closed.
     """
 
-    __slots__ = ("query", "frame", "refs", "over", "closed")
+    __slots__ = ("query", "foreign_frame", "refs", "is_abandoned", "is_closed")
 
     def __init__(self, query: int, frame: int, refs: Refs):
         self.query = query
-        self.frame = frame
+        self.foreign_frame = frame
         self.refs = refs
-        self.over = self.closed = False
+        self.is_abandoned = self.is_closed = False
 
 
 class GoalLevel(NamedTuple):
     """A level of nested calls: the outermost goals of an engine, or the goals within a callback.
 
     Attributes:
-        base: number of goals that were open before.
+        open_before: number of open goals when the level began.
         query: query that has called back; 0 at the outermost level.
         depth: number of nested attachments of the engine.
-        watched: running goal with limits.
+        limited_goal: running goal with limits.
     """
 
-    base: int
+    open_before: int
     query: int
     depth: int
-    watched: Optional[LimitedGoal]
+    limited_goal: Optional[LimitedGoal]
 
 
 _LIMITED = functor("limited", 2)
@@ -83,7 +83,7 @@ _CLEANUP_TIMEOUT_SECONDS = 1.0
 """Time limit for the cleanup of a goal whose other solutions are not needed."""
 
 _MAX_CALLBACK_SOLUTIONS = 100_000
-"""Limit for the solutions of a goal in a callback."""
+"""Maximum number of solutions of a goal in a callback."""
 
 
 class SwiEngine:
@@ -93,72 +93,73 @@ class SwiEngine:
 
     Args:
         logic: the program.
-        started: the running SWI-Prolog.
+        runtime: the running SWI-Prolog.
 
     Attributes:
-        watched: the running goal, if it has limits.
+        limited_goal: the running goal, if it has limits.
         number: number of the engine in SWI-Prolog.
-        limited: handle of the predicate that calls a goal with a limit of inferences.
+        limited_predicate: handle of the predicate of the bridge that calls a goal with an inference limit.
     """
 
-    def __init__(self, logic: PrologSystem, started: Started):
+    def __init__(self, logic: PrologSystem, runtime: SwiRuntime):
         self._logic = logic
         self._budget = logic.machine.budget
-        self._started = started
-        self._swi = swi = started.swi
-        self._interrupter = started.interrupter
-        self.watched: Optional[LimitedGoal] = None
+        self._runtime = runtime
+        self._swi = swi = runtime.swi
+        self._interrupter = runtime.interrupter
+        self.limited_goal: Optional[LimitedGoal] = None
         self._thread = get_ident()
         self._depth = 0
-        self._busy = False
-        self._before = c_void_p()
-        self._to_before = byref(self._before)
-        self._open: List[OpenGoal] = []
+        self._is_in_use = False
+        self._previous_engine = c_void_p()
+        self._previous_engine_ref = byref(self._previous_engine)
+        self._open_goals: List[OpenGoal] = []
         self._level = GoalLevel(0, 0, 0, None)
         self._stored_error: Optional[BaseException] = None
-        self._ended: List[bool] = []
-        with signal_stack_kept():
+        # A list, because the finalizer must set the flag without a reference to this object.
+        self._destroyed: List[bool] = []
+        with preserved_signal_stack():
             self._engine = swi.create_engine(None)
         self._enter()
         try:
             self.number: int = swi.thread_self()
             self._terms = SwiTerms(swi)
             # The finalizer must not refer to the engine object, which it would keep alive.
-            finalize(self, _destroy, swi, self._engine, self._terms, self._ended).atexit = False
-            self.limited: int = swi.predicate(b"limited", 2, BRIDGE.encode())
-            self._statistics = swi.predicate(b"statistics", 2, b"system")
+            finalize(self, _destroy, swi, self._engine, self._terms, self._destroyed).atexit = False
+            self.limited_predicate: int = swi.predicate(b"limited", 2, BRIDGE.encode())
+            self._statistics_predicate = swi.predicate(b"statistics", 2, b"system")
         finally:
             self._leave()
-        started.engines[self.number] = self
+        runtime.engines[self.number] = self
         self._interrupter.add(self)
 
-    def handle(self, module: str, name: str, arity: int) -> int:
+    def predicate_handle(self, module: str, name: str, arity: int) -> int:
         """Return the handle of a predicate."""
         swi = self._swi
         level = self._level
-        frame = 0
+        foreign_frame = 0
         try:
             self._enter()
-            frame = swi.open_frame()
+            foreign_frame = swi.open_frame()
             module_handle = swi.new_module(self._terms.handle(atom(module)))
             predicate: int = swi.predicate_of(
                 swi.new_functor(self._terms.handle(atom(name)), arity), module_handle
             )
             # The handle of a predicate stays valid without the frame: SWI-Prolog never frees predicates.
-            swi.discard_frame(frame)
+            swi.discard_frame(foreign_frame)
             self._leave()
         except BaseException as error:
-            self._restore(level, error, frame)
+            self._restore(level, error, foreign_frame)
             raise
         return predicate
 
     def _enter(self) -> None:
         """Attach the engine to this thread."""
-        if self._busy:  # an exception has interrupted `_restore`
+        if self._is_in_use:  # an exception has interrupted `_restore`
             self._restore(self._level, None)
-        self._busy = True
+        self._is_in_use = True
         # Only the outermost call attaches the engine; nested ones find it attached.
-        if not self._depth and self._swi.set_engine(self._engine, self._to_before):
+        if not self._depth and self._swi.set_engine(self._engine, self._previous_engine_ref):
             raise RetalisError("an engine of SWI-Prolog is in use by another thread")
         self._depth += 1
 
@@ -166,52 +167,54 @@ class SwiEngine:
         """Detach the engine from this thread, at the outermost level."""
         self._depth -= 1
         if not self._depth:
-            self._swi.set_engine(self._before.value, None)
-        self._busy = False
+            self._swi.set_engine(self._previous_engine.value, None)
+        self._is_in_use = False
 
-    def _restore(self, level: GoalLevel, error: Optional[BaseException], frame: int = 0) -> None:
+    def _restore(self, level: GoalLevel, error: Optional[BaseException], foreign_frame: int = 0) -> None:
         """Restore the state at the start of a level after an exception.
 
         Args:
-            level: the level.
-            error: the exception, or None. If it is not an error of a goal, such as an interrupt, or is None, all
-                open goals of the level are closed.
-            frame: foreign frame to discard; 0 for none.
+            level: the level to restore.
+            error: the exception, or None. If it is None or not an error of a goal, such as an interrupt, all open
+                goals of the level are closed.
+            foreign_frame: foreign frame to discard; 0 for none.
         """
         swi = self._swi
-        self._busy = True
+        self._is_in_use = True
         self._level = level
-        saved_state = c_void_p()
-        if swi.set_engine(self._engine, byref(saved_state)):
+        previous_engine = c_void_p()
+        if swi.set_engine(self._engine, byref(previous_engine)):
             return
-        if saved_state.value != self._engine:  # the exception came before the engine was attached
-            self._before.value = saved_state.value
+        if previous_engine.value != self._engine:  # the exception came before the engine was attached
+            self._previous_engine.value = previous_engine.value
         # An interrupt for a goal that has ended must not hit the next one.
-        if self.watched is not level.watched:
-            self.watched = level.watched
-            self._interrupter.settle()
-        dropped = []
+        if self.limited_goal is not level.limited_goal:
+            self.limited_goal = level.limited_goal
+            self._interrupter.wait_for_interrupt()
+        abandoned_goals = []
         if not isinstance(error, Exception):
-            dropped = self._open[level.base :]
-            del self._open[level.base :]
+            abandoned_goals = self._open_goals[level.open_before :]
+            del self._open_goals[level.open_before :]
         # SWI-Prolog's own list of queries is authoritative: a query may have been opened without being recorded here.
-        last = self._open[-1].query if len(self._open) > level.base else level.query
-        while swi.current_query() not in (0, last):
-            self._close(swi.current_query())
-        for open_goal in dropped:
-            open_goal.closed = True
-        frame = dropped[0].frame if dropped else frame
-        if frame:
-            swi.discard_frame(frame)
+        innermost_query = (
+            self._open_goals[-1].query if len(self._open_goals) > level.open_before else level.query
+        )
+        while swi.current_query() not in (0, innermost_query):
+            self._close_query(swi.current_query())
+        for open_goal in abandoned_goals:
+            open_goal.is_closed = True
+        foreign_frame = abandoned_goals[0].foreign_frame if abandoned_goals else foreign_frame
+        if foreign_frame:
+            swi.discard_frame(foreign_frame)
         self._depth = level.depth
         if not self._depth:
-            swi.set_engine(self._before.value, None)
-        self._busy = False
+            swi.set_engine(self._previous_engine.value, None)
+        self._is_in_use = False
 
     # Goals
 
     def call(
-        self, machine: Machine, predicate: int, arguments: Values, left: Optional[Left]
+        self, machine: Machine, predicate: int, arguments: Values, remaining: Optional[RemainingLimits]
     ) -> Union[bool, Iterator[object]]:
         """Call a predicate; return whether it succeeds, or its solutions if there may be several.
 
@@ -219,34 +222,34 @@ class SwiEngine:
             machine: the machine of the program.
             predicate: handle of the predicate.
             arguments: arguments of the call.
-            left: resources that the goal may still use; None if it has no limits.
+            remaining: resources that the goal may still use; None if it has no limits.
         """
         swi, terms, level = self._swi, self._terms, self._level
-        frame = 0
+        foreign_frame = 0
         try:
             self._enter()
-            if self._open:
-                self._close_finished()
-            frame = swi.open_frame()
+            if self._open_goals:
+                self._close_unneeded()
+            foreign_frame = swi.open_frame()
             refs: Refs = {}
             first = ref = swi.new_refs(len(arguments) or 1)
             for argument in arguments:
                 terms.put(ref, argument, refs)
                 ref += 1
             query = swi.open_query(None, QUERY_FLAGS, predicate, first)
-            status = self._next_status(query, left)
+            status = self._next_solution(query, remaining)
             if status == RAISED:
-                raise self._raised(query)
+                raise self._read_exception(query)
             bindings = [] if status == FAILED else terms.read_values(refs)
             if status == SOLVED:
-                open_goal = OpenGoal(query, frame, refs)
-                self._open.append(open_goal)
+                open_goal = OpenGoal(query, foreign_frame, refs)
+                self._open_goals.append(open_goal)
             else:
-                swi.close_done(query)
-                swi.discard_frame(frame)
+                swi.close_finished_query(query)
+                swi.discard_frame(foreign_frame)
             self._leave()
         except BaseException as error:
-            self._restore(level, error, frame)
+            self._restore(level, error, foreign_frame)
             raise
         if status == SOLVED:
             return self._solutions(machine, open_goal, bindings)
@@ -256,165 +259,172 @@ class SwiEngine:
         try:
             while True:
                 if machine.unify_all(*bindings):
-                    yield LAST if open_goal.closed else None
-                # The last solution was known to be the last, or the goal has been closed by a restore.
-                if open_goal.closed:
+                    yield LAST if open_goal.is_closed else None
+                # The goal was closed because this was its last solution, or by `_restore`.
+                if open_goal.is_closed:
                     return
                 next_bindings = self._next_bindings(open_goal)
                 if next_bindings is None:
                     return
                 bindings = next_bindings
         finally:
-            if not open_goal.closed:
-                self._drop_goal(open_goal)
+            if not open_goal.is_closed:
+                self._abandon_goal(open_goal)
 
     def _next_bindings(self, open_goal: OpenGoal) -> Optional[Bindings]:
         """Return the bindings of the next solution, or None if there is none."""
         if self._thread != get_ident():
             raise RetalisError(
-                "solutions in SWI-Prolog were requested by another thread than the first of them"
+                "solutions in SWI-Prolog must be requested by the thread that requested the first one"
             )
         level = self._level
-        left = self._budget.left()
+        remaining = self._budget.remaining_limits()
         try:
             self._enter()
-            if self._open[-1:] != [open_goal]:
-                self._close_finished()
-            if self._open[-1:] != [open_goal]:
+            if self._open_goals[-1:] != [open_goal]:
+                self._close_unneeded()
+            if self._open_goals[-1:] != [open_goal]:
                 raise RetalisError(
                     "solutions of an outer goal were requested while an inner one is still open"
                 )
-            status = self._next_status(open_goal.query, left)
+            status = self._next_solution(open_goal.query, remaining)
             if status == RAISED:
-                raise self._raised(open_goal.query)
+                raise self._read_exception(open_goal.query)
             bindings = None if status == FAILED else self._terms.read_values(open_goal.refs)
             if status == LAST_SOLVED:
-                open_goal.over = True
-                self._close_finished()
+                open_goal.is_abandoned = True
+                self._close_unneeded()
             self._leave()
         except BaseException as error:
             self._restore(level, error)
             raise
         return bindings
 
-    def _next_status(self, query: int, left: Optional[Left]) -> int:
+    def _next_solution(self, query: int, remaining: Optional[RemainingLimits]) -> int:
         """Request the next solution of a query; return the status.
 
         Raises:
             PrologError: if a limit has been exceeded.
         """
         self._stored_error = None
-        if left is None:
+        if remaining is None:
             status: int = self._swi.next_solution(query)
         else:
-            # Counted by SWI-Prolog, and charged to the budget of the program afterwards.
-            start_inferences = 0 if left.inferences is None else self._inferences()
-            outer_watch = self.watched
-            watched = self.watched = LimitedGoal(left, self.number, start_inferences)
-            if self._interrupter.asleep:
-                self._interrupter.wake()
+            # SWI-Prolog counts the inferences, which are added to the budget of the program afterwards.
+            start_inferences = 0 if remaining.inferences is None else self._count_inferences()
+            outer_limited_goal = self.limited_goal
+            limited_goal = self.limited_goal = LimitedGoal(remaining, self.number, start_inferences)
+            if self._interrupter.is_idle:
+                self._interrupter.start()
             try:
                 status = self._swi.next_solution(query)
             finally:
-                self.watched = outer_watch
-            if watched.fired:
+                self.limited_goal = outer_limited_goal
+            if limited_goal.exceeded_resource:
                 # The interrupt may still be in progress. Without the wait it would hit the next goal.
-                self._interrupter.settle()
-                raise self._exceeded(watched.fired)
-            if left.inferences is not None:
-                self._budget.check_limits(self._inferences() - start_inferences)
-        failure = self._stored_error
-        if failure is not None and not isinstance(failure, Exception):
+                self._interrupter.wait_for_interrupt()
+                raise self._limit_error(limited_goal.exceeded_resource)
+            if remaining.inferences is not None:
+                self._budget.check_limits(self._count_inferences() - start_inferences)
+        stored_error = self._stored_error
+        if stored_error is not None and not isinstance(stored_error, Exception):
             self._stored_error = None
-            raise failure
+            raise stored_error
         return status
 
-    def _exceeded(self, resource: str) -> PrologError:
-        failure, self._stored_error = self._stored_error, None
-        if isinstance(failure, LimitError):
-            return failure
-        self._budget.check_limits(0)  # raises the budget's own error if the limit is exceeded there too
+    def _limit_error(self, resource: str) -> PrologError:
+        stored_error, self._stored_error = self._stored_error, None
+        if isinstance(stored_error, LimitError):
+            return stored_error
+        # If the limit is exceeded according to the budget too, the budget raises its own error.
+        self._budget.check_limits(0)
         return resource_error(resource)
 
-    def _inferences(self) -> int:
+    def _count_inferences(self) -> int:
         swi = self._swi
-        frame = swi.open_frame()
+        foreign_frame = swi.open_frame()
         try:
             ref = swi.new_refs(2)
             self._terms.put(ref, atom("inferences"), {})
-            swi.call_predicate(None, QUERY_FLAGS, self._statistics, ref)
+            swi.call_predicate(None, QUERY_FLAGS, self._statistics_predicate, ref)
             return self._terms.read(ref + 1)  # type: ignore
         finally:
-            swi.discard_frame(frame)
+            swi.discard_frame(foreign_frame)
 
-    def _raised(self, query: int) -> BaseException:
+    def _read_exception(self, query: int) -> BaseException:
         """Return the error that has ended a goal."""
         terms = self._terms
         # An error term may contain handles such as streams, which are read as text.
         terms.begin(lenient=True)
         ball = terms.read(self._swi.exception(query))
-        failure, self._stored_error = self._stored_error, None
-        if failure is not None and (ball is _FAILURE or _is_same_error(failure, ball)):
-            return failure
+        stored_error, self._stored_error = self._stored_error, None
+        if stored_error is not None and (ball is _FAILURE or _is_same_error(stored_error, ball)):
+            return stored_error
         return PrologError(ball)
 
     # End of goals
 
-    def _drop_goal(self, open_goal: OpenGoal) -> None:
+    def _abandon_goal(self, open_goal: OpenGoal) -> None:
         """Close a goal now, or before the next one if the engine is in use or this is another thread."""
-        open_goal.over = True
-        # A generator may be finalized at any time and in any thread; the goal is closed by the next call instead.
-        if self._busy or self._thread != get_ident() or self._ended:
+        open_goal.is_abandoned = True
+        # A generator may be finalized at any time and in any thread. In these cases the next call closes the goal.
+        if self._is_in_use or self._thread != get_ident() or self._destroyed:
             return
         level = self._level
         try:
             self._enter()
-            self._close_finished()
+            self._close_unneeded()
             self._leave()
         except BaseException as error:
             self._restore(level, error)
             raise
 
-    def _close_finished(self) -> None:
-        while len(self._open) > self._level.base and self._open[-1].over:
+    def _close_unneeded(self) -> None:
+        while len(self._open_goals) > self._level.open_before and self._open_goals[-1].is_abandoned:
             self._close_last()
 
     def _close_last(self) -> None:
-        open_goal = self._open.pop()
-        open_goal.closed = True
-        self._close(open_goal.query)
-        self._swi.discard_frame(open_goal.frame)
+        open_goal = self._open_goals.pop()
+        open_goal.is_closed = True
+        self._close_query(open_goal.query)
+        self._swi.discard_frame(open_goal.foreign_frame)
 
-    def _close(self, query: int) -> None:
+    def _close_query(self, query: int) -> None:
         """Close a query, with a time limit for its cleanup goals."""
-        outer_watch = self.watched
-        watched = self.watched = LimitedGoal(
-            Left(monotonic() + _CLEANUP_TIMEOUT_SECONDS, None, None), self.number
+        outer_limited_goal = self.limited_goal
+        limited_goal = self.limited_goal = LimitedGoal(
+            RemainingLimits(monotonic() + _CLEANUP_TIMEOUT_SECONDS, None, None), self.number
         )
-        if self._interrupter.asleep:
-            self._interrupter.wake()
+        if self._interrupter.is_idle:
+            self._interrupter.start()
         try:
             self._swi.close_query(query)
         finally:
-            self.watched = outer_watch
-        if watched.fired:
-            self._interrupter.settle()
+            self.limited_goal = outer_limited_goal
+        if limited_goal.exceeded_resource:
+            self._interrupter.wait_for_interrupt()
 
     # Callbacks
 
-    def answer(self, call_ref: int) -> bool:
-        """Unify the second argument of a term with the list of all solutions of its first one.
+    def run_callback(self, call_ref: int) -> bool:
+        """Unify the second argument of a term with the list of all solutions of its first argument.
 
-        Errors are raised in SWI-Prolog. Returns whether it succeeds.
+        Errors are raised in SWI-Prolog.
+
+        Args:
+            call_ref: reference of the term.
+
+        Returns:
+            Whether the callback succeeds.
         """
         swi, terms, outer_level = self._swi, self._terms, self._level
         try:
-            # The callback starts a new level: an error in it closes only the goals that it has opened.
-            level = GoalLevel(len(self._open), swi.current_query(), self._depth, self.watched)
+            # The callback is a new level, so an error in it closes only the goals that the callback has opened.
+            level = GoalLevel(len(self._open_goals), swi.current_query(), self._depth, self.limited_goal)
             try:
-                self._level, self._busy = level, False
+                self._level, self._is_in_use = level, False
                 goal = self._callback_goal(call_ref)
-                solutions = make_list(self._solved(goal))
+                solutions = make_list(self._all_solutions(goal))
                 self._close_all()
                 ref = swi.new_refs(1)
                 swi.get_argument(2, call_ref, ref)
@@ -422,42 +432,42 @@ class SwiEngine:
             except BaseException as error:  # no exception can be propagated through C
                 self._restore(level, error)
                 self._close_all()
-                self.fail(error)
+                self.raise_in_swi(error)
                 return False
             return True
         finally:
-            self._level, self._busy = outer_level, True
+            self._level, self._is_in_use = outer_level, True
 
     def _callback_goal(self, call_ref: int) -> Term:
         """Return the goal of a callback."""
         swi, terms = self._swi, self._terms
-        frame = swi.open_frame()
+        foreign_frame = swi.open_frame()
         try:
             terms.begin()
             ref = swi.new_refs(1)
             swi.get_argument(1, call_ref, ref)
             return terms.read(ref)
         finally:
-            swi.discard_frame(frame)  # also undoes the marks of variables
+            swi.discard_frame(foreign_frame)  # also undoes the bindings that mark variables
 
     def _close_all(self) -> None:
-        while len(self._open) > self._level.base:
+        while len(self._open_goals) > self._level.open_before:
             self._close_last()
 
-    def _solved(self, goal: Term) -> List[Term]:
-        instances = []
+    def _all_solutions(self, goal: Term) -> List[Term]:
+        copies = []
         with closing(self._logic.solutions(goal)) as solutions:
             for _ in solutions:
-                instances.append(copy(goal))
-                if len(instances) > _MAX_CALLBACK_SOLUTIONS:
+                copies.append(copy(goal))
+                if len(copies) > _MAX_CALLBACK_SOLUTIONS:
                     raise resource_error("solutions")
-        return instances
+        return copies
 
-    def fail(self, error: BaseException) -> None:
+    def raise_in_swi(self, error: BaseException) -> None:
         """Raise an error in SWI-Prolog.
 
-        An exception that is not an error of a goal, such as an interrupt, is stored, and raised again when SWI-Prolog
-        returns.
+        If the exception is not an error of a goal, such as an interrupt, it is stored, and raised again when
+        SWI-Prolog returns.
         """
         prolog_error = from_python(error)
         self._stored_error = error if prolog_error is None or isinstance(prolog_error, LimitError) else None
@@ -474,23 +484,25 @@ class SwiEngine:
 class SwiProgram:
     """SWI-Prolog as used by one program, with an engine for each thread that runs its goals.
 
-    SWI-Prolog stores the position of the C stack with an engine, and aborts the process if the engine is used by a
-    thread with another stack. So an engine cannot move between threads.
+    SWI-Prolog stores the position of the C stack with an engine, and aborts the process if a thread with another
+    stack uses the engine. Therefore each engine belongs to one thread.
 
     Args:
         logic: the program.
-        started: the running SWI-Prolog.
+        runtime: the running SWI-Prolog.
     """
 
-    def __init__(self, logic: PrologSystem, started: Started):
+    def __init__(self, logic: PrologSystem, runtime: SwiRuntime):
         self._logic = logic
-        self._started = started
+        self._runtime = runtime
         self._threads = local()
 
-    def predicate(self, module: str, name: str, arity: int) -> Callable[..., Union[bool, Iterator[object]]]:
+    def predicate_caller(
+        self, module: str, name: str, arity: int
+    ) -> Callable[..., Union[bool, Iterator[object]]]:
         """Return the function that calls a predicate of a module, for `PrologSystem.define_nondeterministic`."""
         threads, budget = self._threads, self._logic.machine.budget
-        handle = self.engine().handle(module, name, arity)
+        predicate_handle = self.engine().predicate_handle(module, name, arity)
         key = functor(name, arity)
         module_atom = atom(module)
 
@@ -499,13 +511,15 @@ class SwiProgram:
                 engine: SwiEngine = threads.engine
             except AttributeError:
                 engine = self.engine()
-            left = budget.left()
-            # SWI-Prolog counts inferences exactly. Its limit needs a wrapper goal, which is only used if there is
-            # one.
-            if left is not None and left.inferences is not None:
+            remaining = budget.remaining_limits()
+            # SWI-Prolog counts inferences exactly. Its limit requires a wrapper goal, which is only used if the
+            # program has such a limit.
+            if remaining is not None and remaining.inferences is not None:
                 goal = (COLON, module_atom, (key, *arguments) if arguments else atom(name))
-                return engine.call(machine, engine.limited, (goal, max(left.inferences, 0)), left)
-            return engine.call(machine, handle, arguments, left)
+                return engine.call(
+                    machine, engine.limited_predicate, (goal, max(remaining.inferences, 0)), remaining
+                )
+            return engine.call(machine, predicate_handle, arguments, remaining)
 
         return call
 
@@ -513,32 +527,32 @@ class SwiProgram:
         """Return the engine of this thread."""
         engine: Optional[SwiEngine] = getattr(self._threads, "engine", None)
         if engine is None:
-            engine = self._threads.engine = SwiEngine(self._logic, self._started)
+            engine = self._threads.engine = SwiEngine(self._logic, self._runtime)
             megabytes = self._logic.limits.megabytes
             if megabytes is not None:
-                self.ask("limit_stacks", int(megabytes * MEGABYTE))
+                self.call_bridge("limit_stacks", int(megabytes * MEGABYTE))
         return engine
 
-    def ask(self, name: str, *arguments: Term) -> bool:
+    def call_bridge(self, name: str, *arguments: Term) -> bool:
         """Call a predicate of the bridge once, and keep its bindings."""
-        outcome = self.predicate(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
+        outcome = self.predicate_caller(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
         if isinstance(outcome, bool):
             return outcome
         with closing(outcome) as solutions:  # type: ignore[type-var]
             return next(solutions, FAILED) is not FAILED
 
 
-def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, ended: List[bool]) -> None:
+def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, destroyed: List[bool]) -> None:
     """Destroy an engine and release its atoms; called from any thread."""
-    ended.append(True)  # its solutions may be dropped after it
-    saved_state = c_void_p()
-    if not swi.set_engine(engine, byref(saved_state)):
+    destroyed.append(True)  # Solutions that are dropped later must not use the engine.
+    previous_engine = c_void_p()
+    if not swi.set_engine(engine, byref(previous_engine)):
         try:
             terms.release()
         finally:
-            swi.set_engine(saved_state.value, None)
+            swi.set_engine(previous_engine.value, None)
     swi.destroy_engine(engine)
 
 
-def _is_same_error(failure: BaseException, ball: Term) -> bool:
-    return isinstance(failure, PrologError) and variant_key(failure.term) == variant_key(ball)
+def _is_same_error(stored_error: BaseException, ball: Term) -> bool:
+    return isinstance(stored_error, PrologError) and variant_key(stored_error.term) == variant_key(ball)

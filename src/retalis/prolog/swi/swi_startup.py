@@ -30,34 +30,37 @@ if TYPE_CHECKING:
 _PREPARED_GENERATORS = 64
 """Number of suspended generators, which limits the callbacks that may begin before a callback prepares more."""
 
-_AnswerGenerator = Generator[int, int, None]
+_CallbackGenerator = Generator[int, int, None]
 
 
 class Callbacks(List[Callable[[int], int]]):
-    """List of prepared answer functions that is called by C with a term reference.
+    """List of prepared callback functions, which C calls like a function with a term reference.
 
     ``__call__`` is a property whose getter is ``pop``: a call removes an item and calls it, all in C code of Python.
 
     Args:
-        targets: engines by their numbers in SWI-Prolog.
-        number: returns the number of the calling engine.
-        refuse: raises an error in a goal that belongs to no program.
+        engines: engines by their numbers in SWI-Prolog.
+        current_engine_number: returns the number of the calling engine.
+        raise_unknown_engine: raises an error in a goal that belongs to no program.
     """
 
     __call__ = property(methodcaller("pop"))
 
     def __init__(
-        self, targets: Mapping[int, "SwiEngine"], number: Callable[[], int], refuse: Callable[[], object]
+        self,
+        engines: Mapping[int, "SwiEngine"],
+        current_engine_number: Callable[[], int],
+        raise_unknown_engine: Callable[[], object],
     ):
         super().__init__()
-        self._targets = targets
-        self._number = number
-        self._refuse = refuse
-        self._finished: List[_AnswerGenerator] = []
-        self.fill()
+        self._engines = engines
+        self._current_engine_number = current_engine_number
+        self._raise_unknown_engine = raise_unknown_engine
+        self._finished: List[_CallbackGenerator] = []
+        self.prepare_generators()
 
-    def fill(self) -> None:
-        """Prepare generators up to the required number, and close those that have answered."""
+    def prepare_generators(self) -> None:
+        """Prepare generators up to the required number, and close those that have returned a result."""
         with suppress(IndexError):  # the list is empty, or another thread has taken the last one
             while True:
                 generator: Any = self._finished.pop()
@@ -67,43 +70,43 @@ class Callbacks(List[Callable[[int], int]]):
                     break
                 generator.close()
         while len(self) < _PREPARED_GENERATORS:
-            generators: List[_AnswerGenerator] = []
-            generators.append(self._answering(generators))
+            generators: List[_CallbackGenerator] = []
+            generators.append(self._run_callback(generators))
             next(generators[0])
             self.append(generators[0].send)
 
-    def _answering(self, generators: List[_AnswerGenerator]) -> _AnswerGenerator:
-        """Wait for a reference, answer it, and wait to be closed.
+    def _run_callback(self, generators: List[_CallbackGenerator]) -> _CallbackGenerator:
+        """Wait for a term reference, run its callback, yield the result, and wait to be closed.
 
-        The generator does not return after the answer, because its end would execute Python code when C has
-        continued.
+        The generator does not return after it has yielded the result, because its end would execute Python code when
+        C has continued.
 
         Args:
             generators: a list with this generator.
         """
-        target: Any = None
-        result, has_answered = 0, False
+        engine: Any = None
+        result, has_returned = 0, False
         try:
             ref = yield 0
-            self.fill()
-            target = self._targets.get(self._number())
-            if target is None:
-                self._refuse()
+            self.prepare_generators()
+            engine = self._engines.get(self._current_engine_number())
+            if engine is None:
+                self._raise_unknown_engine()
             else:
-                result = int(target.answer(ref))
+                result = int(engine.run_callback(ref))
             self._finished += generators
-            # No call follows before the answer is returned: Python handles signals after calls.
-            has_answered = True
+            # No call may follow before the result is returned, because Python handles signals after calls.
+            has_returned = True
             yield result
         except GeneratorExit:
             return
-        except BaseException as error:  # also an exception of a signal handler, since C needs an answer
-            if has_answered:  # the exception belongs to the code that closes the generator
+        except BaseException as error:  # also an exception of a signal handler, because C needs a result
+            if has_returned:  # the exception belongs to the code that closes the generator
                 raise
             self._finished += generators
-            target = self._targets.get(self._number())
-            if target is not None:
-                target.fail(error)
+            engine = self._engines.get(self._current_engine_number())
+            if engine is not None:
+                engine.raise_in_swi(error)
             yield 0
         finally:
             del generators[:]
@@ -116,7 +119,7 @@ _FILE = Path(__file__).resolve().parent / "bridge.pl"
 _LOCK = Lock()
 
 
-class Started(NamedTuple):
+class SwiRuntime(NamedTuple):
     """The running SWI-Prolog of this process.
 
     Attributes:
@@ -132,25 +135,25 @@ class Started(NamedTuple):
     callbacks: object
 
 
-def start() -> Started:
+def start() -> SwiRuntime:
     """Return SWI-Prolog, which is started by the first call.
 
     Raises:
         UsageError: if it is not installed or does not start.
     """
     with _LOCK:
-        return _started()
+        return _start_runtime()
 
 
 @lru_cache(maxsize=1)
-def _started() -> Started:
+def _start_runtime() -> SwiRuntime:
     swi = find_library()
     swi.start()
     engines: MutableMapping[int, SwiEngine] = WeakValueDictionary()
 
-    answerers: Any = Callbacks(engines, swi.thread_self, partial(_refuse, swi))
-    callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, UnaryCallback(answerers))]
-    callbacks += [(name, 0, step) for name, step in signal_stack_predicates()]
+    callback_list: Any = Callbacks(engines, swi.thread_self, partial(_raise_unknown_engine, swi))
+    callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, UnaryCallback(callback_list))]
+    callbacks += [(name, 0, function) for name, function in signal_stack_predicates()]
     for name, arity, callback in callbacks:
         # Registered before the bridge is loaded, which refers to these predicates.
         swi.register(BRIDGE.encode(), name.encode(), arity, callback, 0)
@@ -158,11 +161,11 @@ def _started() -> Started:
     SwiTerms(swi).put(ref, atom(str(_FILE)), {})
     if not swi.call_predicate(None, 0, swi.predicate(b"consult", 1, b"user"), ref):
         raise UsageError(f"SWI-Prolog does not load {_FILE}")
-    swi.leave()
-    return Started(swi, Interrupter(swi), engines, callbacks)
+    swi.detach_thread()
+    return SwiRuntime(swi, Interrupter(swi), engines, callbacks)
 
 
-def _refuse(swi: SwiLibrary) -> None:
+def _raise_unknown_engine(swi: SwiLibrary) -> None:
     """Raise the error for a callback from a thread of SWI-Prolog, which belongs to no program."""
     ref = swi.new_refs(1)
     error_term = (functor("existence_error", 2), atom("retalis_engine"), (SLASH, atom("retalis"), 1))

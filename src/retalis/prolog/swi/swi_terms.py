@@ -198,7 +198,7 @@ class SwiTerms:
             Atom: self._put_atom,
             String: self._put_string,
         }
-        kinds = swi.kinds
+        kinds = swi.term_types
         self._variable, self._compound, self._pair = (
             kinds["variable"],
             kinds["compound"],
@@ -299,7 +299,7 @@ class SwiTerms:
             return self._swi.unify_integer(ref, value)  # type: ignore[no-any-return]
         # The text is hexadecimal, because the conversion of a long integer to decimal takes quadratic time.
         read = require(self._swi.new_refs(1))
-        require(self._swi.read_text(hex(value).encode(), read))
+        require(self._swi.parse_term(hex(value).encode(), read))
         return self._swi.unify(ref, read)  # type: ignore[no-any-return]
 
     def _put_atom(self, ref: int, value: Atom) -> int:
@@ -310,7 +310,7 @@ class SwiTerms:
         if handle is not None:
             return self._swi.unify_atom(ref, handle)  # type: ignore[no-any-return]
         text = _encoded(value.name)
-        result: int = self._swi.unify_text(ref, self._swi.atom | self._swi.utf8, len(text), text)
+        result: int = self._swi.unify_text(ref, self._swi.atom_flag | self._swi.utf8_flag, len(text), text)
         if result and self._swi.get_atom(ref, self._to_word):
             self._cache_handle(self._handles, value, self._word.value, len(text))
         return result
@@ -318,7 +318,7 @@ class SwiTerms:
     def _put_string(self, ref: int, value: String) -> int:
         text = _encoded(value.text)
         swi = self._swi
-        return swi.unify_text(ref, swi.kinds["string"] | swi.utf8, len(text), text)  # type: ignore[no-any-return]
+        return swi.unify_text(ref, swi.term_types["string"] | swi.utf8_flag, len(text), text)  # type: ignore[no-any-return]
 
     def _cache_handle(self, cache: HandlesByTerm, key: Any, handle: int, size: int) -> None:
         # Registered first: every entry of the cache must have a valid handle.
@@ -339,7 +339,7 @@ class SwiTerms:
         """Return the handle of an atom. It is valid only while a term or the cache holds the atom."""
         ref = require(self._swi.new_refs(1))
         if value is NIL:  # the empty list of SWI-Prolog is not the atom '[]', which is the name of a functor
-            require(self._swi.unify_text(ref, self._swi.atom | self._swi.utf8, 2, b"[]"))
+            require(self._swi.unify_text(ref, self._swi.atom_flag | self._swi.utf8_flag, 2, b"[]"))
         else:
             require(self._put_atom(ref, value))
         require(self._swi.get_atom(ref, self._to_word))
@@ -533,17 +533,20 @@ class SwiTerms:
         return String(self._text(ref, STRING_TEXT))
 
     def _text(self, ref: int, flags: int) -> str:
-        if not self._swi.get_text(ref, self._to_length, self._to_place, flags | self._swi.utf8):
+        if not self._swi.get_text(ref, self._to_length, self._to_place, flags | self._swi.utf8_flag):
             raise resource_error("memory")
         return string_at(self._place.value or 0, self._length.value).decode("utf-8", "surrogatepass")
 
     def _read_unsupported(self, ref: int, term_type: int) -> Term:
         """Return the text of a term that cannot be represented, or raise an error, unless reading is lenient."""
         if self._lenient:
-            return atom(self._text(ref, self._swi.written))
-        names = {self._swi.kinds["rational"]: "a rational number", self._swi.kinds["dict"]: "a dict"}
+            return atom(self._text(ref, self._swi.any_term_as_text))
+        names = {
+            self._swi.term_types["rational"]: "a rational number",
+            self._swi.term_types["dict"]: "a dict",
+        }
         description = names.get(term_type, "a stream, a clause or another handle")
-        text = beginning(self._text(ref, self._swi.written))
+        text = beginning(self._text(ref, self._swi.any_term_as_text))
         raise representation_error(
             "term", f"{description} of SWI-Prolog cannot be converted to a term: '{text}'"
         )

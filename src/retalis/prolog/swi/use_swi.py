@@ -106,7 +106,7 @@ def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) 
     for predicate in predicates:
         _check_import(logic, program, module, predicate)
     for predicate in predicates:
-        function = program.predicate(module, predicate.name, predicate.arity)
+        function = program.predicate_caller(module, predicate.name, predicate.arity)
         logic.define_nondeterministic(predicate.key.name, predicate.key.arity, function)
     logic.swi_files[file.name] = file
 
@@ -172,7 +172,7 @@ def _load(
         UsageError: with all errors in the file; warnings are passed to ``warn``.
     """
     module, exports, problems = Var(), Var(), Var()
-    if not program.ask("load", file.source, module, exports, problems):
+    if not program.call_bridge("load", file.source, module, exports, problems):
         raise UsageError(f"SWI-Prolog cannot load {file.name}")
     errors: List[str] = []
     for problem in to_python(problems):
@@ -193,5 +193,5 @@ def _check_import(
     existing_predicate = logic.database.predicates.get(predicate.key)
     if existing_predicate is not None and existing_predicate.is_locked:
         raise permission_error("modify", "static_procedure", indicator(predicate.key))
-    if not program.ask("defined", atom(module), atom(predicate.name), predicate.arity):
+    if not program.call_bridge("defined", atom(module), atom(predicate.name), predicate.arity):
         raise existence_error("procedure", (SLASH, atom(predicate.name), predicate.arity))
