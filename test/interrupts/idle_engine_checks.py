@@ -3,7 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 
 from retalis.events.rules.timer_service import TimerAlarm
-from retalis.foundation.cancellation import WATCH
+from retalis.foundation.cancellation import CURRENT_CHECK
 
 OTHER = ThreadPoolExecutor(1)
 """Another thread."""
@@ -31,7 +31,7 @@ def faults(engine):
     check(
         not budget.used and not budget.needs_check and budget.goal is None, "the budget of an entry is left"
     )
-    check(WATCH.ask is None, "somebody is asked about long work")
+    check(CURRENT_CHECK.check is None, "somebody is asked about long work")
     check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")
     check(executor.thread is None and executor.running_callback is None, "the executor is at work")
     check(not len(executor) and not executor.callers, "something waits to be done")

@@ -6,7 +6,7 @@ import pytest
 from prolog.support import prolog
 
 from retalis import Limits, PrologError, String, Var, atom, functor, make_list
-from retalis.foundation.cancellation import watched_by
+from retalis.foundation.cancellation import set_limit_check
 from retalis.prolog.builtins import list_predicates
 from retalis.prolog.builtins.atoms_and_strings import _split, _words
 from retalis.prolog.builtins.list_predicates import order_of
@@ -224,11 +224,11 @@ def test_conversions_are_looked_at_while_they_last(work):
         looks[0] += 1
         made.clear()
 
-    before = watched_by(ask)
+    before = set_limit_check(ask)
     try:
         work(made)
     finally:
-        watched_by(before)
+        set_limit_check(before)
     assert most[0] <= 2048
     assert looks[0] >= 5
 
@@ -239,11 +239,11 @@ def test_conversions_are_looked_at_while_they_last(work):
 )
 def test_the_arguments_of_a_wide_term_count(walk):
     asked = []
-    before = watched_by(lambda work, size: asked.append(work))
+    before = set_limit_check(lambda work, size: asked.append(work))
     try:
         walk((functor("wide", 5000), *[Var() for _ in range(5000)]))
     finally:
-        watched_by(before)
+        set_limit_check(before)
     assert 5000 <= sum(asked) < 11_000
 
 
@@ -276,12 +276,12 @@ def test_what_is_allocated_in_one_piece_is_announced(logic, goal):
         read.names["A"].ref = atom("a" * 300_000)
     work = read.term
 
-    before = watched_by(lambda pieces, size: asked.append(size))
+    before = set_limit_check(lambda pieces, size: asked.append(size))
     try:
         logic.output = lambda text: None
         assert logic.machine.run((logic.control.code, (CALL, work), 0, logic.machine.done))
     finally:
-        watched_by(before)
+        set_limit_check(before)
     assert max(asked) >= 90_000
 
 
@@ -299,11 +299,11 @@ def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
 def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
     monkeypatch.setattr(list_predicates, "_CHUNK_ITEMS", 64)
     looks = []
-    before = watched_by(lambda work, size: looks.append(work))
+    before = set_limit_check(lambda work, size: looks.append(work))
     try:
         order_of(random.Random(1).sample(range(6400), 6400))
     finally:
-        watched_by(before)
+        set_limit_check(before)
     assert len(looks) > 200
 
 
@@ -314,14 +314,14 @@ def test_the_text_of_an_error_does_not_grow_with_its_term(logic):
     terms = [deep, make_list(range(100_000)), (functor("f", 100_000), *range(100_000)), 3**600_000]
     terms += [atom("a" * 100_000), String("é" * 100_000)]
     asked = []
-    before = watched_by(lambda work, size: asked.append(work))
+    before = set_limit_check(lambda work, size: asked.append(work))
     try:
         for term in terms:
             text = type_error("list", term).message
             assert text.startswith("Type error: `list' expected, found `")
             assert len(text) <= 4003
     finally:
-        watched_by(before)
+        set_limit_check(before)
     assert not asked
     assert type_error("list", 3**600_000).message.endswith("found `an integer of 950978 bits'")
 

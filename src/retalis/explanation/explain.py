@@ -19,7 +19,7 @@ from ..events.language.stream_parser import subscription_event
 from ..events.matches.partial_matches import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.provenance.event_log import Occurrence
-from ..foundation.cancellation import check_limits, watched_by
+from ..foundation.cancellation import check_limits, set_limit_check
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.system.prolog_system import PrologSystem
@@ -254,18 +254,18 @@ def explain(
         if seconds is None:
             return _Explainer(engine, origin).explain(term)
         # Unification and conditions call `check_limits` in between, which calls the function that is registered here.
-        previous = watched_by(_limit_time(monotonic() + seconds, seconds))
+        previous = set_limit_check(_limit_time(monotonic() + seconds, seconds))
         try:
             return _Explainer(engine, origin).explain(term)
         finally:
-            watched_by(previous)
+            set_limit_check(previous)
 
     # Executed between events: the recorded events do not change meanwhile.
     return engine.do(create_explanation)
 
 
 def _limit_time(end: float, seconds: float) -> Callable[[int, int], None]:
-    """Return a function for `watched_by` that raises an error after the time limit."""
+    """Return a function for `set_limit_check` that raises an error after the time limit."""
 
     def check_time(work: int, size: int) -> None:
         if monotonic() > end:

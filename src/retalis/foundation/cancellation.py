@@ -2,11 +2,11 @@
 
 A machine checks the limits of a goal (time, inferences, memory) between inferences. Walking over a large term or
 searching a long text is one inference, so such code has to check the limits itself: it calls `check_limits` after
-every `BULK` of small pieces of work, and before each large allocation with its size in bytes. `check_limits` raises
-an error if the goal that runs in this thread must end.
+each round of steps (`STEPS_PER_ROUND`), and before each large allocation with its size in bytes. `check_limits`
+raises an error if the goal that runs in this thread must end.
 
 The check finds the goal in one of two ways. A machine that runs in the current thread registers a function with
-`watched_by`; budgets of machines that know which thread they run in are registered once with `watch_for`.
+`set_limit_check`; budgets of machines that know which thread they run in are registered once with `register_budget`.
 """
 
 from itertools import chain
@@ -14,26 +14,26 @@ from threading import local
 from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, Tuple, TypeVar, overload
 from weakref import ref
 
-BULK = (None,) * 1024
-"""Number of pieces of work between two calls of `check_limits`, each as small as an inference."""
+STEPS_PER_ROUND = (None,) * 1024
+"""Steps of one round, the work between two calls of `check_limits`. A step is as small as an inference."""
 
 
 T = TypeVar("T")
 
-Ask = Callable[[int, int], None]
-"""Function of a number of inferences and a number of bytes to be allocated; it raises an error to end the work."""
+LimitCheck = Callable[[int, int], None]
+"""Takes a number of inferences and a number of bytes to be allocated; raises an error to end the work."""
 
 
-class StepWatch(local):
+class ThreadLimitCheck(local):
     """Check of the current thread; thread-local, because each thread may run a machine of its own."""
 
-    ask: Optional[Ask] = None
+    check: Optional[LimitCheck] = None
 
 
-WATCH = StepWatch()
+CURRENT_CHECK = ThreadLimitCheck()
 
 
-class WatchedBudget(Protocol):
+class ThreadBudget(Protocol):
     """Limits of a goal that knows in which thread it runs."""
 
     @property
@@ -44,30 +44,30 @@ class WatchedBudget(Protocol):
         """Count inferences; raise an error if the goal must end or may not allocate ``size`` bytes."""
 
 
-_BUDGETS: Tuple[Callable[[], Optional[WatchedBudget]], ...] = ()
-"""Weak references to the budgets that `check_limits` asks if no function is registered for the thread."""
+_BUDGETS: Tuple[Callable[[], Optional[ThreadBudget]], ...] = ()
+"""Weak references to the budgets that `check_limits` checks if no function is registered for the thread."""
 
 
-def watch_for(budget: WatchedBudget) -> None:
-    """Register a budget that `check_limits` asks whenever a goal of it runs in the current thread."""
+def register_budget(budget: ThreadBudget) -> None:
+    """Register a budget that `check_limits` checks whenever a goal of it runs in the current thread."""
     global _BUDGETS
-    # The tuple is replaced, never changed: `check_limits` iterates over it in other threads.
+    # The tuple is replaced and not changed, because `check_limits` iterates over it in other threads.
     _BUDGETS = (*[reference for reference in _BUDGETS if reference() is not None], ref(budget))
 
 
-def unwatched(work: int, size: int) -> None:
-    """Accept any amount of work; an argument of `watched_by` for work without limits."""
+def accept_all_work(work: int, size: int) -> None:
+    """Accept any amount of work; a check for `set_limit_check` that has no limits."""
 
 
-def check_limits(work: int = len(BULK), size: int = 0) -> None:
+def check_limits(work: int = len(STEPS_PER_ROUND), size: int = 0) -> None:
     """Check the limits of the goal in this thread; raise its error if it must end.
 
     Args:
-        work: pieces of work since the last call, counted as inferences.
+        work: number of steps since the last call, which are counted as inferences.
         size: bytes of the next allocation.
     """
     # A registered function takes precedence over the budgets.
-    check = WATCH.ask
+    check = CURRENT_CHECK.check
     if check is not None:
         check(work, size)
         return
@@ -78,33 +78,33 @@ def check_limits(work: int = len(BULK), size: int = 0) -> None:
 
 
 @overload
-def in_bulks(parts: str) -> Iterable[str]: ...
+def in_checked_slices(parts: str) -> Iterable[str]: ...
 
 
 @overload
-def in_bulks(parts: Sequence[T]) -> Iterable[Sequence[T]]: ...
+def in_checked_slices(parts: Sequence[T]) -> Iterable[Sequence[T]]: ...
 
 
-def in_bulks(parts: Sequence[T]) -> Iterable[Sequence[T]]:
-    """Return the items of a list or characters of a text in slices of `BULK`; call `check_limits` between them."""
+def in_checked_slices(parts: Sequence[T]) -> Iterable[Sequence[T]]:
+    """Return a list or text in slices of at most one round, with a `check_limits` between them."""
     # Short sequences are the usual case, and cost neither a generator nor a check.
-    return (parts,) if len(parts) <= len(BULK) else _bulks(parts)
+    return (parts,) if len(parts) <= len(STEPS_PER_ROUND) else _checked_slices(parts)
 
 
-def _bulks(parts: Sequence[T]) -> Iterator[Sequence[T]]:
-    for start in range(0, len(parts), len(BULK)):
+def _checked_slices(parts: Sequence[T]) -> Iterator[Sequence[T]]:
+    for start in range(0, len(parts), len(STEPS_PER_ROUND)):
         if start:
             check_limits()
-        yield parts[start : start + len(BULK)]
+        yield parts[start : start + len(STEPS_PER_ROUND)]
 
 
-def watched(parts: Sequence[T]) -> Iterable[T]:
-    """Return the items of a list one by one, with a `check_limits` after every `BULK` of them."""
-    return parts if len(parts) <= len(BULK) else chain.from_iterable(_bulks(parts))
+def with_limit_checks(parts: Sequence[T]) -> Iterable[T]:
+    """Return the items of a list one by one, with a `check_limits` after each round."""
+    return parts if len(parts) <= len(STEPS_PER_ROUND) else chain.from_iterable(_checked_slices(parts))
 
 
-def watched_by(ask: Optional[Ask]) -> Optional[Ask]:
+def set_limit_check(check: Optional[LimitCheck]) -> Optional[LimitCheck]:
     """Register the function that `check_limits` calls in this thread; return the previous one, to be restored."""
-    previous = WATCH.ask
-    WATCH.ask = ask
+    previous = CURRENT_CHECK.check
+    CURRENT_CHECK.check = check
     return previous

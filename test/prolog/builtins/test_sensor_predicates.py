@@ -202,7 +202,7 @@ def test_points_near_and_in_a_box_are_counted(points, height, padding, extra, bi
 @pytest.mark.parametrize("block", [1, 7, 64])
 @pytest.mark.parametrize(("height", "padding"), [(1, 0), (30, 0), (30, 4), (300, 4)])
 def test_large_clouds_are_counted_in_blocks(block, height, padding, monkeypatch):
-    monkeypatch.setattr(sensor_predicates, "_BLOCK", block)
+    monkeypatch.setattr(sensor_predicates, "_POINTS_PER_BLOCK", block)
     points = numpy.random.RandomState(1).uniform(-2, 2, (600, 3))
     cloud, stored = xyz(points, height=height, padding=padding)
     wanted = int(((stored >= -1) & (stored <= 1)).all(axis=1).sum())

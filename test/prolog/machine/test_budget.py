@@ -196,7 +196,9 @@ def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
 
 STEPS = st.one_of(
     st.tuples(st.sampled_from(["check_limits", "count_last_steps"]), st.integers(0, 1500)),
-    st.tuples(st.sampled_from(["count_slice", "count_loops", "check_entry", "left", "end", "inner"])),
+    st.tuples(
+        st.sampled_from(["count_slice", "count_loops", "check_entry", "remaining_limits", "end", "inner"])
+    ),
     st.tuples(st.just("wait"), st.integers(0, 8)),
     st.tuples(st.just("write"), st.integers(0, 600_000)),
 )
@@ -252,7 +254,7 @@ class Model:
     def count_slice(self):
         return self.check_limits(len(SLICE))
 
-    def left(self):
+    def remaining_limits(self):
         return self.check_limits(0)
 
     def count_loops(self):
@@ -303,7 +305,7 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
                     assert error.budget is budget and not error.refused and not budget.needs_check
                 else:
                     assert wanted is None
-                    if name == "left":
+                    if name == "remaining_limits":
                         assert found == RemainingLimits(
                             model.deadline, Model.LIMITS.inferences - model.spent, None
                         )

@@ -6,7 +6,7 @@ ISO 13211-1 prescribes: an instantiation error for an unbound argument, a type o
 
 from typing import TYPE_CHECKING, List, Optional
 
-from ...foundation.cancellation import BULK, check_limits, watched
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import MessageError
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
@@ -147,8 +147,8 @@ def option_values(term: Term) -> List[Term]:
     Raises:
         PrologError: an instantiation error for a partial list or an unbound option, a type error for another term.
     """
-    options = [deref(option) for option in watched(items(term))]
-    for option in watched(options):
+    options = [deref(option) for option in with_limit_checks(items(term))]
+    for option in with_limit_checks(options):
         if option.__class__ is Var:
             raise instantiation_error()
     return options
@@ -156,7 +156,7 @@ def option_values(term: Term) -> List[Term]:
 
 _NUMBER_CLASSES = {int, float}
 
-_CHECKED_ELEMENTS = ELEMENTS_PER_INFERENCE * len(BULK)
+_CHECKED_ELEMENTS = ELEMENTS_PER_INFERENCE * len(STEPS_PER_ROUND)
 """Number of elements from which the limits are checked."""
 
 
@@ -185,7 +185,7 @@ def array_of(term: Term) -> "Array":
     if tail is not NIL:
         raise type_error("list", term)
     if not {item.__class__ for item in values} <= _NUMBER_CLASSES:
-        values = [_item(item, position) for position, item in enumerate(watched(values))]
+        values = [_item(item, position) for position, item in enumerate(with_limit_checks(values))]
     check_limits(size=8 * len(values))
     if all(item.__class__ is int for item in values):
         # numpy 1 converts a negative number to an unsigned one without an error.

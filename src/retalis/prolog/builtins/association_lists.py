@@ -10,11 +10,11 @@ library are in library/assoc.pl.
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ...foundation.cancellation import BULK, check_limits, watched
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
 from ..machine.machine import Machine
-from ..terms.term_traversal import ROUNDS
+from ..terms.term_traversal import WALK_ROUNDS
 from ..terms.types import CONS, MINUS, NIL, CompoundTerm, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import compare, unify
 from .argument_checks import items
@@ -282,8 +282,8 @@ def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bo
         # Visits the nodes from the last to the first, so that the list is built from its end without an intermediate
         # list.
         listed: Term = NIL
-        for _ in ROUNDS:
-            for _ in BULK:
+        for _ in WALK_ROUNDS:
+            for _ in STEPS_PER_ROUND:
                 if node.__class__ is tuple and node[0] is _NODE:
                     if node[5] is not _EMPTY:
                         path.append(node)
@@ -319,9 +319,9 @@ deterministic("assoc_to_values/2", is_locked=False)(_tree_listing(2))
 @deterministic("$pairs_to_assoc/2")
 def pairs_to_assoc(machine: Machine, pairs: Term, result: Term) -> bool:
     """Build a balanced tree from pairs; fail unless their keys strictly increase."""
-    entries: List[Any] = [deref(pair) for pair in watched(items(pairs))]
+    entries: List[Any] = [deref(pair) for pair in with_limit_checks(items(pairs))]
     keys: List[Any] = []
-    for pair in watched(entries):
+    for pair in with_limit_checks(entries):
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             return False
         key = deref(pair[1])

@@ -6,7 +6,7 @@ Predicates of atoms and of strings share an implementation, which is passed the 
 
 from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import BULK, check_limits, in_bulks, watched
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, in_checked_slices, with_limit_checks
 from ..machine.errors import (
     domain_error,
     existence_error,
@@ -365,7 +365,9 @@ def _all_occurrences(
 def atomic_list_concat(machine: Machine, parts: Term, joined: Term) -> bool:
     """Concatenate texts to an atom."""
     return unify(
-        joined, atom(join_texts([atomic_text(item, "text") for item in watched(items(parts))])), machine.trail
+        joined,
+        atom(join_texts([atomic_text(item, "text") for item in with_limit_checks(items(parts))])),
+        machine.trail,
     )
 
 
@@ -394,7 +396,7 @@ def _join(parts: Term, between: str) -> Optional[str]:
     if list_items(parts) is None:
         partial_items(parts)  # raises the error for a term that is not a list
         return None
-    for item in watched(items(parts)):
+    for item in with_limit_checks(items(parts)):
         item = deref(item)
         text = constant_text(item)
         if text is None:
@@ -412,7 +414,7 @@ def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Mach
         # A long text is converted in pieces, with a check of the limits after each. The lower case of a capital sigma
         # depends on the letters around it, which may be in another piece.
         if len(source_text) > _MAX_CASE_CHARACTERS and "Σ" not in source_text:
-            changed = "".join([change(piece) for piece in in_bulks(source_text)])
+            changed = "".join([change(piece) for piece in in_checked_slices(source_text)])
         else:
             changed = change(source_text)
         require_no_compound(result, kind)
@@ -427,7 +429,7 @@ deterministic("string_upper/2")(_case(str.upper, String, "string"))
 deterministic("string_lower/2")(_case(str.lower, String, "string"))
 
 
-_CHECK_INTERVAL_MASK = len(BULK) - 1
+_CHECK_INTERVAL_MASK = len(STEPS_PER_ROUND) - 1
 
 
 @deterministic("string_length/2")
@@ -566,7 +568,7 @@ def split_string(machine: Machine, text: Term, separators: Term, pad: Term, part
 
 def _distinct_characters(text: str) -> str:
     """Return the distinct characters of a text."""
-    return text if len(text) < 2 else "".join(dict.fromkeys(watched(text)))
+    return text if len(text) < 2 else "".join(dict.fromkeys(with_limit_checks(text)))
 
 
 def _split(text: str, separators: str, pad: str) -> Iterator[str]:
@@ -608,7 +610,7 @@ def _words(text: str) -> List[str]:
     words: List[str] = []
     is_complete = True
     # A word may extend over the boundary between two pieces.
-    for piece in in_bulks(text):
+    for piece in in_checked_slices(text):
         piece_words = piece.split()
         if not is_complete and piece_words and not piece[0].isspace():
             words[-1] += piece_words.pop(0)

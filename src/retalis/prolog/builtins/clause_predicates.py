@@ -7,7 +7,7 @@ predicate, which the tables call, and the predicate itself returns the answers o
 
 from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ..compiler.clause_nodes import CONTROL
 from ..compiler.predicate_code import key_of
 from ..database.clause_index import NEVER_RETRACTED, Clause, may_match
@@ -257,7 +257,7 @@ def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
     while stack:
         # A list of a million names is one inference.
         visited += 1
-        if visited % len(BULK) == 0:
+        if visited % len(STEPS_PER_ROUND) == 0:
             check_limits()
         item, options = stack.pop()
         item = deref(item)

@@ -10,7 +10,7 @@ from typing import Callable, Dict, List, Optional, Tuple
 
 from ...foundation.cancellation import check_limits
 from ..compiler.clause_nodes import NOT
-from ..machine.arithmetic import bounded, evaluate
+from ..machine.arithmetic import check_bit_product, evaluate
 from ..machine.errors import domain_error, error, existence_error, resource_error
 from ..machine.machine import Machine
 from ..syntax.term_writer import write_term
@@ -353,7 +353,7 @@ _DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
 def radix_text(value: int, radix: int) -> str:
     """Return an integer in another base."""
     # Divides by repeated squares of the radix, so that a large number takes less than quadratic time.
-    bounded(value, value)
+    check_bit_product(value, value)
     powers = [radix]
     while powers[-1] <= abs(value):
         powers.append(powers[-1] * powers[-1])

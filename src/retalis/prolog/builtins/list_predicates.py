@@ -45,7 +45,7 @@ from typing import (
     TypeVar,
 )
 
-from ...foundation.cancellation import BULK, check_limits, watched
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..database.control_constructs import add_arguments
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
@@ -60,7 +60,7 @@ from ..machine.errors import (
 from ..machine.machine import LAST, RESUME, Code, Machine
 from ..terms.array_terms import element, element_count, list_array, sum_of_integers, view
 from ..terms.list_terms import list_items, list_parts, make_list
-from ..terms.term_traversal import LATE_ROUND, MAX_STEPS, ROUNDS, refuse_cycles
+from ..terms.term_traversal import CYCLE_CHECK_ROUND, MAX_STEPS, WALK_ROUNDS, require_acyclic
 from ..terms.types import (
     CONS,
     MINUS,
@@ -112,11 +112,11 @@ _COMPARISONS_PER_CHECK = 32
 
 def by_age(terms: List[Term]) -> List[Term]:
     """Number the variables among terms and their arguments, so that they sort in the order of occurrence."""
-    for item in map(deref, watched(terms)):
+    for item in map(deref, with_limit_checks(terms)):
         if item.__class__ is Var:
             serial(item)
         elif item.__class__ is tuple:
-            for argument in watched(item[1:]) if len(item) > _MAX_KEY_ITEMS else item[1:]:
+            for argument in with_limit_checks(item[1:]) if len(item) > _MAX_KEY_ITEMS else item[1:]:
                 value = deref(argument) if argument.__class__ is Var else argument
                 if value.__class__ is Var:
                     serial(value)
@@ -125,25 +125,28 @@ def by_age(terms: List[Term]) -> List[Term]:
 
 def sort_terms(terms: Sequence[Term], reverse: bool = False) -> List[Term]:
     """Return terms in the standard order; the sort is stable."""
-    values = [deref(term) for term in watched(terms)]
-    return [values[position] for position in watched(order_of(_keys_of(values), reverse))]
+    values = [deref(term) for term in with_limit_checks(terms)]
+    return [values[position] for position in with_limit_checks(order_of(_keys_of(values), reverse))]
 
 
 def sort_by(items: Sequence[Item], keys: Sequence[Term], reverse: bool = False) -> List[Tuple[Term, Item]]:
     """Return ``(key, item)`` pairs in the standard order of the keys; the sort is stable."""
-    values = [deref(key) for key in watched(keys)]
-    return [(values[position], items[position]) for position in watched(order_of(_keys_of(values), reverse))]
+    values = [deref(key) for key in with_limit_checks(keys)]
+    return [
+        (values[position], items[position])
+        for position in with_limit_checks(order_of(_keys_of(values), reverse))
+    ]
 
 
 def sort_unique(terms: Sequence[Term]) -> List[Term]:
     """Return terms in the standard order, without duplicates."""
-    values = [deref(term) for term in watched(terms)]
+    values = [deref(term) for term in with_limit_checks(terms)]
     keys = _keys_of(values)
     # Equal items are adjacent after sorting, and equal keys denote equal terms.
     order = order_of(keys)
     return [
         values[position]
-        for index, position in enumerate(watched(order))
+        for index, position in enumerate(with_limit_checks(order))
         if not index or keys[order[index - 1]] != keys[position]
     ]
 
@@ -201,7 +204,7 @@ def _keys_of(terms: List[Term]) -> Sequence[Any]:
     if len(classes) == 1:
         plain = _PLAIN.get(*classes)
         if plain is not None:
-            return terms if classes == {int} else list(map(plain, watched(terms)))
+            return terms if classes == {int} else list(map(plain, with_limit_checks(terms)))
     keys: List[Tuple[Hashable, ...]] = []
     for term in terms:
         key = _flat_key(term)
@@ -212,7 +215,7 @@ def _keys_of(terms: List[Term]) -> Sequence[Any]:
             check_limits()
     else:
         return keys
-    return list(map(cmp_to_key(_checked_compare()), watched(terms)))
+    return list(map(cmp_to_key(_checked_compare()), with_limit_checks(terms)))
 
 
 def _flat_key(  # noqa: C901 -- a call for each part of a term would double its time
@@ -348,12 +351,14 @@ def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Ter
     if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
     values = by_age(items(unsorted))
-    pairs = sort_by(values, [_argument(item, position) for item in watched(values)], direction[0] == ">")
+    pairs = sort_by(
+        values, [_argument(item, position) for item in with_limit_checks(values)], direction[0] == ">"
+    )
     # `@<` and `@>` remove items with equal keys and keep the first of each.
     if "=" not in direction:
         pairs = [
             pair
-            for index, pair in enumerate(watched(pairs))
+            for index, pair in enumerate(with_limit_checks(pairs))
             if index == 0 or compare(pairs[index - 1][0], pair[0])
         ]
     return unify(result, make_list([item for _, item in pairs]), machine.trail)
@@ -389,10 +394,10 @@ def _argument(item: Term, position: Optional[int]) -> Term:
 @deterministic("keysort/2")
 def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
     """Sort pairs ``Key-Value`` by key; the sort is stable."""
-    sorted_pairs = [_checked_pair(item) for item in watched(items(pairs))]
+    sorted_pairs = [_checked_pair(item) for item in with_limit_checks(items(pairs))]
     sorted_pairs = [pair for _, pair in sort_by(sorted_pairs, [pair[1] for pair in sorted_pairs])]
     if is_iso(machine):
-        for item in watched(partial_items(result)):
+        for item in with_limit_checks(partial_items(result)):
             if deref(item).__class__ is not Var:
                 _checked_pair(item)
     return unify(result, make_list(sorted_pairs), machine.trail)
@@ -523,7 +528,7 @@ def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
     tail = deref(list_term)
     rounds = 0
     while tail.__class__ is tuple and tail[0] is CONS:
-        for _ in BULK:
+        for _ in STEPS_PER_ROUND:
             if tail.__class__ is not tuple or tail[0] is not CONS:
                 break
             mark = len(trail)
@@ -534,10 +539,10 @@ def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
         else:
             check_limits()
             rounds += 1
-            if rounds == LATE_ROUND:
+            if rounds == CYCLE_CHECK_ROUND:
                 # Only a long list is checked for a cycle, because the check takes as long as the search.
-                refuse_cycles(tail)
-            if rounds > len(ROUNDS):
+                require_acyclic(tail)
+            if rounds > len(WALK_ROUNDS):
                 raise TermTooLarge
     # As by SWI-Prolog, a partial list gets the item as its next element.
     if tail.__class__ is not Var and tail is not NIL:
@@ -570,7 +575,7 @@ def _fold_predicate(
                 return unify(result, folded, machine.trail)
         values, tail = list_parts(list_term)
         value: Optional[Term] = start
-        for item in watched(values):
+        for item in with_limit_checks(values):
             value = item if value is None else step(value, item)
         # The error names the predicate that the library would call at this point.
         if tail is not NIL:
@@ -661,7 +666,7 @@ def list_to_set(machine: Machine, list_term: Term, result: Term) -> bool:
     pairs = sort_by(range(len(values)), values)
     # Marks the positions to keep, so that the order of the list is preserved.
     is_first = bytearray(len(values))
-    for index, (item, position) in enumerate(watched(pairs)):
+    for index, (item, position) in enumerate(with_limit_checks(pairs)):
         is_first[position] = index == 0 or compare(pairs[index - 1][0], item) != 0
     return unify(result, make_list(compress(values, is_first)), machine.trail)
 
@@ -776,7 +781,7 @@ _SUBSET = functor("subset", 2)
 _ORD_UNION, _ORD_UNION_ALL, _UNION2 = functor("ord_union", 3), functor("ord_union", 2), functor("union2", 4)
 
 
-_ITEMS = BULK[:32]
+_ITEMS = STEPS_PER_ROUND[:32]
 """Items between two checks of the limits; for each item, a list of up to a thousand items may be searched."""
 
 
@@ -933,7 +938,7 @@ def random_between(machine: Machine, low: Term, high: Term, value: Term) -> bool
     first, last = integer(low), integer(high)
     # A number of a million digits takes a millisecond, as long as thousands of inferences.
     bits = (last - first).bit_length()
-    if bits > len(BULK):
+    if bits > len(STEPS_PER_ROUND):
         check_limits(bits // _RANDOM_BITS_PER_STEP, bits // 8)
     return first <= last and unify(value, random.randint(first, last), machine.trail)
 
@@ -952,7 +957,7 @@ def random_permutation(machine: Machine, list_term: Term, result: Term) -> bool:
     """Unify with a random permutation of a list."""
     values = items(list_term)
     # Sorting by random ranks instead of `random.shuffle` has the checks of limits of `order_of`.
-    ranks = [random.random() for _ in watched(values)]
+    ranks = [random.random() for _ in with_limit_checks(values)]
     return unify(result, make_list([values[position] for position in order_of(ranks)]), machine.trail)
 
 

@@ -9,7 +9,7 @@ the construct's choice point is the newest one, the goal has no more solutions.
 from time import monotonic
 from typing import Dict, Hashable, Optional, Set
 
-from ...foundation.cancellation import watched_by
+from ...foundation.cancellation import set_limit_check
 from ...foundation.cpython_and_pypy import PYPY
 from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
 from ..database.control_constructs import add_arguments, check_body
@@ -115,7 +115,7 @@ def call_with_time_limit(machine: Machine, args: Values, continuation: Frame) ->
     height = len(machine.choices)
     budget = machine.budget
     # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
-    previous_watch = watched_by(budget.check_limits)
+    previous_watch = set_limit_check(budget.check_limits)
     machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), previous_watch, len(machine.trail)))
     budget.add_alarm(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
     return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, continuation))
@@ -128,7 +128,7 @@ def _remove_time_limit(entry: Frame) -> None:
     for _, error in budget.alarms[count:]:
         error.close()
     del budget.alarms[count:]
-    watched_by(previous_watch)
+    set_limit_check(previous_watch)
 
 
 def _finish_in_time(frame: Frame) -> Frame:

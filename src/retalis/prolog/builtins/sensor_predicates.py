@@ -1,10 +1,9 @@
 """Predicates on point clouds, images and occupancy grids: ``sensor_msgs/PointCloud2``, ``Image``, ``OccupancyGrid``.
 
 The messages are event terms, decoded ones or written by hand. Their bytes are read through strided numpy views (see
-`array_of`), so no list and no base64 text is made. The sizes in a message are checked before a view is made: a
-message that contradicts itself raises an error that names the slot, because a view beyond its bytes would otherwise
-read nothing or something else. Other types with the same slots, such as the events of a topic with a name of its
-own, are accepted.
+`array_of`), so no list and no base64 text is created. The sizes in a message are checked before a view is created: a
+message with inconsistent sizes raises an error that names the slot; numpy would otherwise read outside of the data or
+return an empty array. Other types with the same slots are accepted, such as the events of a topic with an own name.
 
 Points are tested in blocks that fit into the processor's cache, with a check of the goal's limits after each block.
 Coordinates are compared as float64, as the numbers of a list would be: numpy alone would round a limit to the type of
@@ -59,7 +58,7 @@ _POINT = functor("geometry_msgs__0__Point", 3)
 _QUATERNION = functor("geometry_msgs__0__Quaternion", 4)
 
 _MAX_BYTE = 255
-_BLOCK = 1 << 14
+_POINTS_PER_BLOCK = 1 << 14
 """Points that are tested at once: three coordinates as float64 take 384 KiB."""
 
 
@@ -78,7 +77,7 @@ def _message(term: Term, type_name: str) -> CompoundTerm:
     raise type_error(type_name, term)
 
 
-def _part(term: Term, expected: Functor, slot: str) -> CompoundTerm:
+def _nested_message(term: Term, expected: Functor, slot: str) -> CompoundTerm:
     """Return the message in a slot."""
     term = deref(term)
     if term.__class__ is tuple and term[0] is expected:
@@ -98,7 +97,7 @@ def _number(term: Term, slot: str) -> float:
     raise type_error("number", term, f"slot {slot}")
 
 
-def _size(term: Term, slot: str) -> int:
+def _non_negative_integer(term: Term, slot: str) -> int:
     """Return the non-negative integer in a slot."""
     term = deref(term)
     if term.__class__ is Var:
@@ -154,28 +153,29 @@ def _bytes(term: Term) -> Array:
     return values
 
 
-_MIN_CACHED_TEXT = 1024
-_decoded: Tuple[Optional["ref[Atom]"], bytes] = (None, b"")
-"""The long text that was decoded last, and its bytes: several predicates usually read one message. One tuple, because
-threads replace it at any time."""
+_MIN_CACHED_TEXT_BYTES = 1024
+_last_decoded_text: Tuple[Optional["ref[Atom]"], bytes] = (None, b"")
+"""The long text that was decoded last, and its bytes, because several predicates usually read the same message.
+
+It is one tuple, because several threads may replace it at any time."""
 
 
 def _text_bytes(term: Term) -> bytes:
-    """Return the bytes that a text in the slot ``data`` stands for."""
-    global _decoded
-    last, raw = _decoded
-    if last is not None and last() is term:
-        return raw
+    """Return the bytes that a text in the slot ``data`` denotes."""
+    global _last_decoded_text
+    cached_atom, cached_bytes = _last_decoded_text
+    if cached_atom is not None and cached_atom() is term:
+        return cached_bytes
     try:
         decoded = text_bytes(term) or b""
     except MessageError as error:
         raise type_error("bytes", term, f"slot data: {error.message}") from None
-    if term.__class__ is Atom and len(decoded) >= _MIN_CACHED_TEXT:
-        _decoded = ref(term), decoded
+    if term.__class__ is Atom and len(decoded) >= _MIN_CACHED_TEXT_BYTES:
+        _last_decoded_text = ref(term), decoded
     return decoded
 
 
-def _term(values: Array) -> Term:
+def _array_to_term(values: Array) -> Term:
     """Return the term of all elements of an array, row by row."""
     check_limits(1 + values.size // ELEMENTS_PER_INFERENCE, values.nbytes)
     return array_term(values.reshape(-1))
@@ -204,8 +204,8 @@ class _Cloud(NamedTuple):
         import numpy  # noqa: PLC0415 - see `_bytes`
 
         names = []
-        for term in _fields(self.fields):
-            field = _part(term, _POINT_FIELD, "fields")
+        for term in _field_list(self.fields):
+            field = _nested_message(term, _POINT_FIELD, "fields")
             field_name = _text(field[1], "fields.name")
             names.append(field_name)
             if field_name == name:
@@ -213,12 +213,15 @@ class _Cloud(NamedTuple):
         else:
             reason = f"the cloud has {', '.join(names) or 'no fields'}"
             raise existence_error("field", atom(name), (CONTEXT, Var(), atom(reason)))
-        offset, code = _size(field[2], "fields.offset"), _size(field[3], "fields.datatype")
+        offset, datatype = (
+            _non_negative_integer(field[2], "fields.offset"),
+            _non_negative_integer(field[3], "fields.datatype"),
+        )
         # A count of 0 is found in clouds of old drivers and means one value, as in PCL.
-        count = _size(field[4], "fields.count") or 1
-        if code not in _FIELD_TYPES:
-            raise _size_error("fields.datatype", code, f"{code} of {name}, expected 1 to 8")
-        dtype = numpy.dtype(self.byte_order + _FIELD_TYPES[code])
+        count = _non_negative_integer(field[4], "fields.count") or 1
+        if datatype not in _FIELD_TYPES:
+            raise _size_error("fields.datatype", datatype, f"{datatype} of {name}, expected 1 to 8")
+        dtype = numpy.dtype(self.byte_order + _FIELD_TYPES[datatype])
         end = offset + count * dtype.itemsize
         if end > self.point_step:
             raise _size_error(
@@ -245,15 +248,18 @@ class _Cloud(NamedTuple):
             # Without padding at the end of rows, the cloud is one row.
             coordinates = [values.reshape(1, -1) for values in coordinates]
             height, width = coordinates[0].shape
-        rows = max(1, _BLOCK // width) if width else 1
-        for top in range(0, height, rows):
-            for left in range(0, width, _BLOCK):
-                x, y, z = [values[top : top + rows, left : left + _BLOCK] for values in coordinates]
+        rows_per_block = max(1, _POINTS_PER_BLOCK // width) if width else 1
+        for top in range(0, height, rows_per_block):
+            for left in range(0, width, _POINTS_PER_BLOCK):
+                x, y, z = [
+                    values[top : top + rows_per_block, left : left + _POINTS_PER_BLOCK]
+                    for values in coordinates
+                ]
                 check_limits(1 + x.size // ELEMENTS_PER_INFERENCE)
                 yield x.astype("f8"), y.astype("f8"), z.astype("f8")
 
 
-def _fields(term: Term) -> List[Term]:
+def _field_list(term: Term) -> List[Term]:
     items, tail = list_parts(term)
     if tail is NIL:
         return items
@@ -265,9 +271,12 @@ def _fields(term: Term) -> List[Term]:
 def _cloud(term: Term) -> _Cloud:
     """Return the layout of a point cloud, after its sizes have been checked."""
     message = _message(term, _POINT_CLOUD)
-    height, width = _size(message[2], "height"), _size(message[3], "width")
+    height, width = _non_negative_integer(message[2], "height"), _non_negative_integer(message[3], "width")
     is_bigendian = _is_true(message[5], "is_bigendian")
-    point_step, row_step = _size(message[6], "point_step"), _size(message[7], "row_step")
+    point_step, row_step = (
+        _non_negative_integer(message[6], "point_step"),
+        _non_negative_integer(message[7], "row_step"),
+    )
     data = _bytes(message[8])
     if row_step < width * point_step and height:
         needed = width * point_step
@@ -279,29 +288,32 @@ def _cloud(term: Term) -> _Cloud:
 
 
 def _check_data(unit: str, size: int, expected: int, formula: str) -> None:
-    """Raise an error for a slot ``data`` of a size that the other slots exclude."""
+    """Raise an error for a slot ``data`` whose size differs from the one that the other slots determine."""
     if size != expected:
         raise _size_error("data", size, f"{size} {unit}, expected {formula} = {expected}")
 
 
 @function("cloud_field/3")
 def cloud_field(cloud: Term, name: Term) -> Term:
-    """Return the values of a field of all points, row by row; of a field with several values all of each point."""
+    """Return the values of a field of all points, row by row; if a point has several values, all of them."""
     layout = _cloud(cloud)
-    return _term(layout.field(_text(name)))
+    return _array_to_term(layout.field(_text(name)))
 
 
 @function("cloud_near/4")
 def cloud_near(cloud: Term, point: Term, radius: Term) -> Term:
-    """Return the number of points within a radius of a point; points that are not finite are far."""
+    """Return the number of points within a radius of a point.
+
+    Points with a coordinate that is not finite are not counted.
+    """
     import numpy  # noqa: PLC0415 - see `_bytes`
 
     layout = _cloud(cloud)
     px, py, pz = map(float, vector(point))
-    distance = float(number(radius))
-    if distance < 0:
+    radius_value = float(number(radius))
+    if radius_value < 0:
         raise domain_error("not_less_than_zero", deref(radius))
-    limit = distance * distance
+    limit = radius_value * radius_value
     count = 0
     with numpy.errstate(invalid="ignore", over="ignore"):
         for x, y, z in layout.blocks():
@@ -328,8 +340,8 @@ def cloud_box(cloud: Term, lower: Term, upper: Term) -> Term:
     with numpy.errstate(invalid="ignore"):
         for block in layout.blocks():
             inside: Array = True
-            for values, least, most in zip(block, low, high):
-                inside = (values >= least) & (values <= most) & inside
+            for values, lower_bound, upper_bound in zip(block, low, high):
+                inside = (values >= lower_bound) & (values <= upper_bound) & inside
             count += int(numpy.count_nonzero(inside))
     return count
 
@@ -357,9 +369,9 @@ _MAX_CHANNELS = 512
 def _encoding(term: Term) -> Tuple[str, int]:
     """Return the type of the values of a pixel without its byte order, and their number."""
     name = _text(term, "encoding")
-    known = _ENCODINGS.get(name)
-    if known is not None:
-        return known
+    type_and_count = _ENCODINGS.get(name)
+    if type_and_count is not None:
+        return type_and_count
     type_name, separator, digits = name.partition("C")
     if separator and type_name in _OPENCV_TYPES:
         if not digits:
@@ -390,10 +402,10 @@ def _image(term: Term) -> _Image:
     import numpy  # noqa: PLC0415 - see `_bytes`
 
     message = _message(term, _IMAGE)
-    height, width = _size(message[2], "height"), _size(message[3], "width")
+    height, width = _non_negative_integer(message[2], "height"), _non_negative_integer(message[3], "width")
     type_name, channels = _encoding(message[4])
     byte_order = ">" if _is_true(message[5], "is_bigendian") else "<"
-    step, data = _size(message[6], "step"), _bytes(message[7])
+    step, data = _non_negative_integer(message[6], "step"), _bytes(message[7])
     dtype = numpy.dtype(byte_order + type_name)
     needed = width * channels * dtype.itemsize
     if step < needed and height:
@@ -422,8 +434,8 @@ def image_pixel(image: Term, column: Term, row: Term) -> Optional[Term]:
 def image_region_mean(image: Term, left: Term, top: Term, width: Term, height: Term) -> Optional[Term]:
     """Return the mean of the pixels in a rectangle, or the list of the means of their values.
 
-    The part of the rectangle outside of the image and values that are not finite do not count. The predicate fails if
-    no value is left.
+    The part of the rectangle outside of the image, and values that are not finite, are ignored. The predicate fails
+    if no finite value remains.
     """
     pixels = _image(image)
     x, y, columns, rows = integer(left), integer(top), natural(width), natural(height)
@@ -468,7 +480,7 @@ def _finite_means(region: Array, channels: int) -> List[Any]:
 @function("image_array/2")
 def image_array(image: Term) -> Term:
     """Return all values of an image, row by row, without the padding of rows."""
-    return _term(_image(image).rows)
+    return _array_to_term(_image(image).rows)
 
 
 # Occupancy grids
@@ -478,16 +490,19 @@ def image_array(image: Term) -> Term:
 def map_cell(grid: Term, x: Term, y: Term) -> Optional[Term]:
     """Return the value of the cell at a point, in metres in the frame of the map; None outside of the map."""
     message = _message(grid, _GRID)
-    info = _part(message[2], _MAP_META_DATA, "info")
+    info = _nested_message(message[2], _MAP_META_DATA, "info")
     resolution = _number(info[2], "info.resolution")
     if not (resolution > 0 and isfinite(resolution)):
         raise domain_error("info.resolution", deref(info[2]), "info.resolution: expected a positive number")
-    width, height = _size(info[3], "info.width"), _size(info[4], "info.height")
+    width, height = (
+        _non_negative_integer(info[3], "info.width"),
+        _non_negative_integer(info[4], "info.height"),
+    )
     local_x, local_y = _to_grid(info[5], float(number(x)), float(number(y)))
     data = array_of(message[3])
     _check_data("cells", len(data), width * height, "width * height")
     column, row = local_x / resolution, local_y / resolution
-    # Also false for nan, which no conversion to an integer takes.
+    # The comparison is also false for nan, which cannot be converted to an integer.
     if not (0 <= column < width and 0 <= row < height):
         return None
     value: Term = data[int(row) * width + int(column)].item()
@@ -500,20 +515,20 @@ def _to_grid(origin: Term, x: float, y: float) -> Tuple[float, float]:
     The origin is the pose of the corner of the first cell. Its inverse rotation, by the transposed matrix of the
     quaternion, turns the point into the grid.
     """
-    pose = _part(origin, _POSE, "info.origin")
-    position = _part(pose[1], _POINT, "info.origin.position")
-    rotation = _part(pose[2], _QUATERNION, "info.origin.orientation")
+    pose = _nested_message(origin, _POSE, "info.origin")
+    position = _nested_message(pose[1], _POINT, "info.origin.position")
+    rotation = _nested_message(pose[2], _QUATERNION, "info.origin.orientation")
     dx = x - _number(position[1], "info.origin.position.x")
     dy = y - _number(position[2], "info.origin.position.y")
-    i, j, k, w = [
+    qx, qy, qz, qw = [
         _number(part, f"info.origin.orientation.{name}") for part, name in zip(rotation[1:], "xyzw")
     ]
-    norm = i * i + j * j + k * k + w * w
+    norm = qx * qx + qy * qy + qz * qz + qw * qw
     # Many publishers leave the orientation out; rviz shows such maps without a rotation, too.
     if not norm:
         return dx, dy
-    s = 2 / norm
+    scale = 2 / norm
     return (
-        (1 - s * (j * j + k * k)) * dx + s * (i * j + k * w) * dy,
-        s * (i * j - k * w) * dx + (1 - s * (i * i + k * k)) * dy,
+        (1 - scale * (qy * qy + qz * qz)) * dx + scale * (qx * qy + qz * qw) * dy,
+        scale * (qx * qy - qz * qw) * dx + (1 - scale * (qx * qx + qz * qz)) * dy,
     )

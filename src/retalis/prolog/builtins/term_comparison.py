@@ -1,21 +1,20 @@
-"""Predicates for unification, comparison, arithmetic and type tests.
+"""Predicates for unification, comparison, arithmetic, and tests of terms.
 
 Compiled clauses contain most of these tests inline; the predicates serve for calls of goals that are known only at
 run time.
 
 ``freeze/2``, ``dif/2`` and ``when/2`` are supported only if they can be decided immediately. Coroutining (suspended
-goals that are resumed by the binding of a variable) is not: compiled clauses contain the code of unifications, and
-each unification would have to check for suspended goals. A call that depends on an unbound variable raises an
-instantiation error.
+goals that are resumed by the binding of a variable) is not supported, because every inlined unification would have to
+check for suspended goals. A call that depends on an unbound variable raises an instantiation error.
 """
 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation import codegen
-from ...foundation.cancellation import BULK, check_limits, watched
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import COMPARISONS, ORDERS
-from ..machine.arithmetic import measure, plain
+from ..machine.arithmetic import evaluate_exact, without_instant
 from ..machine.errors import (
     CONTEXT,
     PrologError,
@@ -27,10 +26,16 @@ from ..machine.errors import (
 )
 from ..machine.machine import Machine
 from ..terms.list_terms import list_parts, make_list
-from ..terms.term_traversal import LATE, MAX_STEPS, ROUNDS, is_ground, refuse_cycles, variables
+from ..terms.term_traversal import (
+    CYCLE_CHECK_STEP,
+    MAX_STEPS,
+    WALK_ROUNDS,
+    is_ground,
+    require_acyclic,
+    variables,
+)
 from ..terms.types import (
     COMMA,
-    CONS,
     MINUS,
     NIL,
     Atom,
@@ -44,7 +49,7 @@ from ..terms.types import (
     deref,
     functor,
 )
-from ..terms.unification import by_age, compare, undo, unify, unlike
+from ..terms.unification import always_different, compare, compare_by_age, undo, unify
 from .argument_checks import integer, integer_or_var, is_iso, natural, partial_items
 from .builtin_registry import control, deterministic
 
@@ -52,13 +57,13 @@ _ORDER_ATOMS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
 
 
 @deterministic("=/2")
-def equal(machine: Machine, left: Term, right: Term) -> bool:
+def unify_terms(machine: Machine, left: Term, right: Term) -> bool:
     """Unify two terms."""
     return unify(left, right, machine.trail)
 
 
 @deterministic("\\=/2")
-def different(machine: Machine, left: Term, right: Term) -> bool:
+def is_not_unifiable(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms do not unify."""
     mark = len(machine.trail)
     unifies = unify(left, right, machine.trail)
@@ -73,7 +78,7 @@ def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
     mark = len(trail)
     # Unifies first and checks the new bindings afterwards: the check is only needed for variables that were bound.
     return unify(left, right, trail) and not any(
-        _is_cyclic(var) for var in watched(trail[mark:]) if var.__class__ is Var
+        _is_cyclic(var) for var in with_limit_checks(trail[mark:]) if var.__class__ is Var
     )
 
 
@@ -101,7 +106,11 @@ def _is_cyclic(var: Any) -> bool:
 
 @deterministic("compare/3")
 def compare_terms(
-    machine: Machine, order: Term, left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age
+    machine: Machine,
+    order: Term,
+    left: Term,
+    right: Term,
+    compare_variables: Callable[[Var, Var], int] = compare_by_age,
 ) -> bool:
     """Compare two terms in the standard order."""
     order = deref(order)
@@ -111,23 +120,27 @@ def compare_terms(
             raise type_error("atom", order)
         if order not in _ORDER_ATOMS.values():
             raise domain_error("order", order)
-    return unify(order, _ORDER_ATOMS[compare(left, right, variables)], machine.trail)
+    return unify(order, _ORDER_ATOMS[compare(left, right, compare_variables)], machine.trail)
 
 
 def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that compares terms in the standard order."""
-    # For equality the age of variables does not matter, and comparing it would number them.
-    variables = unlike if test in ("== 0", "!= 0") else by_age
+    # For equality the age of variables is irrelevant, and `compare_by_age` assigns serial numbers to variables, which
+    # costs memory.
+    compare_variables = always_different if test in ("== 0", "!= 0") else compare_by_age
     lines = ["def generated(machine, left, right):", f"    return compare(left, right, variables) {test}"]
-    names = {"compare": compare, "variables": variables}
+    names = {"compare": compare, "variables": compare_variables}
     predicate: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {test}")
     return predicate
 
 
 def _arithmetic_comparison(operator: str) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that compares the values of two expressions."""
-    lines = ["def generated(machine, left, right):", f"    return measure(left) {operator} measure(right)"]
-    names = {"measure": measure}
+    lines = [
+        "def generated(machine, left, right):",
+        f"    return evaluate_exact(left) {operator} evaluate_exact(right)",
+    ]
+    names = {"evaluate_exact": evaluate_exact}
     predicate: Callable[[Machine, Term, Term], bool] = codegen.function(
         lines, names, f"comparison {operator}"
     )
@@ -141,12 +154,12 @@ for _key, _test in COMPARISONS.items():
 
 
 @deterministic("is/2")
-def is_value(machine: Machine, result: Term, expression: Term) -> bool:
+def evaluate_is(machine: Machine, result: Term, expression: Term) -> bool:
     """Evaluate an expression."""
-    value = measure(expression)
-    # For timestamps, `measure` returns numbers that carry an exact instant, which a program must not see.
+    value = evaluate_exact(expression)
+    # For timestamps, `evaluate_exact` returns numbers that carry an exact instant, which a program must not see.
     if value.__class__ is not int and value.__class__ is not float:
-        value = plain(value)
+        value = without_instant(value)
     return unify(result, value, machine.trail)
 
 
@@ -226,9 +239,9 @@ def term_variables(machine: Machine, term: Term, result: Term) -> bool:
 
 
 @deterministic("?=/2")
-def decided(machine: Machine, left: Term, right: Term) -> bool:
+def is_decided(machine: Machine, left: Term, right: Term) -> bool:
     """Test that the result of ``==`` cannot change by further bindings."""
-    return compare(left, right, unlike) == 0 or different(machine, left, right)
+    return compare(left, right, always_different) == 0 or is_not_unifiable(machine, left, right)
 
 
 @deterministic("subsumes_term/2")
@@ -239,24 +252,23 @@ def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
     specific_variables = variables(specific)
     subsumes = unify(general, specific, trail)
     if subsumes:
-        remaining_variables = [deref(var) for var in watched(specific_variables)]
+        remaining_variables = [deref(var) for var in with_limit_checks(specific_variables)]
+        # A variable of the specific term may be renamed, but neither bound to a term nor to another one of them.
         subsumes = all(var.__class__ is Var for var in remaining_variables) and len(
             set(remaining_variables)
         ) == len(specific_variables)
-        # A variable of the specific term may be bound to one of the general term, not the other way round.
-        subsumes = subsumes and variables((CONS, *specific_variables)) == remaining_variables
     undo(trail, mark)
     return subsumes
 
 
 @deterministic("=@=/2")
-def variant(machine: Machine, left: Term, right: Term) -> bool:
+def is_variant_of(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms are equal up to renaming of variables."""
     return is_variant(left, right)
 
 
 @deterministic("\\=@=/2")
-def no_variant(machine: Machine, left: Term, right: Term) -> bool:
+def is_not_variant(machine: Machine, left: Term, right: Term) -> bool:
     """Test that two terms are not variants."""
     return not is_variant(left, right)
 
@@ -293,8 +305,8 @@ def _check_steps(steps: int, left: Term, right: Term) -> None:
     check_limits()
     if steps > MAX_STEPS:
         raise TermTooLarge
-    if steps == LATE:
-        refuse_cycles((MINUS, left, right))
+    if steps == CYCLE_CHECK_STEP:
+        require_acyclic((MINUS, left, right))
 
 
 _DIF, _FREEZE, _WHEN = functor("dif", 2), functor("freeze", 2), functor("when", 2)
@@ -304,7 +316,7 @@ _GROUND = functor("ground", 1)
 _DECIDED = functor("?=", 2)
 
 
-def _undecided(key: Functor) -> PrologError:
+def _undecided_error(key: Functor) -> PrologError:
     """Return the error for a call that depends on an unbound variable, with a hint to SWI-Prolog."""
     reason = "goals cannot wait for a variable to be bound: load them with use_swi/1, see docs/how-to/swi-prolog.md"
     return error(atom("instantiation_error"), (CONTEXT, indicator(key), atom(reason)))
@@ -322,7 +334,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
     undecided = len(trail) > mark
     undo(trail, mark)
     if undecided:
-        raise _undecided(_DIF)
+        raise _undecided_error(_DIF)
     return False
 
 
@@ -330,7 +342,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
 def freeze(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a term is bound; raise an error otherwise."""
     if deref(args[0]).__class__ is Var:
-        raise _undecided(_FREEZE)
+        raise _undecided_error(_FREEZE)
     return machine.logic.control.call(args[1], continuation)
 
 
@@ -338,7 +350,7 @@ def freeze(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
 def when(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a condition holds; raise an error otherwise."""
     if not _holds(machine, args[0]):
-        raise _undecided(_WHEN)
+        raise _undecided_error(_WHEN)
     return machine.logic.control.call(args[1], continuation)
 
 
@@ -346,14 +358,14 @@ def _holds(machine: Machine, condition: Term) -> bool:
     """Return whether a condition of ``when/2`` holds, without recursion into nested conditions."""
     # Connective and right operand of the conjunctions and disjunctions whose left operand is being evaluated.
     pending: List[Tuple[Functor, Term]] = []
-    for _ in ROUNDS:
-        for _ in BULK:
+    for _ in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             condition = deref(condition)
             if condition.__class__ is tuple and condition[0] in (COMMA, _SEMICOLON):
                 pending.append((condition[0], condition[2]))
                 condition = condition[1]
                 continue
-            holds = _holds_simple(machine, condition)
+            holds = _simple_condition_holds(machine, condition)
             while pending:
                 key, right = pending.pop()
                 # The left operand has not decided the connective, so the right one does.
@@ -366,7 +378,7 @@ def _holds(machine: Machine, condition: Term) -> bool:
     raise TermTooLarge
 
 
-def _holds_simple(machine: Machine, condition: Term) -> bool:
+def _simple_condition_holds(machine: Machine, condition: Term) -> bool:
     if condition.__class__ is Var:
         raise instantiation_error()
     if condition.__class__ is not tuple:
@@ -377,11 +389,11 @@ def _holds_simple(machine: Machine, condition: Term) -> bool:
     if key is _GROUND:
         return is_ground(condition[1])
     if key is _DECIDED:
-        return different(machine, condition[1], condition[2]) or _same(machine, *condition[1:])
+        return is_not_unifiable(machine, condition[1], condition[2]) or _is_identical(machine, *condition[1:])
     raise domain_error("when_condition", condition)
 
 
-def _same(machine: Machine, left: Term, right: Term) -> bool:
+def _is_identical(machine: Machine, left: Term, right: Term) -> bool:
     trail = machine.trail
     mark = len(trail)
     # Equal if they unify without binding a variable.

@@ -8,7 +8,7 @@ the goal's limits before the arguments are created. The module also has generate
 from typing import Dict, Optional, Sequence
 from zlib import crc32
 
-from ...foundation.cancellation import BULK, check_limits, watched
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.arithmetic import evaluate
 from ..machine.errors import domain_error, instantiation_error, permission_error, resource_error, type_error
 from ..machine.machine import LAST, Machine
@@ -69,7 +69,7 @@ def _checked_arity(count: int) -> int:
     if count > _MAX_ARGUMENTS:
         raise resource_error("memory")
     # A small number costs less than the check.
-    if count > len(BULK):
+    if count > len(STEPS_PER_ROUND):
         check_limits(count, _ARGUMENT_BYTES * count)
     return count
 
@@ -207,7 +207,7 @@ def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
     """Bind the variables of a term to ``'$VAR'(N)`` with increasing numbers."""
     number = integer(start)
     # Variables are numbered in the order of their first occurrence.
-    for var in watched(variables(term)):
+    for var in with_limit_checks(variables(term)):
         unify(var, (_NUMBERED, number), machine.trail)
         number += 1
     return unify(end, number, machine.trail)

@@ -7,7 +7,7 @@ far.
 
 from typing import TYPE_CHECKING, Any, Callable, List, Optional, Sequence
 
-from ...foundation.cancellation import check_limits, in_bulks, watched
+from ...foundation.cancellation import check_limits, in_checked_slices, with_limit_checks
 from ...foundation.errors import SyntaxFault
 from ..machine.arithmetic import Number
 from ..machine.errors import (
@@ -68,7 +68,7 @@ def convert_each(make: Callable[[str], Term], parts: Sequence[str]) -> List[Term
     """Return a term for each part, such as a character of a text, and check the goal's limits meanwhile."""
     terms: List[Term] = []
     # The limits are checked after each bulk, since one step may convert a text of any length.
-    for bulk in in_bulks(parts):
+    for bulk in in_checked_slices(parts):
         terms += map(make, bulk)
     return terms
 
@@ -161,7 +161,7 @@ def _checked_list(term: Term, type_name: str) -> str:
     if tail is not NIL:
         raise instantiation_error()
     text = []
-    for bulk in in_bulks(codes_or_chars):
+    for bulk in in_checked_slices(codes_or_chars):
         items: List[Any] = [deref(item) for item in bulk]
         if any(item.__class__ is Var for item in items):
             raise instantiation_error()
@@ -172,7 +172,7 @@ def _checked_list(term: Term, type_name: str) -> str:
 def first_item_error(items: List[Term]) -> Optional[PrologError]:
     """Return the error for the first invalid item; the first bound item decides between codes and characters."""
     of_characters = None
-    for bulk in in_bulks(items):
+    for bulk in in_checked_slices(items):
         for item in bulk:
             item = deref(item)
             if item.__class__ is Var:
@@ -207,7 +207,7 @@ def _check_standard(items: List[Term], as_codes: bool) -> None:
     first = deref(items[0]) if items else None
     # The type of the first item decides which error the others cause.
     are_codes = as_codes if first is None else first.__class__ is int
-    for item in map(deref, watched(items)):
+    for item in map(deref, with_limit_checks(items)):
         if item.__class__ is int and are_codes and not 0 <= item <= MAX_CODE:
             raise representation_error("character_code")
         is_part = item.__class__ is int if are_codes else item.__class__ is Atom and len(item.name) == 1

@@ -15,7 +15,7 @@ from datetime import date, datetime, timedelta, timezone
 from typing import Any, Callable, Dict, List, Match, Tuple
 
 from ...foundation.errors import UsageError
-from ..machine.arithmetic import Number, checked
+from ..machine.arithmetic import Number, check_result
 from ..machine.errors import domain_error, evaluation_error, instantiation_error, type_error
 from ..machine.machine import LAST, Machine
 from ..terms import timestamps
@@ -157,7 +157,7 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
     if not isinstance(seconds, (int, float)):
         raise instantiation_error() if seconds.__class__ is Var else type_error("number", seconds)
     if isinstance(timestamp, (int, float)):
-        return checked(timestamp + sign * seconds)
+        return check_result(timestamp + sign * seconds)
     try:
         moved = int(instant) + sign * timestamps.from_seconds(seconds)
         fields = timestamps.fields(moved)

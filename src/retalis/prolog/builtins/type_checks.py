@@ -2,7 +2,7 @@
 
 from typing import Callable, Dict, Optional
 
-from ...foundation.cancellation import watched
+from ...foundation.cancellation import with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..machine.arithmetic import evaluate
 from ..machine.errors import (
@@ -93,7 +93,7 @@ _TYPE_TESTS: Dict[str, Callable[[Term], bool]] = {
 
 def _is_list_of(term: Term, test: Callable[[Term], bool]) -> bool:
     values = list_items(term)
-    return values is not None and all(test(deref(item)) for item in watched(values))
+    return values is not None and all(test(deref(item)) for item in with_limit_checks(values))
 
 
 def _is_partial_list(term: Term) -> bool:
@@ -122,7 +122,9 @@ def holds(type_term: Term, term: Term) -> Optional[bool]:
 
 def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Optional[bool]:
     if name == "oneof" and len(type_term) == 2:
-        return is_ground(term) and any(not compare(item, term) for item in watched(items(type_term[1])))
+        return is_ground(term) and any(
+            not compare(item, term) for item in with_limit_checks(items(type_term[1]))
+        )
     if name == "between" and len(type_term) == 3:
         low, high = deref(type_term[1]), deref(type_term[2])
         # Bounds that are integers require an integer, other bounds accept any number.
@@ -131,7 +133,9 @@ def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Opti
         return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
     if name in ("list", "list_of") and len(type_term) == 2:
         values = list_items(term)
-        return values is not None and all(holds(deref(type_term[1]), deref(item)) for item in watched(values))
+        return values is not None and all(
+            holds(deref(type_term[1]), deref(item)) for item in with_limit_checks(values)
+        )
     return None
 
 
@@ -167,7 +171,7 @@ def _list_error(type_term: Term, term: Term) -> Optional[PrologError]:
     values = list_items(term)
     if values is None or type_term.__class__ is not tuple:
         return instantiation_error() if _is_partial_list(term) else type_error_of(type_term, term)
-    errors = (check(type_term[1], item) for item in watched(values))
+    errors = (check(type_term[1], item) for item in with_limit_checks(values))
     return next((error for error in errors if error is not None), None)
 
 

@@ -3,7 +3,7 @@
 An expression is compiled bottom-up: each operation becomes one assignment to a temporary, and its result is described
 by a class (`Operand`). A known class removes tests: the sum of two locals that hold integers needs no check. For an
 operand of unknown class the generated code tests for the common case and calls the general evaluator
-(``machine.arithmetic.measure``) for the rest, so results and errors are those of the interpreter.
+(``machine.arithmetic.evaluate_exact``) for the rest, so results and errors are those of the interpreter.
 """
 
 from typing import Tuple
@@ -39,14 +39,14 @@ _INSTANT_FUNCTIONS = {
     *(functor(name, 2) for name in ("max", "min")),
     *(timestamps.DATIME6, timestamps.DATIME7),
 }
-"""Functions whose value may be a timestamp that carries its exact instant (see `arithmetic.instants`)."""
+"""Functions whose value may be a timestamp that carries its exact instant (see `arithmetic`)."""
 _MAX_EXPRESSION_DEPTH = 30
 
 Operand = Tuple[str, str]
 """A Python expression without side effects, and its class: "int", "float", "num" (either of them), or "any".
 
 The value of class "any" is a number as well, but may carry the exact instant of a timestamp. Such values exist only
-within an evaluation and never become terms; see `arithmetic.instants`.
+within an evaluation and never become terms; see `arithmetic`.
 """
 
 
@@ -68,7 +68,7 @@ def evaluate(scope: Scope, expression: Term, depth: int = 0) -> Operand:
             return target, "num"
     # Unknown functions and deep expressions are evaluated from their term, which raises the errors as well.
     target = scope.temp()
-    scope.line(f"{target} = measure({scope.build(expression)})")
+    scope.line(f"{target} = evaluate_exact({scope.build(expression)})")
     return target, "any"
 
 
@@ -79,7 +79,7 @@ def evaluate_to_term(scope: Scope, expression: Term) -> Operand:
         return value, value_class
     target = scope.temp()
     scope.line(
-        f"{target} = {value} if {value}.__class__ is int or {value}.__class__ is float else plain({value})"
+        f"{target} = {value} if {value}.__class__ is int or {value}.__class__ is float else without_instant({value})"
     )
     return target, "num"
 
@@ -109,7 +109,7 @@ def _write_bound(scope: Scope, name: str, target: str) -> None:
     """Write the evaluation of a local that is most likely a variable bound to a number."""
     scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
     scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
-    scope.line(f"    {target} = measure({name})")
+    scope.line(f"    {target} = evaluate_exact({name})")
 
 
 def _write_operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
@@ -164,8 +164,8 @@ def _write_basic(scope: Scope, key: Functor, expression: CompoundTerm, depth: in
     if key is _TIMES:
         # Repeated multiplication grows integers exponentially, so each product is checked against the bounds at once.
         # The comparison is false for inf and nan as well, which `checked` then rejects.
-        scope.line(f"if not LEAST < {target} < LARGEST:")
-        scope.line(f"    checked({target})")
+        scope.line(f"if not MIN_INTEGER < {target} < MAX_INTEGER:")
+        scope.line(f"    check_result({target})")
         classes = {left_class, right_class}
         return target, "int" if classes == {"int"} else "float" if "float" in classes else "num"
     # A sum is at most one bit longer than its operands, so sums of integers need no check of their size.
@@ -173,7 +173,7 @@ def _write_basic(scope: Scope, key: Functor, expression: CompoundTerm, depth: in
         return target, "int"
     # x - x is 0 for finite numbers and nan (true) for inf and nan: one test for both.
     scope.line(f"if {target} - {target}:")
-    scope.line(f"    checked({target})")
+    scope.line(f"    check_result({target})")
     return target, "float" if "float" in (left_class, right_class) else "num"
 
 

@@ -15,12 +15,21 @@ from functools import partial
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation import codegen
-from ..machine.arithmetic import MAX_INTEGER, MIN_INTEGER, add, checked, measure, multiply, plain, subtract
+from ..machine.arithmetic import (
+    MAX_INTEGER,
+    MIN_INTEGER,
+    add,
+    check_result,
+    evaluate_exact,
+    multiply,
+    subtract,
+    without_instant,
+)
 from ..machine.machine import DEAD, RESUME, Code, Machine
 from ..machine.resource_limits import LOOP
 from ..terms.term_traversal import ATOMIC, copy, is_ground, resolve, variables
 from ..terms.types import Atom, Frame, Functor, Lazy, String, Term, Var, deref, functor
-from ..terms.unification import by_number, compare, same_constant, undo, unify, unlike
+from ..terms.unification import always_different, compare, compare_by_serial, same_constant, undo, unify
 from .clause_nodes import Height, Needed, PredicateResolver
 
 COMPARE = functor("compare", 3)
@@ -33,8 +42,10 @@ def fill(template: Term, old: Tuple[Var, ...], *new: Term) -> Term:
     return copy(template, dict(zip(old, new)))
 
 
-def _compare_numbered(left: Term, right: Term, variables: Callable[[Var, Var], int] = by_number) -> int:
-    return compare(left, right, variables)
+def _compare_numbered(
+    left: Term, right: Term, compare_variables: Callable[[Var, Var], int] = compare_by_serial
+) -> int:
+    return compare(left, right, compare_variables)
 
 
 def base_namespace(machine: Machine) -> Dict[str, Any]:
@@ -57,17 +68,17 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "deref": deref,
         "resolve": resolve,
         "compare": compare,
-        "unlike": unlike,
+        "always_different": always_different,
         "same": same_constant,
         "fill": fill,
-        "measure": measure,
-        "plain": plain,
+        "evaluate_exact": evaluate_exact,
+        "without_instant": without_instant,
         "add": add,
         "subtract": subtract,
         "multiply": multiply,
-        "checked": checked,
-        "LARGEST": MAX_INTEGER,
-        "LEAST": MIN_INTEGER,
+        "check_result": check_result,
+        "MAX_INTEGER": MAX_INTEGER,
+        "MIN_INTEGER": MIN_INTEGER,
         "LOOP": LOOP,
         "ONE": (None,),
         "RESUME": RESUME,
@@ -137,7 +148,7 @@ class Unit:
         function = self.database.predicate(key).function
         assert function is not None
         if self.repeats and key is COMPARE:
-            function = self._builtins.setdefault(key, partial(function, variables=by_number))
+            function = self._builtins.setdefault(key, partial(function, variables=compare_by_serial))
         return self.constant(function)
 
     def code(self, name: str, function: str) -> Code:

@@ -301,7 +301,7 @@ def _order_condition(scope: Scope, node: CallNode) -> str:
         left_name, right_name = decoded_local(scope, left), decoded_local(scope, right)
         is_same = (
             f"({left_name} is {right_name} or {left_name}.__class__ is not Var and {left_name}.__class__ is not Atom"
-            f" and compare({left_name}, {right_name}, unlike) == 0)"
+            f" and compare({left_name}, {right_name}, always_different) == 0)"
         )
         return is_same if operator == "== 0" else f"not {is_same}"
     return f"compare({scope.build(left)}, {scope.build(right)}) {operator}"

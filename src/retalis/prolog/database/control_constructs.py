@@ -13,14 +13,14 @@ as arguments, and the compiled code runs from then on.
 
 from typing import Any, Callable, Dict, List, Optional, Set, Tuple
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator
 from ..machine.errors import PrologError, instantiation_error, type_error
 from ..machine.machine import DEAD, RESUME, CatchMark, Code, Machine
 from ..terms.list_terms import list_parts, make_list
-from ..terms.term_traversal import LATE_ROUND, ROUNDS, copy, is_ground, refuse_cycles
+from ..terms.term_traversal import CYCLE_CHECK_ROUND, WALK_ROUNDS, copy, is_ground, require_acyclic
 from ..terms.types import (
     COMMA,
     FALSE,
@@ -392,8 +392,8 @@ def check_body(goal: Term) -> Term:
     # cycles, in which the traversal would not end.
     stack = [goal]
     has_variables = False
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if not stack:
                 return _wrap_variables(goal) if has_variables else goal
             item = deref(stack.pop())
@@ -405,8 +405,8 @@ def check_body(goal: Term) -> Term:
             elif item.__class__ is not Atom:
                 raise type_error("callable", goal)
         check_limits()
-        if round_number == LATE_ROUND:
-            refuse_cycles(goal)
+        if round_number == CYCLE_CHECK_ROUND:
+            require_acyclic(goal)
     raise TermTooLarge
 
 

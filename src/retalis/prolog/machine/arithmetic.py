@@ -7,9 +7,9 @@ the defaults of SWI-Prolog 9 (``prefer_rationals`` false, ``float_overflow`` err
 
 Timestamps: an operand can be a ``datime`` or a ROS time ``[Sec,NSec]``. Its value is a number of seconds since the
 epoch. The resolution of a double near the present is 2.4e-7 s, so a plain float would lose the nanoseconds.
-`WholeInstant` and `SplitInstant` are numbers that also carry the exact instant: the difference or comparison of two
-of them is exact to the nanosecond. They exist within one evaluation only; `plain` returns the number that a program
-sees.
+`IntegerTimestamp` and `FloatTimestamp` are numbers that also carry the exact instant: the difference or comparison
+of two of them is exact to the nanosecond. They exist within one evaluation only; `number` returns the number that a
+program sees.
 """
 
 import math
@@ -22,25 +22,30 @@ from typing import Any, Callable, Dict, List, Tuple, TypeVar, Union
 from ...foundation.cancellation import check_limits
 from ...foundation.errors import TermTooLarge, UsageError
 from ..terms import timestamps
-from ..terms.term_traversal import LATE, MAX_STEPS, refuse_cycles
+from ..terms.term_traversal import CYCLE_CHECK_STEP, MAX_STEPS, require_acyclic
 from ..terms.timestamps import SECOND
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Functor, Lazy, String, Term, Var, deref, functor
 from .errors import domain_error, evaluation_error, indicator, instantiation_error, resource_error, type_error
 
 
-class _InstantNumber:
-    """Base class of numbers that carry an instant."""
+class _TimestampNumber:
+    """Base class of numbers that carry an exact instant.
+
+    Attributes:
+        instant: nanoseconds since the epoch.
+        number: the number that programs see, in seconds since the epoch.
+    """
 
     __slots__ = ()
 
     instant: int
-    plain: Union[int, float]
+    number: Union[int, float]
 
     def _comparable(self, other: Any) -> Tuple[Any, Any]:
         """Return the values to compare: the instants of two timestamps, otherwise numbers."""
-        if isinstance(other, _InstantNumber):
+        if isinstance(other, _TimestampNumber):
             return self.instant, other.instant
-        return self.plain, other
+        return self.number, other
 
     def __lt__(self, other: Any) -> Any:
         left, right = self._comparable(other)
@@ -67,28 +72,28 @@ class _InstantNumber:
         return left != right
 
     def __hash__(self) -> int:
-        return hash(self.plain)
+        return hash(self.number)
 
     def __sub__(self, other: Any) -> Any:
-        if isinstance(other, _InstantNumber):
+        if isinstance(other, _TimestampNumber):
             return (self.instant - other.instant) / SECOND
         # Whole seconds minus an integer is an integer, as in Prolog; all other differences are floats.
-        if self.plain.__class__ is int and other.__class__ is int:
-            return self.plain - other
+        if self.number.__class__ is int and other.__class__ is int:
+            return self.number - other
         try:
             return (self.instant - timestamps.from_seconds(other)) / SECOND
         except (UsageError, OverflowError):  # an infinity, or an integer beyond all floats
-            return float(self.plain) - other
+            return float(self.number) - other
 
     def __rsub__(self, other: Any) -> Any:
         return -self.__sub__(other)
 
 
-class WholeInstant(_InstantNumber, int):
+class IntegerTimestamp(_TimestampNumber, int):
     """A timestamp of whole seconds: an integer."""
 
     @property
-    def plain(self) -> int:  # type: ignore[override]
+    def number(self) -> int:  # type: ignore[override]
         """The number that programs see."""
         return int(self)
 
@@ -103,39 +108,39 @@ class WholeInstant(_InstantNumber, int):
         return int(self) / divisor
 
 
-class SplitInstant(_InstantNumber, float):
+class FloatTimestamp(_TimestampNumber, float):
     """A timestamp with fractions of a second: the nearest float, and the exact instant in ns."""
 
     instant: int
 
     @property
-    def plain(self) -> float:  # type: ignore[override]
+    def number(self) -> float:  # type: ignore[override]
         """The number that programs see."""
         return float(self)
 
 
-def of_instant(instant: int) -> Union[int, float]:
+def timestamp_number(instant: int) -> Union[int, float]:
     """Return an instant in ns as a number of seconds since the epoch that carries the instant."""
     seconds, nanoseconds = divmod(int(instant), SECOND)
     if not nanoseconds:
-        return WholeInstant(seconds)
-    number = SplitInstant(timestamps.to_seconds(instant))
+        return IntegerTimestamp(seconds)
+    number = FloatTimestamp(timestamps.to_seconds(instant))
     number.instant = int(instant)
     return number
 
 
-def is_instant_number(value: object) -> bool:
+def is_timestamp_number(value: object) -> bool:
     """Return whether a number carries an instant."""
-    return isinstance(value, _InstantNumber)
+    return isinstance(value, _TimestampNumber)
 
 
-def plain(value: Any) -> Any:
+def without_instant(value: Any) -> Any:
     """Return a number as programs see it, without an instant."""
-    return value.plain if isinstance(value, _InstantNumber) else value
+    return value.number if isinstance(value, _TimestampNumber) else value
 
 
 Number = Union[int, float]
-F = TypeVar("F", bound=Callable[..., Number])
+EvaluableFunction = TypeVar("EvaluableFunction", bound=Callable[..., Number])
 
 EVALUABLE: Dict[Functor, Callable[..., Number]] = {}
 """Evaluable functions by name and arity."""
@@ -146,14 +151,14 @@ MAX_INTEGER_BITS = 1 << 20
 MAX_INTEGER = 1 << MAX_INTEGER_BITS
 MIN_INTEGER = -MAX_INTEGER
 
-SLOW_BIT_PRODUCT = 1 << 35
+MAX_BIT_PRODUCT = 1 << 35
 """Product of the operands' bits from which an operation of quadratic complexity takes more than 50 ms."""
 
 
-def evaluable(name: str, arity: int) -> Callable[[F], F]:
+def evaluable(name: str, arity: int) -> Callable[[EvaluableFunction], EvaluableFunction]:
     """Register a Python function of ``arity`` numbers as the evaluable functor ``name/arity``."""
 
-    def register(function: F) -> F:
+    def register(function: EvaluableFunction) -> EvaluableFunction:
         EVALUABLE[functor(name, arity)] = function
         return function
 
@@ -166,12 +171,14 @@ def evaluate(term: Any) -> Number:
     Raises:
         PrologError: instantiation, type or evaluation errors.
     """
-    value = measure(term)
-    return value if value.__class__ is int or value.__class__ is float else plain(value)
+    value = evaluate_exact(term)
+    return value if value.__class__ is int or value.__class__ is float else without_instant(value)
 
 
-def measure(term: Any) -> Number:
-    """Return the value of an arithmetic expression for subtraction or comparison: timestamps carry their instant.
+def evaluate_exact(term: Any) -> Number:
+    """Return the value of an arithmetic expression.
+
+    Timestamps are returned as numbers that carry their instant, so that subtraction and comparison of them are exact.
 
     Raises:
         PrologError: instantiation, type or evaluation errors.
@@ -197,24 +204,24 @@ def measure(term: Any) -> Number:
                 operand_class = right.__class__
                 if operand_class is int or operand_class is float:
                     return function(left, right)
-    return _evaluate_deep(term)
+    return _evaluate_nested(term)
 
 
-def _evaluate_deep(term: Term) -> Number:
+def _evaluate_nested(term: Term) -> Number:
     """Evaluate an expression of any depth with an explicit stack."""
-    # A compound term pushes an `_Apply` below its arguments. The arguments are popped from last to first, so when the
-    # `_Apply` is reached, their values are the last ones on `values`, in reverse order.
+    # A compound term pushes an `_PendingCall` below its arguments. The arguments are popped from last to first, so
+    # when the `_PendingCall` is reached, their values are the last ones on `values`, in reverse order.
     values: List[Number] = []
-    stack: List[Union[Term, _Apply]] = [term]
+    stack: List[Union[Term, _PendingCall]] = [term]
     steps = 0
     while stack:
         steps += 1
         if not steps & 1023:
             check_limits()
-            if steps == LATE:
-                refuse_cycles(term)
+            if steps == CYCLE_CHECK_STEP:
+                require_acyclic(term)
         item: Any = stack.pop()
-        if item.__class__ is _Apply:
+        if item.__class__ is _PendingCall:
             arity = item.arity
             values[-arity:] = [item.apply(*reversed(values[-arity:]))]
             continue
@@ -226,7 +233,7 @@ def _evaluate_deep(term: Term) -> Number:
             if item[0] is CONS:
                 values.append(_list_value(item))
                 continue
-            stack.append(_Apply(item[0]))
+            stack.append(_PendingCall(item[0]))
             if len(stack) > MAX_STEPS:
                 raise TermTooLarge
             stack.extend(item[1:])
@@ -235,8 +242,8 @@ def _evaluate_deep(term: Term) -> Number:
     return values[0]
 
 
-class _Apply:
-    """A function whose operands will be on the stack of values."""
+class _PendingCall:
+    """A function to be called when the values of its operands are on the stack of values."""
 
     __slots__ = ("functor", "arity")
 
@@ -257,9 +264,9 @@ def _list_value(item: CompoundTerm) -> Number:
     first, rest = deref(item[1]), deref(item[2])
     # ISO has no two-element lists here, so ROS times cannot change the meaning of a standard program.
     if first.__class__ is int and rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
-        part = deref(rest[1])
-        if part.__class__ is int and 0 <= part < SECOND:
-            return of_instant(timestamps.from_parts(first, part))
+        nanoseconds = deref(rest[1])
+        if nanoseconds.__class__ is int and 0 <= nanoseconds < SECOND:
+            return timestamp_number(timestamps.from_parts(first, nanoseconds))
     if first.__class__ is Var:
         raise instantiation_error()
     code = first if first.__class__ is int and first >= 0 else None
@@ -286,13 +293,13 @@ def _constant(item: Term) -> Number:
             return ord(item.text)
         raise type_error("[]", item)
     if item.__class__ is Lazy:
-        return measure(item.term())
-    if is_instant_number(item):
+        return evaluate_exact(item.term())
+    if is_timestamp_number(item):
         return item  # type: ignore[return-value]
     raise type_error("evaluable", item)
 
 
-def checked(value: Number) -> Number:
+def check_result(value: Number) -> Number:
     """Return a result if it is finite and not too large.
 
     Raises:
@@ -309,68 +316,68 @@ def checked(value: Number) -> Number:
 def integer(value: Any) -> int:
     """Return an operand that must be an integer."""
     if value.__class__ is not int:
-        if value.__class__ is WholeInstant:
+        if value.__class__ is IntegerTimestamp:
             return int(value)
-        raise type_error("integer", plain(checked(value)))
+        raise type_error("integer", without_instant(check_result(value)))
     return value
 
 
-def at_least(least: int, value: Number) -> int:
-    """Return an operand that must be an integer of at least ``least``, which is 0 or 1."""
-    if integer(value) < least:
-        raise domain_error(f"not_less_than_{'one' if least else 'zero'}", value)
+def integer_at_least(lower_bound: int, value: Number) -> int:
+    """Return an operand that must be an integer of at least ``lower_bound``, which is 0 or 1."""
+    if integer(value) < lower_bound:
+        raise domain_error(f"not_less_than_{'one' if lower_bound else 'zero'}", value)
     return value  # type: ignore[return-value]
 
 
-def bounded(left: int, right: int) -> None:
+def check_bit_product(left: int, right: int) -> None:
     """Raise a resource error if an operation of quadratic complexity on two integers would take too long."""
-    if left.bit_length() * right.bit_length() > SLOW_BIT_PRODUCT:
+    if left.bit_length() * right.bit_length() > MAX_BIT_PRODUCT:
         raise resource_error("integer_size")
 
 
 def _check_division(left: Number, right: Number) -> None:
     """Validate the operands of an integer division."""
-    size = integer(right).bit_length()
-    if not size:
+    divisor_bits = integer(right).bit_length()
+    if not divisor_bits:
         # The type error of a left operand takes precedence over the zero divisor.
         integer(left)
         raise evaluation_error("zero_divisor")
-    # Long division takes time in proportion to the bits of the quotient times those of the divisor. A divisor of one
-    # machine word is linear.
-    if size > 64 and (integer(left).bit_length() - size) * size > SLOW_BIT_PRODUCT:
+    # Long division takes time in proportion to the bits of the quotient times those of the divisor. Division by one
+    # machine word takes linear time.
+    if divisor_bits > 64 and (integer(left).bit_length() - divisor_bits) * divisor_bits > MAX_BIT_PRODUCT:
         raise resource_error("integer_size")
 
 
 def _to_float(value: Number) -> float:
     try:
-        return checked(float(value))
+        return check_result(float(value))
     except OverflowError:
         raise evaluation_error("float_overflow") from None
 
 
-# The basic operations. Compiled clauses call them with terms, whose values may not be known to be numbers: each
-# function therefore evaluates its operands, unlike those below.
+# The basic operations. Compiled clauses call these three with unevaluated terms, so they evaluate their operands. The
+# functions below receive numbers.
 
 
 def add(left: Term, right: Term) -> Number:
     """Return the sum of two expressions."""
-    left, right = measure(left), measure(right)
+    left, right = evaluate_exact(left), evaluate_exact(right)
     value = left + right
-    return value if value - value == 0 else checked(value)
+    return value if value - value == 0 else check_result(value)
 
 
 def subtract(left: Term, right: Term) -> Number:
     """Return the difference of two expressions."""
-    left, right = measure(left), measure(right)
+    left, right = evaluate_exact(left), evaluate_exact(right)
     value = left - right
-    return value if value - value == 0 else checked(value)
+    return value if value - value == 0 else check_result(value)
 
 
 def multiply(left: Term, right: Term) -> Number:
     """Return the product of two expressions."""
-    left, right = measure(left), measure(right)
+    left, right = evaluate_exact(left), evaluate_exact(right)
     value = left * right
-    return value if MIN_INTEGER < value < MAX_INTEGER else checked(value)
+    return value if MIN_INTEGER < value < MAX_INTEGER else check_result(value)
 
 
 EVALUABLE[functor("+", 2)] = add
@@ -392,7 +399,7 @@ def divide(left: Number, right: Number) -> Number:
             raise evaluation_error("float_overflow") from None
     if right == 0:
         raise evaluation_error("undefined" if left == 0 or left != left else "zero_divisor")
-    return checked(left / right)
+    return check_result(left / right)
 
 
 @evaluable("//", 2)
@@ -482,14 +489,14 @@ def _plus2(left: Number, right: Number) -> Number:
 
 @evaluable("gcd", 2)
 def _gcd(left: Number, right: Number) -> int:
-    bounded(integer(left), integer(right))
+    check_bit_product(integer(left), integer(right))
     return math.gcd(left, right)  # type: ignore[arg-type]
 
 
 @evaluable("lcm", 2)
 def _lcm(left: Number, right: Number) -> int:
     left, right = integer(left), integer(right)
-    bounded(left, right)
+    check_bit_product(left, right)
     return abs(left // math.gcd(left, right) * right) if left and right else 0
 
 
@@ -536,30 +543,31 @@ def _invert(value: Number) -> int:
 
 @evaluable("msb", 1)
 def _msb(value: Number) -> int:
-    return at_least(1, value).bit_length() - 1
+    return integer_at_least(1, value).bit_length() - 1
 
 
 @evaluable("lsb", 1)
 def _lsb(value: Number) -> int:
-    number = at_least(1, value)
+    number = integer_at_least(1, value)
     return (number & -number).bit_length() - 1
 
 
 @evaluable("popcount", 1)
 def _popcount(value: Number) -> int:
-    return bin(at_least(0, value)).count("1")
+    return bin(integer_at_least(0, value)).count("1")
 
 
 @evaluable("getbit", 2)
 def _getbit(value: Number, bit: Number) -> int:
-    return (at_least(0, value) >> at_least(0, bit)) & 1
+    return (integer_at_least(0, value) >> integer_at_least(0, bit)) & 1
 
 
-def _rounded(function: Callable[[float], int]) -> Callable[[Number], int]:
+def _rounding_function(function: Callable[[float], int]) -> Callable[[Number], int]:
     def apply(value: Any) -> int:
         if value.__class__ is int:
             return value
-        # Infinity and nan have no integer value, and are returned unchanged.
+        # Infinity and nan have no integer value and are returned unchanged, as SWI-Prolog does if a program has
+        # allowed them by the flags for float errors.
         return function(value) if value - value == 0 else value
 
     return apply
@@ -573,11 +581,11 @@ def round_half_away(value: float) -> int:
     return rounded if value >= 0 else -rounded
 
 
-EVALUABLE[functor("floor", 1)] = _rounded(math.floor)
-EVALUABLE[functor("ceiling", 1)] = EVALUABLE[functor("ceil", 1)] = _rounded(math.ceil)
-EVALUABLE[functor("truncate", 1)] = _rounded(math.trunc)
-EVALUABLE[functor("integer", 1)] = _rounded(round_half_away)
-EVALUABLE[functor("round", 1)] = _rounded(round_half_away)
+EVALUABLE[functor("floor", 1)] = _rounding_function(math.floor)
+EVALUABLE[functor("ceiling", 1)] = EVALUABLE[functor("ceil", 1)] = _rounding_function(math.ceil)
+EVALUABLE[functor("truncate", 1)] = _rounding_function(math.trunc)
+EVALUABLE[functor("integer", 1)] = _rounding_function(round_half_away)
+EVALUABLE[functor("round", 1)] = _rounding_function(round_half_away)
 
 
 @evaluable("float", 1)
@@ -587,7 +595,7 @@ def _float(value: Number) -> float:
 
 @evaluable("float_integer_part", 1)
 def _integer_part(value: Number) -> Number:
-    return value if value.__class__ is int else math.copysign(math.trunc(checked(value)), value)
+    return value if value.__class__ is int else math.copysign(math.trunc(check_result(value)), value)
 
 
 @evaluable("float_fractional_part", 1)
@@ -600,7 +608,7 @@ def _register_real(name: str, function: Callable[[float], float]) -> None:
 
     def apply(value: Number) -> float:
         try:
-            return checked(function(_to_float(value)))
+            return check_result(function(_to_float(value)))
         except OverflowError:
             raise evaluation_error("float_overflow") from None
         except ValueError:
@@ -635,7 +643,7 @@ def _register_logarithm(name: str, function: Callable[[Number], float]) -> None:
         if value <= 0:
             raise evaluation_error("undefined")
         # An integer is not converted: the logarithm of one beyond the largest float is finite.
-        return checked(function(value if value.__class__ is int else checked(value)))
+        return check_result(function(value if value.__class__ is int else check_result(value)))
 
     EVALUABLE[functor(name, 1)] = apply
 
@@ -683,7 +691,7 @@ def _nexttoward(value: Number, target: Number) -> float:
 
 @evaluable("hypot", 2)
 def _hypot(x: Number, y: Number) -> float:
-    return checked(math.hypot(x, y))
+    return check_result(math.hypot(x, y))
 
 
 @evaluable("^", 2)
@@ -706,16 +714,16 @@ def _power_operator(base: Number, exponent: Number) -> Number:
 def _integer_power(base: Any, exponent: Any) -> int:
     if base in (0, 1, -1):
         if exponent >= 0:
-            small: int = base**exponent
-            return small
+            result: int = base**exponent
+            return result
         if base == 0:
             raise evaluation_error("zero_divisor")
         return base if exponent % 2 else 1
     # Checked before the power is computed: 7^7^7^7 would take all memory.
     if base.bit_length() * exponent > MAX_INTEGER_BITS:
         raise resource_error("memory")
-    power: int = base**exponent
-    return power
+    value: int = base**exponent
+    return value
 
 
 def _float_power(base: Number, exponent: Number) -> float:
@@ -723,7 +731,7 @@ def _float_power(base: Number, exponent: Number) -> float:
     if base == 0 and exponent < 0:
         raise evaluation_error("zero_divisor")
     try:
-        return checked(math.pow(base, exponent))
+        return check_result(math.pow(base, exponent))
     except OverflowError:
         raise evaluation_error("float_overflow") from None
     except ValueError:
@@ -732,9 +740,12 @@ def _float_power(base: Number, exponent: Number) -> float:
 
 @evaluable("powm", 3)
 def _powm(base: Number, exponent: Number, modulus: Number) -> int:
-    size = at_least(1, modulus).bit_length()
+    modulus_bits = integer_at_least(1, modulus).bit_length()
     # Each bit of the exponent costs one product of the modulus's size, plus the time of a product of 400 bits.
-    if at_least(0, exponent).bit_length() * (size * size + 400 * 400) > SLOW_BIT_PRODUCT:
+    if (
+        integer_at_least(0, exponent).bit_length() * (modulus_bits * modulus_bits + 400 * 400)
+        > MAX_BIT_PRODUCT
+    ):
         raise resource_error("integer_size")
     return pow(integer(base), integer(exponent), integer(modulus))
 
@@ -753,7 +764,7 @@ def _acot(value: Number) -> float:
 
 @evaluable("random", 1)
 def _random(limit: Number) -> int:
-    return random.randrange(at_least(1, limit))
+    return random.randrange(integer_at_least(1, limit))
 
 
 @evaluable("numerator", 1)
@@ -784,7 +795,7 @@ def _datime_function(key: Functor) -> Callable[..., Number]:
     def seconds(*fields: Number) -> Number:
         """Return the seconds since the epoch of a datime, as a number that carries the instant."""
         try:
-            return of_instant(timestamps.from_term((key, *fields)))
+            return timestamp_number(timestamps.from_term((key, *fields)))
         except UsageError:
             raise domain_error("datime", (key, *fields)) from None
 

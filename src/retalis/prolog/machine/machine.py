@@ -22,7 +22,7 @@ run, without a nested loop.
 
 from typing import TYPE_CHECKING, Any, Callable, Generator, List, Optional, Protocol, Tuple
 
-from ...foundation.cancellation import watched_by
+from ...foundation.cancellation import set_limit_check
 from ...foundation.cpython_and_pypy import MIN_SHARING_CHECK_OBJECTS, drop_unshared, make_releasing_list
 from ...foundation.errors import RetalisError, TermTooLarge
 from ..terms.term_traversal import copy
@@ -374,11 +374,11 @@ class Machine:
         """Continue an outermost run; long steps within it check the limits as well."""
         budget = self.budget
         previous_goal, budget.goal = budget.goal, goal
-        previous_watch = watched_by(budget.check_limits)
+        previous_watch = set_limit_check(budget.check_limits)
         try:
             return self._loop(frame, 0)
         finally:
-            watched_by(previous_watch)
+            set_limit_check(previous_watch)
             budget.goal = previous_goal
 
     def _loop(  # noqa: C901 -- a call for each step would cost more than the step

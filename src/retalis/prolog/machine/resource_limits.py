@@ -41,7 +41,7 @@ from typing import (
     Union,
 )
 
-from ...foundation.cancellation import WATCH, watch_for
+from ...foundation.cancellation import CURRENT_CHECK, register_budget
 from ...foundation.errors import UsageError, shortened
 from ..terms.types import Term
 from .errors import PrologError, resource_error
@@ -313,7 +313,7 @@ class Budget:
         self.turn = turn
         self.metered = self._bounded
         self.limited = False
-        watch_for(self)
+        register_budget(self)
 
     @property
     def at_work(self) -> bool:
@@ -335,8 +335,8 @@ class Budget:
         if self.running:
             return _NESTED_RUN
         self.running = True
-        previous_watch = WATCH.ask
-        WATCH.ask = self._ask
+        previous_watch = CURRENT_CHECK.check
+        CURRENT_CHECK.check = self._ask
         return previous_watch
 
     def leave(self, saved: "Union[Ask, _NestedRun]") -> None:
@@ -344,19 +344,19 @@ class Budget:
         if isinstance(saved, _NestedRun):
             return
         self.running = False
-        WATCH.ask = saved
+        CURRENT_CHECK.check = saved
         if self.used:
             self.reset()
 
     @contextmanager
     def watching(self) -> Iterator[None]:
         """Count long work on a solution of a goal for that goal."""
-        previous_watch = WATCH.ask
-        WATCH.ask = self._ask
+        previous_watch = CURRENT_CHECK.check
+        CURRENT_CHECK.check = self._ask
         try:
             yield
         finally:
-            WATCH.ask = previous_watch
+            CURRENT_CHECK.check = previous_watch
 
     def reset(self) -> None:
         """Reset the use of resources."""
@@ -367,20 +367,20 @@ class Budget:
 
     def state(self) -> BudgetState:
         """Return the running goals, for `restore`."""
-        return self.running, WATCH.ask, self.goal, len(self.alarms), tuple(self.ceilings)
+        return self.running, CURRENT_CHECK.check, self.goal, len(self.alarms), tuple(self.ceilings)
 
     def restore(self, state: Optional[BudgetState]) -> None:
         """Restore the running goals after an interrupt; None means that nothing was running."""
         if state is None:
             self.running = False
             self.goal = None
-            if WATCH.ask == self._ask:
-                WATCH.ask = None
+            if CURRENT_CHECK.check == self._ask:
+                CURRENT_CHECK.check = None
             self.end()
             return
         # An interrupt may have skipped the cleanup of inner calls: their alarms and ceilings would throw later, in
         # goals that have no limit.
-        self.running, WATCH.ask, self.goal, alarms, ceilings = state
+        self.running, CURRENT_CHECK.check, self.goal, alarms, ceilings = state
         del self.alarms[alarms:]
         self.ceilings = {ceiling: error for ceiling, error in self.ceilings.items() if ceiling in ceilings}
 

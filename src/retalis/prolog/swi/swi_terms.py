@@ -13,7 +13,7 @@ from ctypes import byref, c_double, c_int, c_int64, c_size_t, c_void_p, string_a
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge, beginning
 from ..machine.errors import representation_error, resource_error
 from ..syntax.literals import integer
@@ -172,7 +172,7 @@ def require(result: int) -> int:
     return result
 
 
-_CHECK_INTERVAL_MASK = len(BULK) - 1
+_CHECK_INTERVAL_MASK = len(STEPS_PER_ROUND) - 1
 _MIN_INTEGER, _MAX_INTEGER = -(1 << 63), (1 << 63) - 1
 _MARK = "$retalis_variable"
 
@@ -479,7 +479,7 @@ class SwiTerms:
         # Lists of constants, the most common ones, need no stack entry per item.
         tail = item + 1
         while len(values) <= MAX_STEPS:
-            for _ in BULK:
+            for _ in STEPS_PER_ROUND:
                 if not get_list(tail, item, tail):
                     return False
                 read = reads.get(kind_of(item))

@@ -23,7 +23,7 @@ from typing import (
     Union,
 )
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import RetalisError, TermTooLarge
 from ..terms.term_traversal import is_ground, resolve, term_key, variables
 from ..terms.types import (
@@ -52,10 +52,10 @@ from .operators import Operator, Operators, standard_operators
 
 _BRACES = functor("{}", 1)
 _VAR_FUNCTOR = functor("$VAR", 1)
-_CYCLE_CHECK_STEPS = 64 * len(BULK)
+_CYCLE_CHECK_STEPS = 64 * len(STEPS_PER_ROUND)
 """Steps after which the writer checks whether the term is cyclic."""
 
-_MASK = len(BULK) - 1
+_MASK = len(STEPS_PER_ROUND) - 1
 """Bit mask of steps at which the goal's limits are checked."""
 
 _MAX_TEXT_CHARACTERS = 1 << 26

@@ -14,7 +14,7 @@ import unicodedata
 from bisect import bisect_right
 from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import Place, SyntaxFault, place_on
 from ..terms.list_terms import make_list
 from ..terms.types import String, Term, atom
@@ -129,7 +129,7 @@ not match takes no longer than text that does.
 """
 
 
-_CHECK_MASK = len(BULK) // 16 - 1
+_CHECK_MASK = len(STEPS_PER_ROUND) // 16 - 1
 """Bit mask of token counts at which the goal's limits are checked; a token takes as long as some 16 inferences."""
 
 _match: Optional[Callable[[str, int], Optional[Match[str]]]] = None

@@ -10,7 +10,7 @@ import math
 import numbers
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge, UsageError
 from ..builtins.argument_checks import array_of
 from ..machine.errors import instantiation_error, type_error
@@ -36,7 +36,7 @@ from ..terms.types import (
     functor,
 )
 
-_CHECK_MASK = len(BULK) - 1
+_CHECK_MASK = len(STEPS_PER_ROUND) - 1
 
 
 class Compound(NamedTuple):

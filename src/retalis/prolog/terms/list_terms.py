@@ -2,9 +2,9 @@
 
 from typing import Iterable, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
-from .term_traversal import LATE_ROUND, ROUNDS, refuse_cycles
+from .term_traversal import CYCLE_CHECK_ROUND, WALK_ROUNDS, require_acyclic
 from .types import COMMA, CONS, NIL, TRUE, Term, deref
 
 _CELL_BYTES = 64
@@ -25,10 +25,10 @@ def make_list(items: Iterable[Term], tail: Term = NIL) -> Term:
         check_limits(size=_CELL_BYTES * len(remaining))
     # Long lists are built in blocks from the end, with a check of the limits after each block. Deleting the items of
     # a block frees them early, so that the Python list and the cells do not both exist in full.
-    while len(remaining) > len(BULK):
-        for item in reversed(remaining[-len(BULK) :]):
+    while len(remaining) > len(STEPS_PER_ROUND):
+        for item in reversed(remaining[-len(STEPS_PER_ROUND) :]):
             tail = (CONS, item, tail)
-        del remaining[-len(BULK) :]
+        del remaining[-len(STEPS_PER_ROUND) :]
         check_limits()
     for item in reversed(remaining):
         tail = (CONS, item, tail)
@@ -50,8 +50,8 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
     """Return the items of a proper or partial list, and its tail."""
     items: List[Term] = []
     term = deref(term)
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if term.__class__ is not tuple or term[0] is not CONS:
                 return items, term
             items.append(term[1])
@@ -59,7 +59,7 @@ def list_parts(term: Term) -> Tuple[List[Term], Term]:
             if term.__class__ is not tuple:
                 term = deref(term)
         check_limits()
-        if round_number == LATE_ROUND:
+        if round_number == CYCLE_CHECK_ROUND:
             _refuse_endless(term)
     raise TermTooLarge
 
@@ -88,8 +88,8 @@ def _refuse_endless(term: Term) -> None:
 def conjuncts(term: Term) -> Iterator[Term]:
     """Yield the goals of a conjunction from left to right."""
     stack = [term]
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if not stack:
                 return
             goal = deref(stack.pop())
@@ -98,8 +98,8 @@ def conjuncts(term: Term) -> Iterator[Term]:
             else:
                 yield goal
         check_limits()
-        if round_number == LATE_ROUND:
-            refuse_cycles(term)
+        if round_number == CYCLE_CHECK_ROUND:
+            require_acyclic(term)
     raise TermTooLarge
 
 

@@ -1,13 +1,13 @@
 """Traversal of terms: variables, groundness, copies, cycle detection and dictionary keys.
 
 Every walk uses an explicit stack, so the depth of a term is not limited by Python's recursion limit. A walk is
-divided into rounds of `BULK` steps. After each round it calls `check_limits`, which counts the work as inferences
-and raises if the goal has exceeded a limit, and `MAX_STEPS` bounds the walk as a whole.
+divided into rounds (`STEPS_PER_ROUND`). After each round it calls `check_limits`, which counts the work as
+inferences and raises if the goal has exceeded a limit, and `MAX_STEPS` bounds the walk as a whole.
 
 Unification without occurs check can build cyclic terms (``X = f(X)``), on which a plain walk does not end. Checking
-every term for cycles would double the cost of all walks, so a walk checks only after `LATE` steps, which few terms
-need. Unification, comparison and the search for variables then continue with `VisitedPairs`, which visits each part
-once, as in the unification of rational trees (Colmerauer 1982). The other walks raise `TermTooLarge`.
+every term for cycles would double the cost of all walks, so a walk checks only after `CYCLE_CHECK_STEP` steps, which
+few terms need. Unification, comparison and the search for variables then continue with `VisitedPairs`, which visits
+each part once, as in the unification of rational trees (Colmerauer 1982). The other walks raise `TermTooLarge`.
 
 Keys: `freeze` and `variant_key` flatten a term in prefix order into a tuple of functors and constants. The arity in
 each functor makes the flat form unambiguous, so equal keys mean identical terms, or variants of each other. Keys are
@@ -16,17 +16,17 @@ used by shared variables of joins, by tables, and by the detection of duplicate 
 
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, overload
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
 from .types import Atom, CompoundTerm, Lazy, String, Term, Var, deref
 
 MAX_STEPS = 5_000_000
 """Steps after which a walk over a term raises `TermTooLarge`."""
 
-ROUNDS = range(MAX_STEPS // len(BULK))
-"""Rounds of `BULK` steps in a walk. After each round, the walk checks the limits of the goal that runs it."""
+WALK_ROUNDS = range(MAX_STEPS // len(STEPS_PER_ROUND))
+"""Rounds of a walk. After each round, the walk checks the limits of the goal that runs it."""
 
-MASK = len(BULK) - 1
+STEP_MASK = len(STEPS_PER_ROUND) - 1
 """Bit mask of step counts: a round ends at each step whose masked count is zero."""
 
 
@@ -41,16 +41,16 @@ def check_steps(steps: int) -> None:
         raise TermTooLarge
 
 
-LATE = 1 << 16
+CYCLE_CHECK_STEP = 1 << 16
 """Steps after which a walk checks whether the term is cyclic, and the number of parts that the check visits at
 most."""
 
-LATE_ROUND = LATE // (MASK + 1) - 1
-"""The round in which a walk reaches `LATE` steps."""
+CYCLE_CHECK_ROUND = CYCLE_CHECK_STEP // (STEP_MASK + 1) - 1
+"""The round in which a walk reaches `CYCLE_CHECK_STEP` steps."""
 
 
 def contains_itself(term: Term) -> bool:
-    """Return whether a term is cyclic. Only the first `LATE` parts of a large term are checked."""
+    """Return whether a term is cyclic. Only the first `CYCLE_CHECK_STEP` parts of a large term are checked."""
     path: Set[int] = set()
     visited_ids: Set[int] = set()
     stack: List[Any] = [term]
@@ -70,7 +70,7 @@ def contains_itself(term: Term) -> bool:
             return True
         if key in visited_ids:
             continue
-        if len(visited_ids) + len(part) > LATE:
+        if len(visited_ids) + len(part) > CYCLE_CHECK_STEP:
             return False
         visited_ids.add(key)
         path.add(key)
@@ -81,7 +81,7 @@ def contains_itself(term: Term) -> bool:
     return False
 
 
-def refuse_cycles(term: Term) -> None:
+def require_acyclic(term: Term) -> None:
     """Raise an error for a cyclic term, on which a walk would not end.
 
     Raises:
@@ -103,14 +103,14 @@ class VisitedPairs:
         self._steps = 0
 
     def is_new(self, left: Term, right: Term) -> bool:
-        """Return whether a pair is visited for the first time; always true once `LATE` pairs are recorded."""
+        """Return whether a pair has not been visited yet; always true if `CYCLE_CHECK_STEP` pairs are recorded."""
         self._steps += 1
-        if not self._steps & MASK:
+        if not self._steps & STEP_MASK:
             check_steps(self._steps)
         key = (id(left), id(right))
         if key in self._met:
             return False
-        if len(self._met) < LATE:
+        if len(self._met) < CYCLE_CHECK_STEP:
             self._met[key] = (left, right)
         return True
 
@@ -120,8 +120,8 @@ def variables(term: Term) -> List[Var]:
     seen: Dict[Var, None] = {}
     stack: List[Term] = []
     item: Any = term
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             item_class = item.__class__
             if item_class is Var:
                 item = _follow(item)
@@ -136,7 +136,7 @@ def variables(term: Term) -> List[Var]:
                 return list(seen)
             item = stack.pop()
         check_limits()
-        if round_number == LATE_ROUND and contains_itself(term):
+        if round_number == CYCLE_CHECK_ROUND and contains_itself(term):
             return _variables_of_cyclic_term([*stack, item], seen)
     raise TermTooLarge
 
@@ -175,8 +175,8 @@ def is_larger(term: Term, limit: int) -> bool:
 def is_ground(term: Term) -> bool:
     """Return whether a term has no unbound variable. A lazy term is ground by definition and is not built."""
     stack = [term]
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if not stack:
                 return True
             item: Any = stack.pop()
@@ -188,11 +188,11 @@ def is_ground(term: Term) -> bool:
                     return False
             if item_class is tuple:
                 # One step may push a whole argument list: a wide term counts by its arguments, not as one step.
-                if len(item) > MASK:
+                if len(item) > STEP_MASK:
                     check_limits(len(item))
                 stack.extend(item[1:])
         check_limits()
-        if round_number == LATE_ROUND and contains_itself(term):
+        if round_number == CYCLE_CHECK_ROUND and contains_itself(term):
             return not _variables_of_cyclic_term(stack, {})
     raise TermTooLarge
 
@@ -218,10 +218,10 @@ def has_no_variables(term: Term) -> bool:
         return term.__class__ is not Var
     pending = [term]
     for count, compound in enumerate(pending, 1):
-        if not count & MASK:
+        if not count & STEP_MASK:
             check_steps(count)
-            if count == LATE:
-                refuse_cycles(term)
+            if count == CYCLE_CHECK_STEP:
+                require_acyclic(term)
         for item in compound:
             item_class = item.__class__
             if item_class is tuple:
@@ -254,7 +254,7 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
         source, arguments, changed = entry
         position = len(arguments)
         size = len(source)
-        if size > MASK and position == 1:
+        if size > STEP_MASK and position == 1:
             check_limits(size)
         while position < size:
             item: Any = source[position]
@@ -270,7 +270,7 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
                 entry[2] = changed
                 stack.append([item, [item[0]], False])
                 steps += 1
-                if not steps & MASK:
+                if not steps & STEP_MASK:
                     _check_path(stack, steps)
                 break
             arguments.append(item)
@@ -414,8 +414,8 @@ def freeze(term: Term) -> Hashable:
         return term
     flat: List[Hashable] = []
     stack = [term]
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if not stack:
                 return flat[0] if len(flat) == 1 else tuple(flat)
             item: Any = stack.pop()
@@ -435,8 +435,8 @@ def freeze(term: Term) -> Hashable:
             else:
                 flat.append(item)
         check_limits()
-        if round_number == LATE_ROUND:
-            refuse_cycles(term)
+        if round_number == CYCLE_CHECK_ROUND:
+            require_acyclic(term)
     raise TermTooLarge
 
 
@@ -468,8 +468,8 @@ def variant_key(term: Term) -> Hashable:
     flat: List[Hashable] = [Var]
     numbers: Dict[Var, int] = {}
     stack = [term]
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if not stack:
                 return tuple(flat)
             item: Any = deref(stack.pop())
@@ -484,6 +484,6 @@ def variant_key(term: Term) -> Hashable:
             else:
                 flat.append(item)
         check_limits()
-        if round_number == LATE_ROUND:
-            refuse_cycles(term)
+        if round_number == CYCLE_CHECK_ROUND:
+            require_acyclic(term)
     raise TermTooLarge

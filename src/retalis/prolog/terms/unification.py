@@ -5,8 +5,9 @@ on the trail, and `undo` removes them on backtracking (WAM, chapter 5). The argu
 to right in two groups: constants and variables first, compound arguments afterwards. Constants differ more often and
 cost less, so most failures are found without descending.
 
-Terms may be cyclic. After `LATE` steps both algorithms check for cycles, and continue with a set of visited pairs if
-there is one: two cyclic terms unify, or are equal, if no visited pair contradicts it (rational trees).
+Terms may be cyclic. After `CYCLE_CHECK_STEP` steps both algorithms check for cycles, and continue with a set of
+visited pairs if there is one: two cyclic terms unify, or are equal, if no visited pair contradicts it (rational
+trees).
 
 The standard order is that of ISO 13211-1, 7.2, with SWI-Prolog's extensions: variables, numbers by value, strings,
 atoms, compound terms by arity, name and arguments.
@@ -14,9 +15,18 @@ atoms, compound terms by arity, name and arguments.
 
 from typing import Any, Callable, List, Optional
 
-from ...foundation.cancellation import BULK, check_limits
+from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
-from .term_traversal import LATE, LATE_ROUND, MASK, ROUNDS, VisitedPairs, check_steps, contains_itself, copy
+from .term_traversal import (
+    CYCLE_CHECK_ROUND,
+    CYCLE_CHECK_STEP,
+    STEP_MASK,
+    WALK_ROUNDS,
+    VisitedPairs,
+    check_steps,
+    contains_itself,
+    copy,
+)
 from .types import NUMBERED, Atom, Lazy, String, Term, Trail, Var, deref, serial
 
 
@@ -79,12 +89,12 @@ def unify(  # noqa: C901 -- the innermost loop of all: no calls, no second look 
     while True:
         size = len(left)
         steps += 1
-        if not steps & MASK:
+        if not steps & STEP_MASK:
             check_steps(steps)
             # The pairs that remain are on the stack; a cycle passes through the current pair or the newest entries.
-            if steps == LATE and contains_itself((left[0], left, right, *stack[-4:])):
+            if steps == CYCLE_CHECK_STEP and contains_itself((left[0], left, right, *stack[-4:])):
                 return _unify_cyclic([*stack, right, left], trail)
-        if size > MASK:
+        if size > STEP_MASK:
             check_limits(size)
         # The first pair of compound arguments is kept in two variables, further ones on the stack: a chain such as a
         # list then needs no stack operations.
@@ -204,12 +214,12 @@ _RANK = {Var: 0, float: 1, int: 1, String: 3, Atom: 4, tuple: 5}
 """Position of each class in the standard order. Numbers share a position, as they are compared by value."""
 
 
-def by_age(left: Var, right: Var) -> int:
+def compare_by_age(left: Var, right: Var) -> int:
     """Compare two different variables by age; assign numbers to those that have none."""
     return -1 if serial(left) < serial(right) else 1
 
 
-def by_number(left: Var, right: Var) -> int:
+def compare_by_serial(left: Var, right: Var) -> int:
     """Compare two different variables that have numbers.
 
     Raises:
@@ -218,20 +228,20 @@ def by_number(left: Var, right: Var) -> int:
     return -1 if left.serial < right.serial else 1
 
 
-def unlike(left: Var, right: Var) -> int:
+def always_different(left: Var, right: Var) -> int:
     """Return a non-zero result, for tests of identity that must not number variables."""
     return 1
 
 
 def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms would double its time
-    left: Term, right: Term, variables: Callable[[Var, Var], int] = by_age
+    left: Term, right: Term, compare_variables: Callable[[Var, Var], int] = compare_by_age
 ) -> int:
     """Compare two terms in the standard order: return -1, 0 or 1.
 
     Args:
         left: a term.
         right: another term.
-        variables: compares two different variables; by age if not given.
+        compare_variables: compares two different variables; by age if not given.
     """
     left, right = deref(left), deref(right)
     if left is right:
@@ -241,11 +251,11 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
     if left.__class__ is int and right.__class__ is int:
         return (left > right) - (left < right)
     if left.__class__ is not tuple or right.__class__ is not tuple:
-        return _compare_simple(left, right, variables)
+        return _compare_simple(left, right, compare_variables)
     stack: List[Any] = [right, left]
     met: Optional[VisitedPairs] = None  # set once one of the terms has proved to be cyclic
-    for round_number in ROUNDS:
-        for _ in BULK:
+    for round_number in WALK_ROUNDS:
+        for _ in STEPS_PER_ROUND:
             if not stack:
                 return 0
             first: Any = stack.pop()
@@ -257,7 +267,7 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
             if first is second:
                 continue
             if first.__class__ is not tuple or second.__class__ is not tuple:
-                result = _compare_simple(first, second, variables)
+                result = _compare_simple(first, second, compare_variables)
                 if result:
                     return result
                 continue
@@ -267,25 +277,25 @@ def compare(  # noqa: C901 -- the loop of sorting: a call for each pair of terms
                 return -1 if first[0].name < second[0].name else 1
             if met is not None and not met.is_new(first, second):
                 continue
-            if len(first) > len(BULK):
+            if len(first) > len(STEPS_PER_ROUND):
                 check_limits(len(first))
             for position in range(len(first) - 1, 0, -1):
                 stack.append(second[position])
                 stack.append(first[position])
         check_limits()
-        if round_number == LATE_ROUND and (contains_itself(left) or contains_itself(right)):
+        if round_number == CYCLE_CHECK_ROUND and (contains_itself(left) or contains_itself(right)):
             met = VisitedPairs()
     raise TermTooLarge
 
 
-def _compare_simple(left: Any, right: Any, variables: Callable[[Var, Var], int]) -> int:
+def _compare_simple(left: Any, right: Any, compare_variables: Callable[[Var, Var], int]) -> int:
     """Compare two different objects that are not both compound."""
     left_class = left.__class__
     left_rank, right_rank = _RANK[left_class], _RANK[right.__class__]
     if left_rank != right_rank:
         return -1 if left_rank < right_rank else 1
     if left_class is Var:
-        return variables(left, right)
+        return compare_variables(left, right)
     if left_class is Atom:
         return -1 if left.name < right.name else 1
     if left_class is String:
