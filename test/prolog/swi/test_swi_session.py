@@ -245,7 +245,7 @@ def test_solutions_belong_to_a_thread(program):
     faults = []
 
     def go_on():
-        with pytest.raises(RetalisError, match="another thread"):
+        with pytest.raises(RetalisError, match="by the thread that requested the first one"):
             next(solutions)
         faults.append(True)
 
