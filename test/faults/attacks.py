@@ -25,7 +25,7 @@ from rosgraph_msgs.msg import Log
 HERE = Path(__file__).resolve().parent
 sys.path += [str(HERE.parent), str(HERE.parent / "ros")]
 from fuzz.mutate import changed_bytes  # noqa: E402
-from harness import Collector, open_the_way, service, wait_until  # noqa: E402
+from harness import Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 from retalis.ros.connection_limits import HANDSHAKE_TIMEOUT_SECONDS, REPORT_DELAY_SECONDS  # noqa: E402
@@ -124,7 +124,7 @@ class Node:
         self.topic = topic
         self.api = urlparse(master.lookupNode(name)[2]).port
         self.tcpros = urlparse(master.lookupService(f"{name}/list")[2]).port
-        self.list = service(f"{name}/list", srv.List)
+        self.list = wait_for_service(f"{name}/list", srv.List)
         with self.proxy() as proxy:
             self.pid = proxy.getPid("/attacks")[2]
         self.ports = ports_of(self.pid)
@@ -283,10 +283,10 @@ class Attacks(unittest.TestCase):
     def setUpClass(cls):
         numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
         cls.seconds, cls.requests, cls.seed = numbers if len(numbers) == 3 else (10, 1000, 1)
-        open_the_way()
+        wait_for_message_path()
         cls.began = time.monotonic()
         cls.log = Collector("/rosout", Log)
-        wait_until(cls.log.connected, "the nodes' log")
+        wait_until(cls.log.is_connected, "the nodes' log")
         cls.nodes = [Node(*node) for node in NODES.items()]
 
     def assert_flat(self, node, before, what):
@@ -460,7 +460,7 @@ class Attacks(unittest.TestCase):
         """Call each service with each text, and see how long others wait meanwhile."""
         for name, fields in names.items():
             kind = getattr(srv, "".join(word.capitalize() for word in name.rpartition("/")[2].split("_")))
-            proxy = service(name, kind)
+            proxy = wait_for_service(name, kind)
             for text in texts:
                 call = threading.Thread(target=self.call_large, args=(name, proxy, fields(text)), daemon=True)
                 began, waits = time.monotonic(), []

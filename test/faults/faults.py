@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 HERE = Path(__file__).resolve().parent
 sys.path.append(str(HERE.parent / "ros"))
-from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
+from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -62,19 +62,21 @@ def received(topic):
 class Faults(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        open_the_way()
+        wait_for_message_path()
         cls.log = Collector("/rosout", Log)
-        wait_until(cls.log.connected, "the nodes' log")
-        cls.subscribe = staticmethod(service("add_output_subscription", srv.AddOutputSubscription))
-        cls.unsubscribe = staticmethod(service("delete_output_subscription", srv.DeleteOutputSubscription))
-        cls.add_input = staticmethod(service("add_input_subscription", srv.AddInputSubscription))
+        wait_until(cls.log.is_connected, "the nodes' log")
+        cls.subscribe = staticmethod(wait_for_service("add_output_subscription", srv.AddOutputSubscription))
+        cls.unsubscribe = staticmethod(
+            wait_for_service("delete_output_subscription", srv.DeleteOutputSubscription)
+        )
+        cls.add_input = staticmethod(wait_for_service("add_input_subscription", srv.AddInputSubscription))
         cls.strings = DEFINITIONS.find("std_msgs/String")
 
     def input(self, topic):
         """Return a publisher whose texts become events."""
         self.assertEqual(self.add_input(topic, "std_msgs/String").result, "ok")
         publisher = RawPublisher(topic, self.strings)
-        wait_until(publisher.connected, f"a subscriber of {topic}")
+        wait_until(publisher.is_connected, f"a subscriber of {topic}")
         return publisher
 
     def output(self, pattern, key):
@@ -86,7 +88,7 @@ class Faults(unittest.TestCase):
         texts = self.input("before_stop")
         self.output("X", "all")
         other = Collector("face_by_marker", String)
-        wait_until(other.connected, "the other receiver")
+        wait_until(other.is_connected, "the other receiver")
         command = [sys.executable, "-c", LISTENER]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
             try:
@@ -112,7 +114,7 @@ class Faults(unittest.TestCase):
         texts = self.input("burst")
         self.output("'\"last\"'", "last")
         last = Collector("face_by_marker", String)
-        wait_until(last.connected, "the receiver")
+        wait_until(last.is_connected, "the receiver")
         wait_until(
             lambda: "/retalisInputEvents" in dict(node("/retalis").getBusStats("/faults")[2][1]), "texts"
         )
@@ -130,7 +132,7 @@ class Faults(unittest.TestCase):
         self.assertEqual(self.add_input("changing", "std_msgs/String").result, "ok")
         self.output("X", "changing")
         back = Collector("face_by_marker", String)
-        wait_until(back.connected, "the receiver")
+        wait_until(back.is_connected, "the receiver")
         numbers = DEFINITIONS.find("std_msgs/Int32")
         for turn in range(3):
             wrong = self.published("changing", numbers)
@@ -146,7 +148,7 @@ class Faults(unittest.TestCase):
 
     def published(self, topic, definition):
         publisher = RawPublisher(topic, definition)
-        wait_until(publisher.connected, f"a subscriber of {topic}")
+        wait_until(publisher.is_connected, f"a subscriber of {topic}")
         return publisher
 
     def listeners(self):

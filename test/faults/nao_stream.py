@@ -65,8 +65,8 @@ class Stream:
         for number in range(1, 9):
             rospy.Subscriber(f"marker{number}", PoseStamped, self._take, queue_size=10_000)
 
-    def connected(self):
-        return all(one.connected() for one in self._publishers.values())
+    def is_connected(self):
+        return all(one.is_connected() for one in self._publishers.values())
 
     def _connect(self):
         """Look anew who is connected."""

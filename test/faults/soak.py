@@ -228,7 +228,7 @@ class Soak:
                 last, since = self.stream.received, time.monotonic()
 
     def wait_for_nodes(self):
-        wait_until(self.stream.connected)
+        wait_until(self.stream.is_connected)
         for service in ("add_memory", "add_input_subscription"):
             wait_until(lambda: offered(service))  # noqa: B023
 

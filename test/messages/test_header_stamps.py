@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, Operators
 from retalis.messages.event_text_writer import text_writer
-from retalis.messages.header_stamps import frame_text, stamp_reader, watched
+from retalis.messages.header_stamps import frame_text, make_observed_decoder, stamp_reader
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
@@ -125,7 +125,7 @@ def test_the_short_ways_see_what_the_reader_reads(kind, messages):
             known.get(key, Seen(0)).second = -1
         known.update((key, Seen(instant // SECOND)) for key, instant in found)
 
-    watching = watched(decoder, known, look)
+    watching = make_observed_decoder(decoder, known, look)
     reads = [lambda data: to_text(watching.decode(data)), text_writer(watching)]
     for second, nanosecond, frame in messages:
         text = {
@@ -147,7 +147,7 @@ def test_the_short_ways_see_what_the_reader_reads(kind, messages):
 
 def test_what_is_written_again_is_not_looked_at_again(known):
     looked = []
-    watching = watched(known.decoder(known.find("t/Frames")), {}, looked.append)
+    watching = make_observed_decoder(known.decoder(known.find("t/Frames")), {}, looked.append)
     data = encode(known, "t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
     assert text_writer(watching)(data) == text_writer(watching.plain)(data)
     assert len(looked) == 1
@@ -171,7 +171,7 @@ def test_elements_without_bytes_are_counted_where_stamps_are_looked_at():
     definitions = Definitions(InstalledTypes([], [], include_rosbags=False), bare=3)
     for number in (3, 4):
         found = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
-        watching = watched(definitions.decoder(found), {}, lambda found: None)
+        watching = make_observed_decoder(definitions.decoder(found), {}, lambda found: None)
         for read in (watching.decode, text_writer(watching)):
             data = struct.pack("<IIII", 1, 2, 3, 0)
             if number == 3:

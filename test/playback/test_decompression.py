@@ -113,10 +113,10 @@ def bombs(folder):
 
 READ = """
 import resource, sys
-from retalis.playback.bag_locations import MergedBag as BagSeries; from retalis.playback.rosbag1 import BagError
+from retalis.playback.bag_locations import MergedBag; from retalis.playback.rosbag1 import BagError
 def read(path):
     try:
-        with BagSeries([path], max_chunk_megabytes=20) as bag:
+        with MergedBag([path], max_chunk_megabytes=20) as bag:
             return str(len(list(bag.records())))
     except BagError as error:
         return str(error)

@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, service, wait_until  # noqa: E402
+from harness import Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -31,11 +31,11 @@ class Alarms(unittest.TestCase):
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.to_engine = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
         cls.clock = rospy.Publisher("/clock", Clock, queue_size=10)
-        subscribe = service("add_output_subscription", srv.AddOutputSubscription)
+        subscribe = wait_for_service("add_output_subscription", srv.AddOutputSubscription)
         for event in ("rings", "strikes", "seen", "beats", "lost"):
             assert subscribe(f"{event}(X)", "", "_", "t", event).result == "ok"
         wait_until(lambda: cls.to_engine.get_num_connections() > 0, "node retalis")
-        wait_until(lambda: cls.outputs.connected(), "its outputs")
+        wait_until(lambda: cls.outputs.is_connected(), "its outputs")
         wait_until(lambda: cls.clock.get_num_connections() > 1, "the nodes' clocks")
         for rule in RULES:
             cls.to_engine.publish(rule)

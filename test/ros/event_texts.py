@@ -15,11 +15,11 @@ from std_msgs.msg import String
 sys.path.append(str(Path(__file__).resolve().parent))
 from harness import (  # noqa: E402
     DEFINITIONS,
-    PATIENCE,
+    TIMEOUT_SECONDS,
     Collector,
     RawPublisher,
-    open_the_way,
-    service,
+    wait_for_message_path,
+    wait_for_service,
     wait_until,
 )
 
@@ -38,18 +38,18 @@ POSE = (
 class EventTexts(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        open_the_way()
+        wait_for_message_path()
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.inputs = Collector("retalisInputEvents", String)
         cls.to_engine = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
         cls.to_topics = rospy.Publisher("retalisOutputEvents", String, queue_size=5000)
         cls.clock = rospy.Publisher("/clock", Clock, queue_size=10)
         cls.marker = Collector("marker1", PoseStamped)
-        cls.subscribe = staticmethod(service("add_output_subscription", srv.AddOutputSubscription))
-        cls.add_input = staticmethod(service("add_input_subscription", srv.AddInputSubscription))
+        cls.subscribe = staticmethod(wait_for_service("add_output_subscription", srv.AddOutputSubscription))
+        cls.add_input = staticmethod(wait_for_service("add_input_subscription", srv.AddInputSubscription))
         wait_until(lambda: cls.to_engine.get_num_connections() > 0, "node retalis")
         wait_until(lambda: cls.to_topics.get_num_connections() > 0, "the interface")
-        wait_until(lambda: cls.outputs.connected() and cls.marker.connected(), "publishers")
+        wait_until(lambda: cls.outputs.is_connected() and cls.marker.is_connected(), "publishers")
 
     def wait_for_output(self, text):
         self.outputs.wait_for(lambda messages: any(message.data == text for message in messages), text)
@@ -118,7 +118,7 @@ class EventTexts(unittest.TestCase):
         publisher = RawPublisher("thing", definition)
         self.assertEqual(self.add_input("thing", "nowhere_msgs/Thing").result, "ok")
         self.subscribe("nowhere_msgs__0__Thing(_,_)", "", "_", "t", "thing")
-        wait_until(publisher.connected, "the subscriber of the thing")
+        wait_until(publisher.is_connected, "the subscriber of the thing")
         term = read_term(
             "nowhere_msgs__0__Thing(0.5,[nowhere_msgs__0__Part('\"arm\"',true)])", Operators.prolog()
         ).term
@@ -146,7 +146,7 @@ class EventTexts(unittest.TestCase):
         self.assertEqual(self.add_input("plain", "std_msgs/String").result, "ok")
         wait_until(lambda: plain.get_num_connections() > 0, "the subscriber")
         wanted = "datime(2001,9,9,1,46,40,5)"
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT_SECONDS
         while not any(wanted in message.data for message in self.inputs.messages):
             self.assertLess(time.monotonic(), deadline, "simulated time was not used")
             self.clock.publish(Clock(rospy.Time(1_000_000_000, 5)))

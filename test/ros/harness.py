@@ -12,31 +12,38 @@ from retalis import Definitions
 from retalis.ros.connection_writer import serialized_class
 from retalis.srv import AddInputSubscription, AddOutputSubscription
 
-PATIENCE = 60.0
-"""Seconds after which a test gives up waiting."""
+TIMEOUT_SECONDS = 60.0
+"""Seconds after which a test that waits fails."""
 
 
-def wait_until(condition, what, patience=PATIENCE, pause=0.01):
-    """Wait for a condition in real time (simulated time stands still in most tests); look again after each pause."""
-    deadline = time.monotonic() + patience
+def wait_until(condition, what, timeout=TIMEOUT_SECONDS, pause=0.01):
+    """Wait until a condition holds, in real time: simulated time stands still in most tests.
+
+    Args:
+        condition: returns whether the condition holds.
+        what: description of the condition for the error.
+        timeout: seconds after which the test fails.
+        pause: seconds between two calls of ``condition``.
+    """
+    deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited {patience:.0f} s in vain for {what}")
+            raise AssertionError(f"waited {timeout:.0f} s in vain for {what}")
         if rospy.is_shutdown():
             raise AssertionError(f"shut down while waiting for {what}")
         time.sleep(pause)
 
 
 class Collector:
-    """Collects the messages of a topic."""
+    """Subscriber that stores the messages of a topic."""
 
-    def __init__(self, topic, kind):
+    def __init__(self, topic, message_class):
         self.topic = topic
         self.messages = []
         self._changed = threading.Condition()
-        self._subscriber = rospy.Subscriber(topic, kind, self._take, queue_size=10_000)
+        self._subscriber = rospy.Subscriber(topic, message_class, self._store, queue_size=10_000)
 
-    def _take(self, message):
+    def _store(self, message):
         with self._changed:
             self.messages.append(message)
             self._changed.notify_all()
@@ -44,81 +51,87 @@ class Collector:
     def wait_for(self, condition, what="messages"):
         """Wait until ``condition`` holds for the list of messages; return the list."""
         with self._changed:
-            if not self._changed.wait_for(lambda: condition(self.messages), PATIENCE):
+            if not self._changed.wait_for(lambda: condition(self.messages), TIMEOUT_SECONDS):
                 got = [str(message)[:200] for message in self.messages[-5:]]
                 raise AssertionError(f"waited in vain for {what} on {self.topic}; the last ones: {got}")
             return list(self.messages)
 
-    def connected(self):
-        """Tell whether a publisher is there, and what it sends from now on comes.
+    def is_connected(self):
+        """Return whether a publisher is connected, so that all messages that it sends from now on are received.
 
-        rospy counts a connection that it is only trying to make. Of many that are made at once some have to be tried
-        again, a second later.
+        rospy also counts connections that are not established yet. If many are opened at once, some are opened again
+        a second later.
         """
-        return any(map(sends_to, self._answered()))
+        return any(map(is_served_by_publisher, self._established_connections()))
 
     def publishers(self):
-        """Return the nodes of which what they send from now on comes."""
-        return [link.header["callerid"] for link in self._answered() if sends_to(link)]
+        """Return the names of the connected publishers; see `is_connected`."""
+        return [
+            link.header["callerid"]
+            for link in self._established_connections()
+            if is_served_by_publisher(link)
+        ]
 
-    def _answered(self):
+    def _established_connections(self):
         return [link for link in self._subscriber.impl.connections if link.header]
 
     def close(self):
         self._subscriber.unregister()
 
 
-def sends_to(link):
-    """Tell whether the publisher at the other end of a connection has it among those that it sends to.
+def is_served_by_publisher(link):
+    """Return whether the publisher of a connection has added it to those that it sends to.
 
-    It writes its header first: what it publishes between the two goes to the others only, and never comes here.
+    It writes its header before that. A message that it publishes in between is not sent to this subscriber.
     """
     try:
         with ServerProxy(link.endpoint_id) as publisher:
-            known = publisher.getBusInfo(rospy.get_name())[2]
-    except (OSError, Error, HTTPException):  # it is just ending
+            bus_info = publisher.getBusInfo(rospy.get_name())[2]
+    except (OSError, Error, HTTPException):  # the publisher is ending
         return False
-    here = f":{link.local_endpoint[1]} on socket "
-    return any(here in described for *_, described in known)
+    own_endpoint = f":{link.local_endpoint[1]} on socket "
+    return any(own_endpoint in description for *_, description in bus_info)
 
 
 class RawPublisher:
-    """Publishes bytes as messages of a type, whether the type is installed or not."""
+    """Publisher of bytes as messages of a type that need not be installed."""
 
     def __init__(self, topic, definition, latch=False):
-        self.kind = serialized_class(definition)
-        self.publisher = rospy.Publisher(topic, self.kind, queue_size=10_000, latch=latch)
+        self.message_class = serialized_class(definition)
+        self.publisher = rospy.Publisher(topic, self.message_class, queue_size=10_000, latch=latch)
 
     def publish(self, data):
-        message = self.kind()
+        message = self.message_class()
         message._buff = data
         self.publisher.publish(message)
 
-    def connected(self):
+    def is_connected(self):
         return self.publisher.get_num_connections() > 0
 
 
-def service(name, kind):
-    """Return a service's proxy once it is there."""
-    rospy.wait_for_service(name, PATIENCE)
-    return rospy.ServiceProxy(name, kind)
+def wait_for_service(name, service_class):
+    """Wait until a service is offered; return its proxy."""
+    rospy.wait_for_service(name, TIMEOUT_SECONDS)
+    return rospy.ServiceProxy(name, service_class)
 
 
-def open_the_way():
-    """Return when messages get from a topic through the engine to a topic, whichever nodes are in between."""
-    added = service("add_input_subscription", AddInputSubscription)("probe", "std_msgs/String").result
-    assert added == "ok", added
-    subscribe = service("add_output_subscription", AddOutputSubscription)
-    added = subscribe("std_msgs__0__String('\"probe\"')", "", "_", "face_by_marker", "probe").result
-    assert added == "ok", added
+def wait_for_message_path():
+    """Wait until a message on an input topic passes through the engine to an output topic, in any configuration."""
+    result = wait_for_service("add_input_subscription", AddInputSubscription)(
+        "probe", "std_msgs/String"
+    ).result
+    assert result == "ok", result
+    subscribe = wait_for_service("add_output_subscription", AddOutputSubscription)
+    result = subscribe("std_msgs__0__String('\"probe\"')", "", "_", "face_by_marker", "probe").result
+    assert result == "ok", result
     probe = rospy.Publisher("probe", String, queue_size=10)
-    back = Collector("face_by_marker", String)
+    outputs = Collector("face_by_marker", String)
 
-    def answered():
+    def is_returned():
         probe.publish("probe")
-        return any(message.data == "probe" for message in back.messages)
+        return any(message.data == "probe" for message in outputs.messages)
 
-    wait_until(answered, "the way through the nodes")
+    wait_until(is_returned, "the path through the nodes")
 
 
 DEFINITIONS = Definitions()

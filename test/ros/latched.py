@@ -17,7 +17,7 @@ import rostest
 from std_msgs.msg import Int32, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import DEFINITIONS, PATIENCE, Collector, RawPublisher, wait_until  # noqa: E402
+from harness import DEFINITIONS, TIMEOUT_SECONDS, Collector, RawPublisher, wait_until  # noqa: E402
 
 from retalis import Operators  # noqa: E402
 from retalis.prolog.syntax.term_reader import read_term  # noqa: E402
@@ -99,7 +99,7 @@ class Nodes(unittest.TestCase):
     def end(self, name, number=signal.SIGINT):
         process = self.running.pop(name)
         os.killpg(process.pid, number)
-        process.wait(PATIENCE)
+        process.wait(TIMEOUT_SECONDS)
         if number == signal.SIGKILL:
             subprocess.run(["rosnode", "cleanup"], input=b"y\n", stdout=subprocess.DEVNULL, check=True)
 
@@ -113,7 +113,7 @@ class Nodes(unittest.TestCase):
         """Return what the engine has now: how often each latched message, and the others."""
         self.asked += 1
         begin = f"event(there({self.asked},"
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT_SECONDS
         while True:
             self.events.publish(f"event(ask({self.asked}))")
             time.sleep(0.05)

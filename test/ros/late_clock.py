@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
-from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, service, wait_until  # noqa: E402
+from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
 from retalis import (  # noqa: E402
@@ -50,16 +50,16 @@ class LateClock(unittest.TestCase):
         self.clock = rospy.Publisher("/clock", Clock, queue_size=10)
         self.markers = {name: Collector(name, rospy.AnyMsg) for name in MARKERS}
         self.publishers = {name: RawPublisher(name, DEFINITIONS.add(*kind)) for name, kind in kinds.items()}
-        wait_until(lambda: all(one.connected() for one in self.publishers.values()), "the subscribers")
+        wait_until(lambda: all(one.is_connected() for one in self.publishers.values()), "the subscribers")
         wait_until(
-            lambda: all(one.connected() for one in self.markers.values()), "the publishers of the markers"
+            lambda: all(one.is_connected() for one in self.markers.values()), "the publishers of the markers"
         )
-        open_the_way()
-        added = service("add_memory", srv.AddMemory)(
+        wait_for_message_path()
+        added = wait_for_service("add_memory", srv.AddMemory)(
             "std_msgs__0__String('\"probe\"')", "", "_", "probes", "1"
         )
         self.assertEqual(added.result, "ok")
-        self.query = service("retalis/query", srv.Query)
+        self.query = wait_for_service("retalis/query", srv.Query)
         self.probe = rospy.Publisher("probe", String, queue_size=10)
 
     def test_poses_are_those_of_each_run(self):

@@ -3,24 +3,24 @@
 import sys
 
 import rospy
-from harness import Collector, service, wait_until
+from harness import Collector, wait_for_service, wait_until
 from std_msgs.msg import String
 
 from retalis import srv
 
 rospy.init_node("probe", anonymous=True, disable_signals=True)
 text = sys.argv[1]
-sent = rospy.Publisher("in", String, queue_size=10)
-back = Collector("out", String)
+publisher = rospy.Publisher("in", String, queue_size=10)
+outputs = Collector("out", String)
 
 
-def answered():
-    sent.publish(text)
-    return any(message.data == text for message in back.messages)
+def is_returned():
+    publisher.publish(text)
+    return any(message.data == text for message in outputs.messages)
 
 
-wait_until(answered, "the way through the nodes")
-add = service("add_memory", srv.AddMemory)
+wait_until(is_returned, "the path through the nodes")
+add = wait_for_service("add_memory", srv.AddMemory)
 assert add("x(Y)", "", "_", f"memory_{text}", "1").result == "ok"
-subscribe = service("add_input_subscription", srv.AddInputSubscription)
+subscribe = wait_for_service("add_input_subscription", srv.AddInputSubscription)
 assert subscribe(f"topic_{text}", "std_msgs/String").result == "ok"

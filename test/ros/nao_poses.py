@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "nao"))
-from harness import DEFINITIONS, Collector, RawPublisher, open_the_way, wait_until  # noqa: E402
+from harness import DEFINITIONS, Collector, RawPublisher, wait_for_message_path, wait_until  # noqa: E402
 from make_bag import make_bag  # noqa: E402
 
 from retalis import BagReader  # noqa: E402
@@ -39,10 +39,11 @@ class NaoPoses(unittest.TestCase):
                 for topic in bag.topics
             }
             wait_until(
-                lambda: all(one.connected() for one in publishers.values()), "subscribers of the bag's topics"
+                lambda: all(one.is_connected() for one in publishers.values()),
+                "subscribers of the bag's topics",
             )
-            wait_until(lambda: all(one.connected() for one in markers), "publishers of the markers")
-            open_the_way()
+            wait_until(lambda: all(one.is_connected() for one in markers), "publishers of the markers")
+            wait_for_message_path()
             self.play(bag, publishers, clock)
         expected = sorted((one.marker, one.stamp) for one in self.truth.complete)
         wait_until(

@@ -39,12 +39,14 @@ class NodeConfigurations(unittest.TestCase):
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.probes = rospy.Publisher("probes", Empty, queue_size=100)
         cls.publishers = {topic: RawPublisher(topic, kind) for topic, kind in KINDS.items()}
-        wait_until(lambda: all(one.connected() for one in cls.publishers.values()), "the subscribers")
+        wait_until(lambda: all(one.is_connected() for one in cls.publishers.values()), "the subscribers")
         wait_until(lambda: cls.probes.get_num_connections() > 0, "the subscriber of the probes")
-        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
+        wait_until(
+            lambda: cls.events.get_num_connections() > 0 and cls.outputs.is_connected(), "node retalis"
+        )
         cls.published = {topic: Collector(topic, rospy.AnyMsg) for topic in PUBLISHED}
         for one in cls.published.values():
-            wait_until(one.connected, "the publisher of messages whose type is learned")
+            wait_until(one.is_connected, "the publisher of messages whose type is learned")
 
     def test_ten_bags(self):
         folder = tempfile.TemporaryDirectory()

@@ -12,7 +12,7 @@ import rostest
 from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, service, wait_until  # noqa: E402
+from harness import Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -20,15 +20,17 @@ from retalis import srv  # noqa: E402
 class NodeServices(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.query = staticmethod(service("retalis/query", srv.Query))
-        cls.explain = staticmethod(service("retalis/explain", srv.Explain))
-        cls.add_rule = staticmethod(service("retalis/add_rule", srv.AddRule))
-        cls.delete_rule = staticmethod(service("retalis/delete_rule", srv.DeleteRule))
-        cls.add_memory = staticmethod(service("add_memory", srv.AddMemory))
-        cls.delete_memory = staticmethod(service("delete_memory", srv.DeleteMemory))
+        cls.query = staticmethod(wait_for_service("retalis/query", srv.Query))
+        cls.explain = staticmethod(wait_for_service("retalis/explain", srv.Explain))
+        cls.add_rule = staticmethod(wait_for_service("retalis/add_rule", srv.AddRule))
+        cls.delete_rule = staticmethod(wait_for_service("retalis/delete_rule", srv.DeleteRule))
+        cls.add_memory = staticmethod(wait_for_service("add_memory", srv.AddMemory))
+        cls.delete_memory = staticmethod(wait_for_service("delete_memory", srv.DeleteMemory))
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
-        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
+        wait_until(
+            lambda: cls.events.get_num_connections() > 0 and cls.outputs.is_connected(), "node retalis"
+        )
 
     def send(self, text):
         self.events.publish(String(text))

@@ -28,8 +28,10 @@ class Outputs(unittest.TestCase):
         cls.log = Collector("/rosout", Log)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         cls.outputs = Collector("retalisOutputEvents", String)
-        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
-        wait_until(cls.log.connected, "the log")
+        wait_until(
+            lambda: cls.events.get_num_connections() > 0 and cls.outputs.is_connected(), "node retalis"
+        )
+        wait_until(cls.log.is_connected, "the log")
 
     def event(self, text):
         """Have an event come out as text."""
@@ -39,13 +41,13 @@ class Outputs(unittest.TestCase):
 
     def test_a_type_that_a_publisher_brings_is_published(self):
         thing = RawPublisher("things", THING)
-        wait_until(thing.connected, "the subscriber of the things")
+        wait_until(thing.is_connected, "the subscriber of the things")
         term = read_term(f"nowhere_msgs__0__Thing(0.5,{PART})", Operators.prolog()).term
         data = DEFINITIONS.encoder(THING).encode(term, "things")
         thing.publish(data)  # what comes of it may be lost: who listens learns of the topics afterwards
         copies, parts = (Collector(topic, rospy.AnyMsg) for topic in ("copies", "parts"))
-        wait_until(copies.connected, "the publisher of the copies")
-        wait_until(parts.connected, "the publisher of the parts")
+        wait_until(copies.is_connected, "the publisher of the copies")
+        wait_until(parts.is_connected, "the publisher of the parts")
         self.assertEqual([one._buff for one in parts.wait_for(bool)], [data[8:]])
 
         def copied():
@@ -70,7 +72,7 @@ class Outputs(unittest.TestCase):
 
     def test_a_latched_topic_gives_its_last_message_once_to_who_comes_later(self):
         state = Collector("state", String)
-        wait_until(state.connected, "the publisher of the state")
+        wait_until(state.is_connected, "the publisher of the state")
 
         def arrives():
             self.event("state('\"0\"')")

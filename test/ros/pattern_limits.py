@@ -12,7 +12,7 @@ import rostest
 from rosgraph_msgs.msg import Log
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, service, wait_until  # noqa: E402
+from harness import Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -26,10 +26,10 @@ ANSWER = 4 * LIMIT
 
 class PatternLimits(unittest.TestCase):
     def test_rules_that_multiply_events_stop_at_the_limit(self):
-        query = service("retalis/query", srv.Query)
-        add_rule = service("retalis/add_rule", srv.AddRule)
+        query = wait_for_service("retalis/query", srv.Query)
+        add_rule = wait_for_service("retalis/add_rule", srv.AddRule)
         log = Collector("/rosout", Log)
-        wait_until(log.connected, "the log")
+        wait_until(log.is_connected, "the log")
 
         def ask(goal):
             return query(srv.QueryRequest(goal=goal))

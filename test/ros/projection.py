@@ -12,7 +12,7 @@ import rostest
 from std_msgs.msg import String, UInt8MultiArray
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, open_the_way, service, wait_until  # noqa: E402
+from harness import Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -23,13 +23,15 @@ PATTERN = "std_msgs__0__UInt8MultiArray(Layout, {})"
 class Projection(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        open_the_way()
+        wait_for_message_path()
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.images = rospy.Publisher("images", UInt8MultiArray, queue_size=100)
-        add = service("add_input_subscription", srv.AddInputSubscription)
+        add = wait_for_service("add_input_subscription", srv.AddInputSubscription)
         assert add("images", "std_msgs/UInt8MultiArray").result == "ok"
-        cls.subscribe = staticmethod(service("add_output_subscription", srv.AddOutputSubscription))
-        wait_until(lambda: cls.images.get_num_connections() > 0 and cls.outputs.connected(), "the interface")
+        cls.subscribe = staticmethod(wait_for_service("add_output_subscription", srv.AddOutputSubscription))
+        wait_until(
+            lambda: cls.images.get_num_connections() > 0 and cls.outputs.is_connected(), "the interface"
+        )
         master = rosgraph.Master("/unread")
         cls.interface = ServerProxy(master.lookupNode("/retalis_ros_interface"))
         cls.subscribe(PATTERN.format("_"), "", "layout(Layout)", "t", "layouts")
@@ -58,7 +60,7 @@ class Projection(unittest.TestCase):
     def test_2_somebody_else_who_listens_gets_whole_messages(self):
         wait_until(self.saves, "the end of whole messages")
         texts = Collector("retalisInputEvents", String)
-        wait_until(texts.connected, "the interface")
+        wait_until(texts.is_connected, "the interface")
         wait_until(
             lambda: self.publish(b"b") and texts.messages, "a whole message"
         )  # it is served a moment later
@@ -78,7 +80,7 @@ class Projection(unittest.TestCase):
         found = [one.data for one in self.outputs.messages if one.data.startswith("event(data(")]
         for text in found:
             self.assertIn("c" * SIZE, text)
-        delete = service("delete_output_subscription", srv.DeleteOutputSubscription)
+        delete = wait_for_service("delete_output_subscription", srv.DeleteOutputSubscription)
         self.assertEqual(delete("t", "data").result, "ok")
         wait_until(self.saves, "the end of whole messages")
 

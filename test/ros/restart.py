@@ -15,7 +15,7 @@ import rostest
 from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import PATIENCE, Collector, open_the_way, service, wait_until  # noqa: E402
+from harness import TIMEOUT_SECONDS, Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -40,7 +40,7 @@ class Restart(unittest.TestCase):
         """Interrupt a node, so that the master forgets it."""
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGINT)
-            process.wait(PATIENCE)
+            process.wait(TIMEOUT_SECONDS)
 
     def kill(self, name):
         killed, failed = rosnode.kill_nodes([f"/{name}"])
@@ -48,23 +48,23 @@ class Restart(unittest.TestCase):
         wait_until(lambda: not self.registered(name), f"the end of {name}")
 
     def test_1_the_interface_is_killed_and_started_again(self):
-        open_the_way()
+        wait_for_message_path()
         self.kill("retalis_ros_interface")
         self.assertTrue(alive("retalis"))
-        add = service("add_memory", srv.AddMemory)
+        add = wait_for_service("add_memory", srv.AddMemory)
         self.assertEqual(add("x(Y)", "", "_", "while_alone", "1").result, "ok")
         self.start("retalis_ros_interface")
-        deleted = service("delete_output_subscription", srv.DeleteOutputSubscription)(
+        deleted = wait_for_service("delete_output_subscription", srv.DeleteOutputSubscription)(
             "face_by_marker", "probe"
         )
         self.assertEqual(deleted.result, "ok")
-        open_the_way()
+        wait_for_message_path()
 
     def test_2_the_engine_is_killed_and_started_again(self):
         self.start("retalis_ros_interface")  # the first test took its own with it
         self.kill("retalis")
         self.start("retalis")
-        open_the_way()
+        wait_for_message_path()
 
     def test_3_an_interrupt_ends_a_node_at_once(self):
         for name in TYPES:

@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Float64, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import PATIENCE, Collector, open_the_way, service, wait_until  # noqa: E402
+from harness import TIMEOUT_SECONDS, Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -22,18 +22,24 @@ from retalis import srv  # noqa: E402
 class Services(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        open_the_way()
-        cls.add_subscription = staticmethod(service("add_output_subscription", srv.AddOutputSubscription))
-        cls.delete_subscription = staticmethod(
-            service("delete_output_subscription", srv.DeleteOutputSubscription)
+        wait_for_message_path()
+        cls.add_subscription = staticmethod(
+            wait_for_service("add_output_subscription", srv.AddOutputSubscription)
         )
-        cls.add_memory = staticmethod(service("add_memory", srv.AddMemory))
-        cls.delete_memory = staticmethod(service("delete_memory", srv.DeleteMemory))
-        cls.add_input = staticmethod(service("add_input_subscription", srv.AddInputSubscription))
-        cls.delete_input = staticmethod(service("delete_input_subscription", srv.DeleteInputSubscription))
+        cls.delete_subscription = staticmethod(
+            wait_for_service("delete_output_subscription", srv.DeleteOutputSubscription)
+        )
+        cls.add_memory = staticmethod(wait_for_service("add_memory", srv.AddMemory))
+        cls.delete_memory = staticmethod(wait_for_service("delete_memory", srv.DeleteMemory))
+        cls.add_input = staticmethod(wait_for_service("add_input_subscription", srv.AddInputSubscription))
+        cls.delete_input = staticmethod(
+            wait_for_service("delete_input_subscription", srv.DeleteInputSubscription)
+        )
         cls.outputs = Collector("retalisOutputEvents", String)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=5000)
-        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
+        wait_until(
+            lambda: cls.events.get_num_connections() > 0 and cls.outputs.is_connected(), "node retalis"
+        )
         cls.flowing = threading.Event()
         cls.flowing.set()
         cls.flow = threading.Thread(target=cls.keep_flowing, daemon=True)
@@ -177,7 +183,7 @@ class Services(unittest.TestCase):
         self.assertEqual(
             self.add_subscription("std_msgs__0__Float64(X)", "", "number(X)", "t", "n").result, "ok"
         )
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT_SECONDS
         while not self.has_output("event(number(2.5),t,n)"):
             self.assertLess(time.monotonic(), deadline, "the number never came")
             number.publish(2.5)
@@ -224,13 +230,13 @@ class Services(unittest.TestCase):
 
     def test_a_goal_subscribes_a_topic_while_the_node_runs(self):
         asked = rospy.Publisher("asked", Float64, queue_size=10)
-        query = service("retalis/query", srv.Query)
+        query = wait_for_service("retalis/query", srv.Query)
         goal = "subscribe_to(asked, 'std_msgs/Float64', asked_number)"
         for _ in range(2):
             self.assertEqual(query(goal=goal).result, "ok")
         self.assertIn("subscribed already", query(goal="subscribe_to(asked, 'std_msgs/Int8')").result)
         self.assertEqual(self.add_subscription("asked_number(X)", "", "asked(X)", "t", "q").result, "ok")
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT_SECONDS
         while not self.has_output("event(asked(2.5),t,q)"):
             self.assertLess(time.monotonic(), deadline, "the number never came")
             asked.publish(2.5)

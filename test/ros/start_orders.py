@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import PATIENCE, Collector, service, wait_until  # noqa: E402
+from harness import TIMEOUT_SECONDS, Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -64,13 +64,13 @@ class StartOrders(unittest.TestCase):
             self.assertIsNone(process.poll(), f"node {name} has died")
             process.send_signal(number)
         for name in names:
-            status = self.running.pop(name).wait(PATIENCE)
+            status = self.running.pop(name).wait(TIMEOUT_SECONDS)
             self.assertEqual(status, 0 if number == signal.SIGINT else -number, f"status of node {name}")
 
     def end_all(self):
         for process in self.running.values():
             process.send_signal(signal.SIGINT)
-            process.wait(PATIENCE)
+            process.wait(TIMEOUT_SECONDS)
         for publisher in (*self.latched, self.events):
             publisher.unregister()
         self.where.close()
@@ -85,7 +85,7 @@ class StartOrders(unittest.TestCase):
 
     def received(self):
         """Return how many outputs the interface has received."""
-        inputs = service(f"{INTERFACE}/list", srv.List)(0).inputs
+        inputs = wait_for_service(f"{INTERFACE}/list", srv.List)(0).inputs
         return next(one.messages for one in inputs if one.topic == "/retalisOutputEvents")
 
     def come(self, number):

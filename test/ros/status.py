@@ -13,7 +13,7 @@ from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Float64, String
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector, service, wait_until  # noqa: E402
+from harness import Collector, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
 
@@ -23,13 +23,15 @@ class Status(unittest.TestCase):
     def setUpClass(cls):
         cls.embedded = rospy.get_param("retalis/embedded")
         cls.interface = "retalis" if cls.embedded else "retalis_ros_interface"
-        cls.list = staticmethod(service("retalis/list", srv.List))
-        cls.list_interface = staticmethod(service(f"{cls.interface}/list", srv.List))
-        cls.query = staticmethod(service("retalis/query", srv.Query))
-        cls.add_rule = staticmethod(service("retalis/add_rule", srv.AddRule))
-        cls.add_memory = staticmethod(service("add_memory", srv.AddMemory))
-        cls.add_subscription = staticmethod(service("add_output_subscription", srv.AddOutputSubscription))
-        cls.add_input = staticmethod(service("add_input_subscription", srv.AddInputSubscription))
+        cls.list = staticmethod(wait_for_service("retalis/list", srv.List))
+        cls.list_interface = staticmethod(wait_for_service(f"{cls.interface}/list", srv.List))
+        cls.query = staticmethod(wait_for_service("retalis/query", srv.Query))
+        cls.add_rule = staticmethod(wait_for_service("retalis/add_rule", srv.AddRule))
+        cls.add_memory = staticmethod(wait_for_service("add_memory", srv.AddMemory))
+        cls.add_subscription = staticmethod(
+            wait_for_service("add_output_subscription", srv.AddOutputSubscription)
+        )
+        cls.add_input = staticmethod(wait_for_service("add_input_subscription", srv.AddInputSubscription))
         cls.told = Collector("/diagnostics", DiagnosticArray)
         cls.events = rospy.Publisher("retalisInputEvents", String, queue_size=100)
         wait_until(lambda: cls.events.get_num_connections() > 0, "node retalis")

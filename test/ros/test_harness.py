@@ -54,16 +54,16 @@ def collector(link, monkeypatch):
 
 
 def test_a_header_alone_does_not_connect(collector, publisher):
-    assert not collector.connected() and collector.publishers() == []
+    assert not collector.is_connected() and collector.publishers() == []
     publisher[1].append(15000)  # somebody else's
-    assert not collector.connected() and collector.publishers() == []
+    assert not collector.is_connected() and collector.publishers() == []
 
 
 def test_the_publisher_that_knows_the_connection_does(collector, publisher):
     publisher[1].append(5000)
-    assert collector.connected() and collector.publishers() == ["/talker"]
+    assert collector.is_connected() and collector.publishers() == ["/talker"]
 
 
 def test_a_publisher_that_has_ended_does_not(collector, link):
     link.endpoint_id = "http://localhost:1"
-    assert not collector.connected() and collector.publishers() == []
+    assert not collector.is_connected() and collector.publishers() == []

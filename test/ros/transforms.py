@@ -36,7 +36,9 @@ class Transforms(unittest.TestCase):
         cls.static = tf2_ros.StaticTransformBroadcaster()
         cls.static.sendTransform([stamped("base", "camera", 0, 100.0)])
         cls.moving = tf2_ros.TransformBroadcaster()
-        wait_until(lambda: cls.events.get_num_connections() > 0 and cls.outputs.connected(), "node retalis")
+        wait_until(
+            lambda: cls.events.get_num_connections() > 0 and cls.outputs.is_connected(), "node retalis"
+        )
         wait_until(lambda: cls.moving.pub_tf.get_num_connections() > 0, "the subscriber of /tf")
         cls.asked = 0
         cls.moving.sendTransform([stamped("map", "odom", START, 0.0)])

@@ -54,7 +54,7 @@ def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     return read_stamps
 
 
-def watched(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver) -> Decoder:
+def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver) -> Decoder:
     """Return a decoder that passes stamps to an observer if their second differs from the last observed one.
 
     The observer is called by `Decoder.decode` for types that `FrameDecoderGenerator` supports, otherwise by
@@ -92,7 +92,7 @@ def watched(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver
     except UnsupportedLayout:
         pass
 
-    def watched_stamp(data: bytes) -> Optional[int]:
+    def observe_and_read_stamp(data: bytes) -> Optional[int]:
         observe(data)
         return stamp(data)
 
@@ -100,7 +100,9 @@ def watched(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver
     slots = _stamped_slots(definition)
     # The fast reader assumes that the header's frame is the only one.
     is_single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
-    watching.stamp = _header_stamp_reader(get, watched_stamp) if is_single else watched_stamp
+    watching.stamp = (
+        _header_stamp_reader(get, observe_and_read_stamp) if is_single else observe_and_read_stamp
+    )
     return watching
 
 

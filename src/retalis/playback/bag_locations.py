@@ -61,7 +61,7 @@ def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> 
 class MergedBag:
     """One or more bags whose messages are merged in the order of receipt; a context manager.
 
-    >>> with BagSeries([folder / "talk.bag"], duration=5) as bags:
+    >>> with MergedBag([folder / "talk.bag"], duration=5) as bags:
     ...     print([(record.topic.name, record.time) for record in bags.records()])
     [('/chatter', 1000000000)]
 

@@ -19,7 +19,7 @@ from typing import Callable, Dict, Iterator, List, Optional
 from ...foundation.bounded_caches import Cache
 from ...foundation.errors import beginning, printable
 from ...messages.decoder import Decoder
-from ...messages.header_stamps import FrameStamp, frame_text, watched
+from ...messages.header_stamps import FrameStamp, frame_text, make_observed_decoder
 from ...prolog.terms.timestamps import SECOND
 from .clock import JUMP
 from .problem_reports import Reports
@@ -70,13 +70,13 @@ class FrameClock:
         wall: monotonic real time at its receipt.
         progress: progress of the timestamps of all topics at its receipt.
         pace: highest rate of timestamps relative to real time; None if unknown.
-        since: timestamp and real time from which the pace is measured.
+        pace_origin: timestamp and real time from which the pace is measured.
         candidate: first of consecutive distant timestamps that agree with each other.
-        agreeing: number of these.
+        agreeing_count: number of these.
         is_reported: whether a warning was logged.
         min_ahead: minimum of timestamp minus node's time at receipt, negative if behind.
         max_ahead: maximum of this difference.
-        compared_since: node's time at the receipt that later ones are compared with; 0 before the node has a time.
+        comparison_time: node's time at the receipt that later ones are compared with; 0 before the node has a time.
         ahead: timestamp minus node's time at that receipt.
         follows_clock: whether the timestamps have advanced like the node's time.
         accepted_count: number of timestamps that fitted.
@@ -89,13 +89,13 @@ class FrameClock:
         "wall",
         "progress",
         "pace",
-        "since",
+        "pace_origin",
         "candidate",
-        "agreeing",
+        "agreeing_count",
         "is_reported",
         "min_ahead",
         "max_ahead",
-        "compared_since",
+        "comparison_time",
         "ahead",
         "follows_clock",
         "accepted_count",
@@ -108,14 +108,14 @@ class FrameClock:
         self.wall = wall
         self.progress = progress
         self.pace: Optional[float] = None
-        self.since = stamp, wall
+        self.pace_origin = stamp, wall
         self.candidate: Optional[FrameClock] = None
-        self.agreeing = self.accepted_count = 0
+        self.agreeing_count = self.accepted_count = 0
         self.is_reported = self.follows_clock = False
-        self.compared_since = now
+        self.comparison_time = now
         self.min_ahead = self.max_ahead = self.ahead = stamp - now
 
-    def distance(self, stamp: int, now: int, wall: int, progress: int) -> int:
+    def distance_from_prediction(self, stamp: int, now: int, wall: int, progress: int) -> int:
         """Return the signed distance of a timestamp from the nearest prediction, in ns; positive if later.
 
         Predictions are the last timestamp, and the last one advanced by the time that has passed by one of the clocks
@@ -133,10 +133,10 @@ class FrameClock:
     def accept(self, stamp: int, now: int, wall: int, checks_all: bool) -> None:
         """Record a timestamp that fits."""
         # The pace is measured over at least half a second, because single intervals vary with the machine's load.
-        elapsed = wall - self.since[1]
+        elapsed = wall - self.pace_origin[1]
         if elapsed >= SECOND // 2:
-            self.pace = max(self.pace or 1.0, min((stamp - self.since[0]) / elapsed, MAX_UNKNOWN_PACE))
-            self.since = stamp, wall
+            self.pace = max(self.pace or 1.0, min((stamp - self.pace_origin[0]) / elapsed, MAX_UNKNOWN_PACE))
+            self.pace_origin = stamp, wall
         self._update_clock_offset(stamp, now)
         self.progress += stamp - self.stamp
         self.stamp, self.now, self.wall = stamp, now, wall
@@ -147,7 +147,7 @@ class FrameClock:
             if checks_all or not (self.follows_clock or self.accepted_count > FULLY_CHECKED_MESSAGES)
             else stamp // SECOND
         )
-        self.candidate, self.agreeing = None, 0
+        self.candidate, self.agreeing_count = None, 0
 
     def _update_clock_offset(self, stamp: int, now: int) -> None:
         """Update the differences to the node's time, and decide whether timestamps advance like it.
@@ -158,16 +158,16 @@ class FrameClock:
         """
         ahead = stamp - now
         # The node had no time at the first receipt.
-        if not self.compared_since:
-            self.compared_since = now
+        if not self.comparison_time:
+            self.comparison_time = now
             self.min_ahead = self.max_ahead = self.ahead = ahead
-        elapsed = now - self.compared_since
+        elapsed = now - self.comparison_time
         self.min_ahead, self.max_ahead = min(self.min_ahead, ahead), max(self.max_ahead, ahead)
         # The message was accepted although it goes back, so the publisher's clock was set, and time did not go back.
         if stamp < self.stamp - JUMP:
-            self.compared_since, self.ahead, self.follows_clock = now, ahead, False
+            self.comparison_time, self.ahead, self.follows_clock = now, ahead, False
         elif not self.follows_clock and ahead > self.ahead + elapsed / 4:
-            self.compared_since, self.ahead = now, ahead
+            self.comparison_time, self.ahead = now, ahead
         elif not self.follows_clock and elapsed >= MIN_FOLLOW_NS:
             self.follows_clock = ahead >= self.ahead - elapsed / 4
 
@@ -175,8 +175,8 @@ class FrameClock:
         """Return whether a timestamp goes back so far that it fits an earlier time only."""
         return stamp < self.stamp - JUMP and stamp - now < self.min_ahead - JUMP and self.follows_clock
 
-    def is_left_over(self, stamp: int, end: int, now: int) -> bool:
-        """Return whether a timestamp continues the epoch that ended at ``end``, and is ahead of the present."""
+    def continues_epoch(self, stamp: int, end: int, now: int) -> bool:
+        """Return whether a timestamp continues the epoch that ended at ``end``: it is ahead of the present time."""
         is_continuation = (
             self.stamp <= stamp <= end + self.max_ahead + JUMP + (self.max_ahead - self.min_ahead)
         )
@@ -185,13 +185,16 @@ class FrameClock:
     def add_distant(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
         """Record a distant timestamp; return whether enough consecutive ones agree."""
         reference = self.candidate
-        if reference is not None and abs(reference.distance(stamp, now, wall, progress)) <= max_distance:
-            self.agreeing += 1
+        if (
+            reference is not None
+            and abs(reference.distance_from_prediction(stamp, now, wall, progress)) <= max_distance
+        ):
+            self.agreeing_count += 1
             reference.accept(stamp, now, wall, True)
         else:
-            self.candidate, self.agreeing = FrameClock(stamp, now, wall, progress), 1
+            self.candidate, self.agreeing_count = FrameClock(stamp, now, wall, progress), 1
         self.second = _UNKNOWN_SECOND
-        return self.agreeing >= AGREEING_STAMPS
+        return self.agreeing_count >= AGREEING_STAMPS
 
 
 class TopicTimes(Cache[bytes, FrameClock]):
@@ -234,7 +237,7 @@ class TopicTimes(Cache[bytes, FrameClock]):
 
 
 class ClockSkewMonitor:
-    """Checks the timestamps of messages against those of the same topic and frame.
+    """Monitor of the timestamps of messages, which are compared with those of the same topic and frame.
 
     The first timestamp of a frame defines its reference. The time of receipt and other frames are no reference,
     because bags are old and the clocks of a robot differ.
@@ -292,7 +295,7 @@ class ClockSkewMonitor:
                 self._topics.clear()
             times = self._topics[topic] = TopicTimes(topic)
         topic_times = times
-        return watched(
+        return make_observed_decoder(
             decoder, topic_times, lambda stamps: self._check_message(topic_times, publisher, stamps)
         )
 
@@ -346,15 +349,15 @@ class ClockSkewMonitor:
             # Most timestamps are near the last one, which saves the full prediction.
             max_skew, distance = self._max_skew, stamp - frame.stamp
             if not -max_skew <= distance <= max_skew:
-                distance = frame.distance(stamp, now, wall, self._progress)
+                distance = frame.distance_from_prediction(stamp, now, wall, self._progress)
             if not -max_skew <= distance <= max_skew:
                 if not frame.add_distant(stamp, now, wall, self._progress, self._max_skew):
                     farthest = max(farthest, abs(distance))
-                    self._warn(times, frame, key, distance, publisher)
+                    self._warn_about_distance(times, frame, key, distance, publisher)
                     continue
-                self._warn_of_set_clock(times, key, stamp - frame.stamp)
+                self._warn_about_set_clock(times, key, stamp - frame.stamp)
                 # A set clock is a step and not progress, so the common progress must not follow it.
-                frame.stamp, frame.since = stamp, (stamp, wall)
+                frame.stamp, frame.pace_origin = stamp, (stamp, wall)
             frame.accept(stamp, now, wall, self._checks_all)
             if frame.progress > self._progress:
                 self._progress = frame.progress
@@ -379,7 +382,7 @@ class ClockSkewMonitor:
             previous_frame = previous_frames.get(key) if previous_frames else None
             if previous_frame is None:
                 continue
-            if previous_frame.is_left_over(stamp, self._previous_end, now):
+            if previous_frame.continues_epoch(stamp, self._previous_end, now):
                 self._reports.warning(
                     f"a message on {times.name} is dropped: it is of the time before the clock went back",
                     ("left over", times.name),
@@ -398,7 +401,9 @@ class ClockSkewMonitor:
             times.store(key, frame, 2 * len(key) + 500)
             self._frame_bytes = times.total_bytes
 
-    def _warn(self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str) -> None:
+    def _warn_about_distance(
+        self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str
+    ) -> None:
         if frame.is_reported:
             return
         frame.is_reported = True
@@ -407,7 +412,7 @@ class ClockSkewMonitor:
             times.first_distance = distance
         # If the clock of the publisher was set, all of its frames are equally far; one warning covers them.
         elif abs(times.first_distance - distance) <= MAX_UNREPORTED_SKEW_NS:
-            self._warn_of_all_frames(times, distance)
+            self._warn_about_all_frames(times, distance)
             return
         place = f"topic {topic}, frame {_format_frame_name(key)}"
         origin = f" from {printable(beginning(publisher))}" if publisher else ""
@@ -422,7 +427,7 @@ class ClockSkewMonitor:
             texts=MAX_NAMED_FRAMES,
         )
 
-    def _warn_of_all_frames(self, times: TopicTimes, distance: int) -> None:
+    def _warn_about_all_frames(self, times: TopicTimes, distance: int) -> None:
         if times.are_all_reported:
             return
         times.are_all_reported = True
@@ -432,7 +437,7 @@ class ClockSkewMonitor:
             f"as by {cause} that was set; such frames are not named"
         )
 
-    def _warn_of_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
+    def _warn_about_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
         if (
             times.are_all_reported
             and times.reported_step is not None
