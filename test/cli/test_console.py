@@ -91,7 +91,7 @@ def test_undefined_predicate_names_what_was_meant(ask):
 
 
 def test_most(capsys):
-    Console(StderrReporter(), most=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
+    Console(StderrReporter(), max_solutions=2).solve_goals(PipedInput(io.StringIO("repeat.\n")))
     assert capsys.readouterr().out == "true ;\ntrue .\n% there may be more (see --most)\n"
 
 

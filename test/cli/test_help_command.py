@@ -10,7 +10,7 @@ from doc_pages import load_script
 from retalis import Engine
 from retalis.cli import help_command
 from retalis.cli.command_line import COMMANDS, main
-from retalis.cli.help_command import SITUATIONS, find_situations, stem, suggest_words
+from retalis.cli.help_command import SITUATIONS, find_situations, stem_word, suggest_words
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 ALL = [situation for section in SITUATIONS.values() for situation in section]
@@ -91,8 +91,8 @@ def test_many_matches_are_cut(capsys, monkeypatch):
 
 
 def test_forms_of_a_word_have_one_stem():
-    assert len({stem(word) for word in ("cancel", "cancels", "cancelled", "cancelling")}) == 1
-    assert stem("is") == "is" and stem("bus") == "bus"
+    assert len({stem_word(word) for word in ("cancel", "cancels", "cancelled", "cancelling")}) == 1
+    assert stem_word("is") == "is" and stem_word("bus") == "bus"
 
 
 def test_the_page_has_the_list():
@@ -123,5 +123,5 @@ def test_every_guide_has_a_situation():
 
 
 def test_vocabulary_is_lower_case():
-    assert all(help_command.words_of(situation.keywords) for situation in ALL)
+    assert all(help_command.split_words(situation.keywords) for situation in ALL)
     assert all(situation.keywords == situation.keywords.lower() for situation in ALL)

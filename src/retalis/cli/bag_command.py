@@ -6,7 +6,7 @@ from typing import Callable
 
 from .bag_run import add_chunk_limit_option, play
 from .command_options import add_direct, add_folders, add_limits
-from .many_bags import add_many_bags_options, play_separately, plays_separately
+from .many_bags import add_many_bags_options, play_separately, requests_separate_runs
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_AS_STAMPS, TIMES_RELATIVE, non_negative
 from .output import JSON_HELP
 from .stderr_report import StderrReporter
@@ -30,7 +30,7 @@ JSON_LINES_HELP = """\
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``bag``."""
     parser = add_command(
         "bag",
         help="run a program over bags, without ROS",
@@ -126,8 +126,8 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
-    if plays_separately(options):
+    """Run the command; return its exit status."""
+    if requests_separate_runs(options):
         return play_separately(options)
     report = StderrReporter().attach(show_events=True)
     play(options, report)

@@ -18,7 +18,7 @@ NAME_KINDS = {"node": "nodes", "wait_for": "memories"}
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``complete``."""
     parser = add_command(
         "complete",
         help="print the completion of this command for bash",

@@ -152,7 +152,7 @@ class LoadedFiles:
             if is_reload or path.exists():
                 self._file_states[path] = self._read_file_states(path)
 
-    def changed(self) -> List[Path]:
+    def find_changed(self) -> List[Path]:
         """Return the loaded files and folders with changed files."""
         return [path for path, states in self._file_states.items() if self._read_file_states(path) != states]
 
@@ -168,7 +168,7 @@ def _read_file_state(path: Path) -> Tuple[str, int, int]:
     try:
         status = path.stat()
     except OSError:
-        # Deleted.
+        # The file was deleted.
         return str(path), 0, 0
     return str(path), status.st_mtime_ns, status.st_size
 
@@ -180,7 +180,7 @@ _HELP_FUNCTOR = functor("help", 1)
 _APROPOS_FUNCTOR = functor("apropos", 1)
 
 DEFAULT_SHOWN_SOLUTIONS = 10
-"""Limit for the solutions of a goal if the input is not a terminal."""
+"""Maximum number of solutions of a goal that are shown if the input is not a terminal."""
 
 UNRESTRICTED = Settings(folders=None, write_folders=None)
 """Settings without restrictions of files: a typed goal may open the files that its user may open."""
@@ -196,7 +196,7 @@ printed.
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``console``."""
     parser = add_command("console", help="ask goals, as at a Prolog top level", description=DESCRIPTION)
     add = parser.add_argument
     add(
@@ -228,8 +228,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; with goals from a pipe, the status is 1 if there was an error."""
     if options.node is not None:
         return run_ros_command("live_commands", options)
-    report = StderrReporter().attach(show_events=True)
-    console = Console(report, apply_limits(UNRESTRICTED, options), options.max_solutions)
+    reporter = StderrReporter().attach(show_events=True)
+    console = Console(reporter, apply_limits(UNRESTRICTED, options), options.max_solutions)
     for path in options.files:
         console.load(path)
     # After the files are loaded: their clauses are exempted from later collections.
@@ -238,12 +238,12 @@ def run(options: argparse.Namespace) -> int:
         for goal in options.goal:
             console.solve_goals(PipedInput(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
     elif sys.stdin.isatty():
-        console.solve_goals(TerminalInput(console.names))
+        console.solve_goals(TerminalInput(console.predicate_names))
         return 0
     else:
         console.solve_goals(PipedInput(sys.stdin))
     console.reports.sum_up()
-    return 1 if report.errors else 0
+    return 1 if reporter.errors else 0
 
 
 def _write_output(text: str) -> None:
@@ -259,13 +259,16 @@ class Console:
     """A Prolog top level over an engine.
 
     Args:
-        report: receives errors.
+        reporter: receives errors.
         settings: settings of the engine; by default `UNRESTRICTED`.
-        most: limit for the solutions of a goal if the input is not a terminal.
+        max_solutions: maximum number of solutions of a goal if the input is not a terminal.
     """
 
     def __init__(
-        self, report: StderrReporter, settings: Optional[Settings] = None, most: int = DEFAULT_SHOWN_SOLUTIONS
+        self,
+        reporter: StderrReporter,
+        settings: Optional[Settings] = None,
+        max_solutions: int = DEFAULT_SHOWN_SOLUTIONS,
     ):
         self.reports = Reports()
         self.engine = Engine(
@@ -281,12 +284,12 @@ class Console:
         self.engine.on_output(end_run_on_closed_pipe(self._print_output))
         self.logic = self.engine.logic
         self.logic.print_to(_write_output, _write_error)
-        self._report = report
-        self._max_solutions = most
-        self._tracing = False
+        self._reporter = reporter
+        self._max_solutions = max_solutions
+        self._is_tracing = False
         self._input: Union[PipedInput, TerminalInput] = PipedInput(sys.stdin)
 
-    def names(self) -> List[str]:
+    def predicate_names(self) -> List[str]:
         """Return the names of all predicates, for completion."""
         return [key.name for key in self.logic.names()]
 
@@ -299,33 +302,33 @@ class Console:
             Whether it was loaded.
         """
         try:
-            for line in self._files.load(_existing_path(path)):
+            for line in self._files.load(_resolve_suffix(path)):
                 print(f"% {printable(line)}", flush=True)
         except ProgramErrors as errors:
             for error in errors.errors:
-                self._report(error)
+                self._reporter(error)
             return False
         except RetalisError as error:
-            self._report(error)
+            self._reporter(error)
             return False
         return True
 
-    def solve_goals(self, lines: Union[PipedInput, TerminalInput]) -> None:
+    def solve_goals(self, source: Union[PipedInput, TerminalInput]) -> None:
         """Read and solve goals until the end of the input or ``halt``."""
-        self._input = lines
-        if lines.is_terminal:
+        self._input = source
+        if source.is_terminal:
             self.logic.ask = self._read_line
         while True:
             try:
-                clause = read_clause(lines, self.logic, "?- ")
+                clause = read_clause(source, self.logic, "?- ")
                 if clause is None:
                     return
                 if isinstance(clause, SyntaxFault):
-                    self._report(clause)
+                    self._reporter(clause)
                 elif not self._solve_goal(clause):
                     return
             except KeyboardInterrupt:
-                lines.unread_text = ""
+                source.unread_text = ""
                 print("\n% interrupted", flush=True)
 
     def _read_line(self) -> Optional[str]:
@@ -340,19 +343,19 @@ class Console:
         # `?- Goal.` and `:- Goal.` are accepted, as text is often pasted from a file.
         if goal.__class__ is tuple and goal[0] in _QUERY_FUNCTORS:
             goal = deref(goal[1])
-        if goal.__class__ is Atom and goal.name in QUIT_GOALS and not self._defines(goal):
+        if goal.__class__ is Atom and goal.name in QUIT_GOALS and not self._is_user_defined(goal):
             return False
         # Alarms that became due while the user was typing precede the goal.
         self.engine.advance()
         # Commands and events are executed outside of `Engine.do`, as they call the engine themselves.
         if self._try_command(goal) or self._try_event(goal):
             return True
-        traced = self._tracing
+        is_traced = self._is_tracing
         if goal.__class__ is tuple and goal[0] is _TRACE_FUNCTOR:
-            goal, traced = deref(goal[1]), True
+            goal, is_traced = deref(goal[1]), True
         elif goal.__class__ is tuple and goal[0] is COMMA and _is_atom(goal[1], "trace"):
-            goal, traced = deref(goal[2]), True
-        self.engine.do(lambda: self._print_answers(goal, read_goal, traced), goal)
+            goal, is_traced = deref(goal[2]), True
+        self.engine.do(lambda: self._print_answers(goal, read_goal, is_traced), goal)
         return True
 
     def _try_command(self, goal: Term) -> bool:
@@ -363,7 +366,7 @@ class Console:
         if self._try_console_command(goal):
             return True
         if goal.__class__ is Atom and goal.name in ("trace", "notrace", "nodebug"):
-            self._tracing = goal.name == "trace"
+            self._is_tracing = goal.name == "trace"
             print("true.")
             return True
         files: Optional[List[Term]] = None
@@ -385,7 +388,7 @@ class Console:
 
     def _try_console_command(self, goal: Term) -> bool:
         """Execute help, apropos or make, unless the program defines a predicate with this name."""
-        if self._defines(goal):
+        if self._is_user_defined(goal):
             return False
         name = goal.name if goal.__class__ is Atom else ""
         if name == "make":
@@ -404,17 +407,17 @@ class Console:
                 )
             except UsageError as error:
                 # The page of predicates was not copied with the package.
-                self._report(error)
+                self._reporter(error)
                 return True
         print("\n".join(lines or [f"% nothing is known of {word}"]))
         return True
 
     def _reload_changed_files(self) -> bool:
         """Load all changed files again; return whether all were loaded."""
-        loaded = [self.load(path) for path in self._files.changed()]
+        loaded = [self.load(path) for path in self._files.find_changed()]
         return all(loaded)
 
-    def _defines(self, goal: Term) -> bool:
+    def _is_user_defined(self, goal: Term) -> bool:
         """Return whether the program defines the predicate of a goal."""
         key = goal[0] if goal.__class__ is tuple else getattr(goal, "functor", None)
         predicate = None if key is None else self.logic.database.predicates.get(key)
@@ -429,7 +432,7 @@ class Console:
             self.engine.event(event.term, *event.interval_terms())
             print("true.")
         except RetalisError as error:
-            self._report(error)
+            self._reporter(error)
         return True
 
     def _read_user_clauses(self) -> bool:
@@ -441,7 +444,7 @@ class Console:
             ):
                 return True
             if isinstance(clause, SyntaxFault):
-                self._report(clause)
+                self._reporter(clause)
                 continue
             try:
                 if clause.singletons:
@@ -449,27 +452,27 @@ class Console:
                 self.engine.do(lambda: self._rules.load_terms([(clause.term, clause.place)]))  # noqa: B023
             except ProgramErrors as errors:
                 for error in errors.errors:
-                    self._report(error)
+                    self._reporter(error)
             except RetalisError as error:
-                self._report(error)
+                self._reporter(error)
 
     def _warn(self, text: str, clause: ReadTerm) -> None:
         print(f"warning: {RuleError(text, clause.place)}", file=sys.stderr)
 
-    def _print_answers(self, goal: Term, read_goal: ReadTerm, traced: bool) -> None:
+    def _print_answers(self, goal: Term, read_goal: ReadTerm, is_traced: bool) -> None:
         logic = self.logic
-        outputs = logic.output, logic.error_output
+        saved_outputs = logic.output, logic.error_output
         # The trace goes to stderr, so that the answers can be piped.
         tracer = Tracer(logic, lambda line: print(line, file=sys.stderr))
         try:
-            with tracer.on() if traced else nullcontext():
+            with tracer.on() if is_traced else nullcontext():
                 self._print_solutions(goal, read_goal.names)
         except RetalisError as error:
             self._start_new_line()
-            self._report(error if error.place else RuleError(error.message))
+            self._reporter(error if error.place else RuleError(error.message))
         finally:
             # An interrupt inside with_output_to/2 would leave its stream as output.
-            logic.output, logic.error_output = outputs
+            logic.output, logic.error_output = saved_outputs
             # Cleanup goals may write after the last answer.
             self._start_new_line()
             sys.stdout.flush()
@@ -479,18 +482,18 @@ class Console:
         # A deterministic goal leaves only the choice point of the query itself. Its last solution ends with a full
         # stop, and the user is not asked.
         height = len(choices) + 1
-        shown = 0
+        shown_count = 0
         with closing(self.logic.solutions(goal)) as solutions:
             for _ in solutions:
                 self._start_new_line()
                 text = format_bindings(names, self.logic.operators) or "true"
                 print(text, end="", flush=True)
-                shown += 1
+                shown_count += 1
                 if len(choices) == height:
                     # No choice point is left, so there is no further solution.
                     print(".")
                     return
-                if shown == self._max_solutions and not self._input.is_terminal:
+                if shown_count == self._max_solutions and not self._input.is_terminal:
                     print(" .\n% there may be more (see --most)")
                     return
                 with self.logic.machine.budget.paused():
@@ -525,11 +528,11 @@ def _get_text(term: Term) -> Optional[str]:
     return str(term.text) if term.__class__ is String else None
 
 
-def _existing_path(path: Path) -> Path:
+def _resolve_suffix(path: Path) -> Path:
     """Return a path, completed with a usual suffix if only that file exists."""
     if not path.exists():
-        for ending in (".pl", ".event", ".txt"):
-            candidate = path.with_name(path.name + ending)
+        for suffix in (".pl", ".event", ".txt"):
+            candidate = path.with_name(path.name + suffix)
             if candidate.exists():
                 return candidate
     return path

@@ -17,7 +17,7 @@ from .stderr_report import StderrReporter, show_progress
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``demo``."""
     parser = add_command(
         "demo",
         help="run the NAO example over a bag, without ROS",
@@ -41,7 +41,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     report = StderrReporter().attach()
     folder = example_folder()
     # The example's modules are scripts beside its data, not part of the package.

@@ -16,7 +16,7 @@ INSTALLED_SITE = Path("share", "retalis", "docs", "html")
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``docs``."""
     parser = add_command(
         "docs",
         help="open the documentation in the browser",
@@ -30,7 +30,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     page = find_site() / "index.html"
     if options.print_path:
         print(page)

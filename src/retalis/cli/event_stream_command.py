@@ -47,25 +47,25 @@ from .output import JSON_HELP, Printer
 from .stderr_report import StderrReporter, end_run_on_closed_pipe
 
 
-class ReadLine(NamedTuple):
-    """A term that occupies a line of its own, and the line's place."""
+class EventLine(NamedTuple):
+    """Event that occupies a line of the stream, and the place of the line."""
 
     term: Term
     place: Place
 
 
-StreamItem = Union[ReadTerm, ReadLine, SyntaxFault]
+StreamItem = Union[ReadTerm, EventLine, SyntaxFault]
 
 _AMBIGUOUS_TEXT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[StreamItem]:
-    """Yield the terms of a stream as soon as their lines are complete, and a `SyntaxFault` for each error."""
-    incomplete = ""
+    """Yield each term of a stream when its last line has been read, and a `SyntaxFault` for each error."""
+    unparsed_text = ""
     start_line = 1
     reader = EventReader(operators)
     for line, text in enumerate(file, 1):
-        if not incomplete and text.startswith("event("):
+        if not unparsed_text and text.startswith("event("):
             event = _parse_event_line(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
             if event is not None:
                 yield event
@@ -73,18 +73,18 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
                 continue
         # Lines are collected until the parser finds no unfinished term at their end. Comments and quoted atoms may
         # contain full stops, so a full stop alone does not end a term.
-        incomplete += text
+        unparsed_text += text
         # Only a full stop can complete a term: without one, the lines read so far need not be parsed again.
         if "." not in text:
             continue
-        terms = list(read_program(incomplete, operators, source, first_line=start_line))
-        if not terms or not _is_unfinished(terms, incomplete, line):
+        terms = list(read_program(unparsed_text, operators, source, first_line=start_line))
+        if not terms or not _is_unfinished(terms, unparsed_text, line):
             yield from terms
-            incomplete, start_line = "", line + 1
-    yield from read_program(incomplete, operators, source, first_line=start_line)
+            unparsed_text, start_line = "", line + 1
+    yield from read_program(unparsed_text, operators, source, first_line=start_line)
 
 
-def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[ReadLine]:
+def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[EventLine]:
     """Return the event of a line that contains only an event, or None.
 
     This is the usual case, and much faster than the full parser. Text that the two parsers read differently is left
@@ -94,9 +94,9 @@ def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[
     if not text.endswith(").") or _AMBIGUOUS_TEXT.search(text):
         return None
     try:
-        return ReadLine(reader.read(text[:-1]), place)
+        return EventLine(reader.read(text[:-1]), place)
     except SyntaxFault:
-        # Several terms, or an error, which the full parser reports.
+        # The line has several terms, or an error, which the full parser reports.
         return None
 
 
@@ -111,11 +111,11 @@ def _is_unfinished(terms: Sequence[StreamItem], text: str, line: int) -> bool:
     return last_term.place.line >= line
 
 
-def has_unread_input(number: int = 0) -> bool:
+def has_unread_input(descriptor: int = 0) -> bool:
     """Return whether a pipe or file has unread data, without blocking.
 
     Args:
-        number: its file descriptor.
+        descriptor: file descriptor of the pipe or file.
     """
     try:
         import fcntl  # noqa: PLC0415 (not every system has them)
@@ -123,17 +123,17 @@ def has_unread_input(number: int = 0) -> bool:
     except ImportError:
         return False
     try:
-        mode = os.fstat(number)
+        mode = os.fstat(descriptor)
         # Redirected files and pipes are checked. A terminal has no data until its user types, and reading it would
         # block.
         if stat.S_ISREG(mode.st_mode):
-            return mode.st_size > os.lseek(number, 0, os.SEEK_CUR)
+            return mode.st_size > os.lseek(descriptor, 0, os.SEEK_CUR)
         if not stat.S_ISFIFO(mode.st_mode):
             return False
         unread_bytes = array("i", [0])
-        fcntl.ioctl(number, termios.FIONREAD, unread_bytes)
+        fcntl.ioctl(descriptor, termios.FIONREAD, unread_bytes)
     except OSError:
-        # Closed.
+        # The descriptor is closed.
         return False
     return unread_bytes[0] > 0
 
@@ -154,7 +154,7 @@ JSON_LINES_HELP = """\
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``events``."""
     parser = add_command(
         "events",
         help="run a program over a stream of events",
@@ -199,17 +199,17 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add_folders(parser)
     add_limits(parser)
-    parser.set_defaults(run=run, wrong=parser.error)
+    parser.set_defaults(run=run, reject_usage=parser.error)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; the status is 1 if there was an error."""
     if not (options.rules or options.goals or options.stream or options.queries or options.explain):
-        options.wrong("nothing to do: give --rules, --goals, --stream, --queries or --explain")
-    report = StderrReporter().attach()
+        options.reject_usage("nothing to do: give --rules, --goals, --stream, --queries or --explain")
+    reporter = StderrReporter().attach()
     with ExitStack() as stack:
         printer = Printer(options.json, options.memory_events, _open_output(options.outputs, stack))
-        session = Session(options, report, printer)
+        session = Session(options, reporter, printer)
         session.load()
         limit_gc_pauses()
         session.process_stream()
@@ -218,7 +218,7 @@ def run(options: argparse.Namespace) -> int:
     sys.stdout.flush()
     if options.stream is None and has_unread_input():
         print("warning: standard input was not read; --stream - takes events from it", file=sys.stderr)
-    return 1 if report.errors else 0
+    return 1 if reporter.errors else 0
 
 
 def _open_output(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
@@ -235,9 +235,9 @@ def _open_output(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
 class Session:
     """A run of the command: the engine, the stream's clock, and the requested output."""
 
-    def __init__(self, options: argparse.Namespace, report: StderrReporter, printer: Printer):
+    def __init__(self, options: argparse.Namespace, reporter: StderrReporter, printer: Printer):
         self._options = options
-        self._report = report
+        self._reporter = reporter
         self._printer = printer
         self._clock = StreamClock(0)
         self.reports = Reports()
@@ -284,26 +284,26 @@ class Session:
             return
         operators = self.engine.operators
         if name == "-":
-            self._process_stream(read_stream(sys.stdin, operators, "standard input"))
+            self._process_terms(read_stream(sys.stdin, operators, "standard input"))
             return
         with ExitStack() as stack:
             try:
                 file = stack.enter_context(open(name, encoding="utf-8"))
             except OSError as error:
                 raise UsageError(f"cannot read {name}: {error.strerror}") from error
-            self._process_stream(read_stream(file, operators, name))
+            self._process_terms(read_stream(file, operators, name))
 
-    def _process_stream(self, stream: Iterable[StreamItem]) -> None:
+    def _process_terms(self, stream: Iterable[StreamItem]) -> None:
         try:
             for item in stream:
                 if isinstance(item, SyntaxFault):
-                    self._report(item)
+                    self._reporter(item)
                 else:
                     self._call_reporting_errors(self._process_term, item)
         except UnicodeDecodeError as error:
             raise UsageError(f"the stream is not UTF-8 text: {error}") from error
 
-    def _process_term(self, item: Union[ReadLine, ReadTerm]) -> None:
+    def _process_term(self, item: Union[EventLine, ReadTerm]) -> None:
         try:
             self._execute(goal_of(item.term))
         except RetalisError as error:
@@ -327,7 +327,7 @@ class Session:
             path = self._options.queries
             for goal in read_goals(read_text(path), self.engine.operators, str(path)):
                 if isinstance(goal, SyntaxFault):
-                    self._report(goal)
+                    self._reporter(goal)
                 else:
                     self._call_reporting_errors(self._print_solutions, goal)
         for term in self._options.explain:
@@ -368,6 +368,6 @@ class Session:
             function(*arguments)
         except ProgramErrors as errors:
             for error in errors.errors:
-                self._report(error)
+                self._reporter(error)
         except RetalisError as error:
-            self._report(error)
+            self._reporter(error)

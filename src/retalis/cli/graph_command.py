@@ -27,7 +27,7 @@ no file, is the input text of Graphviz, which is not required for it.
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``graph``."""
     parser = add_command("graph", help="draw a program", description=DESCRIPTION)
     add = parser.add_argument
     add(
@@ -50,7 +50,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     report = StderrReporter().attach()
     # Before the program is loaded: a wrong suffix is reported at once.
     suffix = _get_output_format(options.output)

@@ -646,7 +646,7 @@ _STOP_WORDS = frozenset(
 )
 """Words that are ignored in a search, unless it has no others."""
 
-_ENDINGS = (
+_SUFFIXES = (
     "ations",
     "ation",
     "ating",
@@ -664,75 +664,80 @@ _ENDINGS = (
     "e",
     "y",
 )
-"""Endings that a stem is without, longest first."""
+"""Suffixes that are removed from a word to obtain its stem, the longest first."""
 
-_MIN_STEM = 3
-"""Letters that remain of a word at least."""
+_MIN_STEM_LETTERS = 3
+"""Minimum number of letters of a stem."""
 
 MAX_SUGGESTIONS = 5
-"""Near words that are suggested if nothing matches."""
+"""Maximum number of similar words that are suggested if nothing matches."""
 
 
-def words_of(text: str) -> List[str]:
+def split_words(text: str) -> List[str]:
     """Return the words of a text in lower case, without duplicates."""
     return list(dict.fromkeys(re.findall(r"[a-z][a-z0-9_+]*", text.lower())))
 
 
-def stem(word: str) -> str:
-    """Return a word without its ending and without a doubled last letter, so that forms of a word agree.
+def stem_word(word: str) -> str:
+    """Return a word without its suffix and without a doubled last letter, so that forms of a word agree.
 
     >>> [stem(word) for word in ("stop", "stopped", "stopping", "retries", "retry", "rate", "rates")]
     ['stop', 'stop', 'stop', 'retr', 'retr', 'rat', 'rat']
     """
-    for ending in _ENDINGS:
-        if word.endswith(ending) and len(word) - len(ending) >= _MIN_STEM:
-            word = word[: -len(ending)]
+    for suffix in _SUFFIXES:
+        if word.endswith(suffix) and len(word) - len(suffix) >= _MIN_STEM_LETTERS:
+            word = word[: -len(suffix)]
             break
-    return word[:-1] if len(word) > _MIN_STEM and word[-1] == word[-2] else word
+    return word[:-1] if len(word) > _MIN_STEM_LETTERS and word[-1] == word[-2] else word
 
 
-def vocabulary(situation: Situation) -> List[str]:
+def search_words(situation: Situation) -> List[str]:
     """Return the words by which a situation is found."""
-    return words_of(f"{situation.need} {situation.solution} {situation.keywords}")
+    return split_words(f"{situation.need} {situation.solution} {situation.keywords}")
 
 
 def find_situations(text: str) -> List[Situation]:
     """Return the situations that have all words of a text, those with the words in their need first."""
-    words = words_of(text)
+    words = split_words(text)
     # `AND` is an operator as well as a stop word, so stop words count if the text has no other words.
-    wanted = {stem(word) for word in words if word not in _STOP_WORDS} or {stem(word) for word in words}
-    if not wanted:
+    searched_stems = {stem_word(word) for word in words if word not in _STOP_WORDS} or {
+        stem_word(word) for word in words
+    }
+    if not searched_stems:
         return []
     matches = [
         situation
         for section in SITUATIONS.values()
         for situation in section
-        if wanted <= {stem(word) for word in vocabulary(situation)}
+        if searched_stems <= {stem_word(word) for word in search_words(situation)}
     ]
     return sorted(
-        matches, key=lambda situation: -len(wanted & {stem(word) for word in words_of(situation.need)})
+        matches,
+        key=lambda situation: (
+            -len(searched_stems & {stem_word(word) for word in split_words(situation.need)})
+        ),
     )
 
 
 def suggest_words(text: str) -> List[str]:
-    """Return words that find a situation: those of a text that do, and words near the others."""
-    known = sorted(
-        {word for section in SITUATIONS.values() for situation in section for word in vocabulary(situation)}
+    """Return words that find a situation: those of a text that do, and words similar to the others."""
+    all_words = sorted(
+        {word for section in SITUATIONS.values() for situation in section for word in search_words(situation)}
     )
-    stems = {stem(word) for word in known}
-    near: List[str] = []
-    for word in words_of(text):
+    stems = {stem_word(word) for word in all_words}
+    suggestions: List[str] = []
+    for word in split_words(text):
         if word in _STOP_WORDS:
             continue
-        if stem(word) in stems:
-            near.append(word)
+        if stem_word(word) in stems:
+            suggestions.append(word)
         else:
-            near += get_close_matches(word, known, n=3, cutoff=0.7)
-    return list(dict.fromkeys(near))[:MAX_SUGGESTIONS]
+            suggestions += get_close_matches(word, all_words, n=3, cutoff=0.7)
+    return list(dict.fromkeys(suggestions))[:MAX_SUGGESTIONS]
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``help``."""
     parser = add_command(
         "help",
         help="find the operator for a situation in words",
@@ -746,15 +751,17 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     text = " ".join(options.words)
     if not text.strip():
         print(USAGE)
         return 0
     matches = find_situations(text)
     if not matches:
-        near = suggest_words(text)
-        hint = f"did you mean {' or '.join(near)}?" if near else "see docs/reference/situations.md"
+        suggestions = suggest_words(text)
+        hint = (
+            f"did you mean {' or '.join(suggestions)}?" if suggestions else "see docs/reference/situations.md"
+        )
         print(f"retalis help: no situation has all words of {text!r}: {hint}", file=sys.stderr)
         return 1
     for situation in matches[:MAX_MATCHES]:

@@ -64,7 +64,7 @@ class BagTask(NamedTuple):
 
 
 class BagOutcome(NamedTuple):
-    """The outcome of a bag.
+    """Outcome of a bag.
 
     Attributes:
         errors: number of errors during the run, which do not prevent a result.
@@ -92,10 +92,10 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
     """
     stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
     with _PROCESS_LOCK, redirect_stderr(stderr):
-        report = StderrReporter().attach(show_events=True)
+        stderr_reporter = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
-                state = _play_into(result, bag, task, report)
+                state = _play_to_file(result, bag, task, stderr_reporter)
         except RetalisError as error:
             failure = str(error)
         except Exception as error:
@@ -106,10 +106,10 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    return BagOutcome(report.errors, messages, failure or None, state)
+    return BagOutcome(stderr_reporter.errors, messages, failure or None, state)
 
 
-def _play_into(result: str, bag: str, task: BagTask, report: StderrReporter) -> Optional[bytes]:
+def _play_to_file(result: str, bag: str, task: BagTask, stderr_reporter: StderrReporter) -> Optional[bytes]:
     """Play a bag into a file; return the program's snapshot if a part follows."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     write_record: RecordHandler = print_record
@@ -122,10 +122,10 @@ def _play_into(result: str, bag: str, task: BagTask, report: StderrReporter) -> 
         if task.format == "parquet":
             write_record = stack.enter_context(RunTable(result, options.events)).write
         # Printed output becomes the result of the formats that consist of lines, and is discarded otherwise.
-        printed = result if task.format in (None, "jsonl") else os.devnull
-        file = stack.enter_context(open(printed, "w", encoding="utf-8"))
+        printed_output_path = result if task.format in (None, "jsonl") else os.devnull
+        file = stack.enter_context(open(printed_output_path, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        playback = play(options, report, write_record, task.state)
+        playback = play(options, stderr_reporter, write_record, task.state)
         return playback.engine.snapshot() if task.has_next_part else None
 
 
@@ -142,8 +142,10 @@ class _LimitedOutput(io.StringIO):
         return len(text)
 
     def getvalue(self) -> str:
-        more = f"\n... and {self._dropped_characters} more characters\n" if self._dropped_characters else ""
-        return super().getvalue() + more
+        truncation_note = (
+            f"\n... and {self._dropped_characters} more characters\n" if self._dropped_characters else ""
+        )
+        return super().getvalue() + truncation_note
 
 
 _OPTIONS = (
@@ -171,7 +173,7 @@ _OPTIONS = (
     "folder",
     "write_folder",
 )
-"""The options that apply to a single bag."""
+"""Options that apply to a single bag."""
 
 
 def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
@@ -208,7 +210,7 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def plays_separately(options: argparse.Namespace) -> bool:
+def requests_separate_runs(options: argparse.Namespace) -> bool:
     """Return whether the options request a separate run for each bag.
 
     Raises:
@@ -239,8 +241,8 @@ def play_separately(options: argparse.Namespace) -> int:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
         tasks, ready = _create_tasks(options, _find_recordings(options), scratch)
         stack.callback(remove_incomplete_results, [task.target for task in tasks])
-        results = _Results(tasks, to_print=options.output is None)
-        bar = stack.enter_context(show_progress("bags", lambda: results.done / len(tasks)))
+        reporter = _OutcomeReporter(tasks, to_print=options.output is None)
+        bar = stack.enter_context(show_progress("bags", lambda: reporter.finished_count / len(tasks)))
         clear_bar = bar.clear if bar is not None else lambda: None
 
         def warn_worker_death(number: int, description: str) -> None:
@@ -260,10 +262,10 @@ def play_separately(options: argparse.Namespace) -> int:
                 outcome = outcome._replace(state=None)
             # The snapshot that the task started from is not needed any more, unless its worker had died.
             tasks[number] = tasks[number]._replace(state=None)
-            results.take(number, outcome)
+            reporter.add_outcome(number, outcome)
             if bar is not None:
-                bar(results.done)
-        return results.finish()
+                bar(reporter.finished_count)
+        return reporter.finish()
 
 
 def _run_tasks(
@@ -378,11 +380,11 @@ def _check_target(target: str, bag: BagLocation, targets: Dict[str, str], overwr
         raise UsageError(f"{target} already exists; --overwrite replaces it")
 
 
-class _Results:
-    """Reporting of the outcomes of bags, in the order of the bags.
+class _OutcomeReporter:
+    """Reporter of the outcomes of bags, in the order of the bags.
 
     Attributes:
-        done: number of bags that have finished or failed.
+        finished_count: number of bags that have finished or failed.
     """
 
     def __init__(self, tasks: List[BagTask], to_print: bool):
@@ -390,19 +392,19 @@ class _Results:
         self._to_print = to_print
         self._outcomes: Dict[int, _TaskOutcome] = {}
         self._next_to_report = 0
-        self._errors = 0
-        self._failed = 0
+        self._error_count = 0
+        self._failed_count = 0
         self._message_counts: Dict[str, int] = {}
-        self.done = 0
+        self.finished_count = 0
 
-    def take(self, number: int, outcome: _TaskOutcome) -> None:
+    def add_outcome(self, number: int, outcome: _TaskOutcome) -> None:
         """Store the outcome of a bag; report all outcomes whose predecessors have been reported."""
-        self.done += 1
+        self.finished_count += 1
         self._outcomes[number] = outcome
         # All later parts of a recording fail with one of its parts, because they would lack its state.
         while self._tasks[number].has_next_part and _get_failure(self._outcomes[number]) is not None:
             number, location = number + 1, self._tasks[number].location
-            self.done += 1
+            self.finished_count += 1
             self._outcomes[number] = Unfinished(f"not played: it goes on from {location}, which failed")
         while self._next_to_report in self._outcomes:
             self._report(self._tasks[self._next_to_report], self._outcomes.pop(self._next_to_report))
@@ -411,13 +413,13 @@ class _Results:
     def _report(self, task: BagTask, outcome: _TaskOutcome) -> None:
         failure = _get_failure(outcome)
         if isinstance(outcome, BagOutcome):
-            self._errors += outcome.errors
+            self._error_count += outcome.errors
             self._report_messages(task, outcome.stderr_text)
         # A worker of a cluster may have written to a folder of its own machine with the same path.
         if failure is None and not (self._to_print or is_url(task.target) or os.path.exists(task.target)):
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
-            self._failed += 1
+            self._failed_count += 1
             print(f"error: {_prefix_location(task.location, failure)}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
@@ -434,12 +436,14 @@ class _Results:
 
     def finish(self) -> int:
         """Print a summary; return the exit status."""
-        repeated = sum(self._message_counts.values()) - len(self._message_counts)
-        if repeated:
-            print(f"{repeated} more bags had the same errors and warnings as one before", file=sys.stderr)
-        if self._failed:
-            print(f"{self._failed} of {len(self._tasks)} bags failed", file=sys.stderr)
-        return 1 if self._failed or self._errors else 0
+        repeated_count = sum(self._message_counts.values()) - len(self._message_counts)
+        if repeated_count:
+            print(
+                f"{repeated_count} more bags had the same errors and warnings as one before", file=sys.stderr
+            )
+        if self._failed_count:
+            print(f"{self._failed_count} of {len(self._tasks)} bags failed", file=sys.stderr)
+        return 1 if self._failed_count or self._error_count else 0
 
 
 def _get_failure(outcome: _TaskOutcome) -> Optional[str]:

@@ -30,7 +30,7 @@ needs neither other files nor a network; .png, .svg and .pdf are drawn by matplo
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
-    """Add the command."""
+    """Add the parser of command ``plot``."""
     parser = add_command("plot", help="draw the timeline of a run", description=DESCRIPTION)
     add_source(parser, "*", required=False)
     add = parser.add_argument
@@ -51,11 +51,11 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add_limits(parser)
     add_folders(parser)
-    parser.set_defaults(run=run, wrong=parser.error)
+    parser.set_defaults(run=run, reject_usage=parser.error)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    """Run the command; return its exit status."""
     path, suffix = options.output, options.output.suffix[1:].lower()
     if suffix not in (*PAGE_SUFFIXES, *PICTURE_FORMATS):
         endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURE_FORMATS))
@@ -63,11 +63,11 @@ def run(options: argparse.Namespace) -> int:
     report = StderrReporter().attach()
     if options.run_file is not None:
         if options.bags:
-            options.wrong("give bags or --from, not both")
+            options.reject_usage("give bags or --from, not both")
         timeline, title = _read_timeline(options.run_file), options.run_file.name
     else:
         if not options.bags or options.program is None:
-            options.wrong("give bags with --program, or --from")
+            options.reject_usage("give bags with --program, or --from")
         # An error in the program does not prevent the drawing; it determines the exit status.
         timeline = _record_timeline(options, report).build()
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
