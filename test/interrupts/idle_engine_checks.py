@@ -25,11 +25,12 @@ def faults(engine):
     budget = machine.budget
     check(not machine.choices, f"{len(machine.choices)} choice points are left")
     check(not machine.trail, f"{len(machine.trail)} variables are bound")
-    check(machine.idle == (0, 0), "the idle state is another")
+    check(machine.idle_lengths == (0, 0), "the idle state is another")
     check(not budget.running, "the budget runs")
     check(not budget.alarms and not budget.ceilings, "a limit of a call is left")
     check(
-        not budget.used and not budget.needs_check and budget.goal is None, "the budget of an entry is left"
+        not budget.has_use and not budget.needs_check and budget.goal is None,
+        "the budget of an entry is left",
     )
     check(CURRENT_CHECK.check is None, "somebody is asked about long work")
     check(dispatcher.current is None and dispatcher.cause is None, "an event is being served")

@@ -195,7 +195,7 @@ class Engine:
         self.executor = SerialExecutor(
             settings.queue, self._report_drop, reports.error, recovery, settings.patience
         )
-        budget.count_for(self.executor)
+        budget.attach_turn(self.executor)
         self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
         self.event_input = EventInput(
@@ -858,7 +858,7 @@ class Engine:
                 # Values are copied before the next solution undoes their bindings. The dictionary keeps a variable
                 # that occurs in two values one variable. The copies count against the memory limit of the goal.
                 shared: Dict[Var, Term] = {}
-                with self.logic.machine.budget.watching():
+                with self.logic.machine.budget.checking_long_steps():
                     results.append({name: copy(value, shared) for name, value in names.items()})
                 if most is not None and len(results) >= most:
                     break

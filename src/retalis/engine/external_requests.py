@@ -86,7 +86,7 @@ def ask(
                         return Answer(solution_bindings, False)
                     try:
                         # Conversion to text counts against the limits of the goal: a small term can have a huge text.
-                        with logic.machine.budget.watching():
+                        with logic.machine.budget.checking_long_steps():
                             bindings = _read_bindings(engine, names, characters_left)
                     except UsageError:
                         if not solution_bindings:

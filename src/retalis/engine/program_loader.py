@@ -91,11 +91,11 @@ class ProgramLoader:
         self._executor.entry = goal
         limits = budget.limits
         if not self._has_start_limits:
-            budget.allow(NO_LIMITS)
+            budget.set_limits(NO_LIMITS)
         try:
             return self._once(goal.term)
         finally:
-            budget.allow(limits)
+            budget.set_limits(limits)
 
     def _register_own(self, folder: Optional[Path]) -> None:
         """Register a folder as the program's own."""

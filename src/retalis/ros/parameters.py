@@ -14,7 +14,7 @@ from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError, beginning, printable
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS
-from ..prolog.machine.resource_limits import Limits, Number, checked_number
+from ..prolog.machine.resource_limits import Limits, Number, validate_limit
 from .diagnostics import DEFAULT_HARDWARE_ID
 
 DEFAULT_LIMITS = Limits(seconds=10.0, megabytes=500)
@@ -242,7 +242,7 @@ def _read_port(name: str) -> Optional[int]:
 def _read_limit(name: str, number_type: Type[Number], default: Optional[Number]) -> Optional[Number]:
     """Return a number of 0 or more; None for 0, which means no limit."""
     return (
-        checked_number(
+        validate_limit(
             f"parameter {name} (0 means no limit)", rospy.get_param(name, default or 0), number_type
         )
         or None
@@ -253,7 +253,7 @@ def _read_positive_number(name: str, number_type: Type[Number]) -> Optional[Numb
     value = rospy.get_param(name, None)
     if value is None:
         return None
-    number = checked_number(f"parameter {name}", value, number_type)
+    number = validate_limit(f"parameter {name}", value, number_type)
     if number == 0:
         raise UsageError(f"parameter {name}: expected a positive number, found {value!r}")
     return number

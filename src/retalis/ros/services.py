@@ -26,7 +26,7 @@ from ..events.program.topic_configuration import TOPICS, Topics, read_topics, to
 from ..explanation.explain import explain, records_origins
 from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, beginning, printable
 from ..messages.type_registry import Definitions
-from ..prolog.machine.resource_limits import Limits, checked_number
+from ..prolog.machine.resource_limits import Limits, validate_limit
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.syntax.tokenizer import ReadFlags
@@ -504,7 +504,7 @@ class QueryServices:
     def _query(self, request: Any) -> Any:
         response = self._srv.QueryResponse
         try:
-            seconds = checked_number("seconds", request.seconds, float)
+            seconds = validate_limit("seconds", request.seconds, float)
             # Zero represents an absent value in a ROS message. The output limit is the engine's.
             limits = Limits(seconds or None, request.inferences or None, output_megabytes=None)
             solution_limit = min(request.max_solutions or DEFAULT_MAX_SOLUTIONS, MAX_SOLUTIONS)
@@ -523,7 +523,7 @@ class QueryServices:
 
     def _wait_for_memories(self, request: Any) -> None:
         names = [name_term(text, "wait_for") for text in request.wait_for]
-        seconds = checked_number("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
+        seconds = validate_limit("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
         # A query beyond the limit fails at once instead of waiting: a blocked thread is what the limit avoids.
         if not self._waiting_slots.acquire(blocking=False):
             raise UsageError(f"{MAX_WAITING_QUERIES} queries wait already")

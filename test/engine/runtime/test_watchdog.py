@@ -33,8 +33,8 @@ def turn():
 def watched(turn):
     """A watchdog with a patience of a second, for a limit of ten, and what it has warned of."""
     budget = Budget()
-    budget.count_for(turn)
-    budget.allow(Limits(seconds=10.0))
+    budget.attach_turn(turn)
+    budget.set_limits(Limits(seconds=10.0))
     warned = []
     dog = Watchdog(turn, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
     dog.warned, dog.budget = warned, budget
@@ -67,13 +67,13 @@ def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(t
     watched.sample(10.0)
     with pytest.raises(LimitError, match="seconds") as caught:
         watched.budget.check_entry()
-    assert not caught.value.final
+    assert not caught.value.is_final
     watched.sample(15.0)
     watched.budget.check_entry()
     watched.sample(20.0)
     with pytest.raises(LimitError, match="seconds") as caught:
         watched.budget.check_entry()
-    assert caught.value.final
+    assert caught.value.is_final
 
 
 def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(turn, watched):
@@ -112,7 +112,7 @@ def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
 )
 def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patience, seconds, pause):
     budget = Budget()
-    budget.allow(Limits(seconds=seconds))
+    budget.set_limits(Limits(seconds=seconds))
     assert Watchdog(turn, budget, patience, lambda ran, entry: None).sample_interval() == pytest.approx(pause)
 
 
@@ -135,7 +135,7 @@ def test_what_came_in_is_named_in_short(entry, named):
 
 def test_no_limit_and_no_patience_is_none(turn):
     budget = Budget()
-    budget.count_for(turn)
+    budget.attach_turn(turn)
     dog = Watchdog(turn, budget, None, lambda seconds, entry: pytest.fail("warned"))
     turn.begin("a")
     for instant in (0.0, 1e3, 1e6):

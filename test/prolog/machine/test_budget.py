@@ -14,8 +14,8 @@ from retalis.prolog.machine.resource_limits import (
     MEGABYTE,
     SLICE,
     Budget,
+    CallLimitError,
     LimitError,
-    LimitPassed,
     RemainingLimits,
 )
 
@@ -41,7 +41,7 @@ def test_nothing_is_left_to_look_at_without_limits(budget):
 
 
 def test_what_is_left_of_inferences(budget):
-    budget.allow(Limits(inferences=1000))
+    budget.set_limits(Limits(inferences=1000))
     assert budget.remaining_limits() == RemainingLimits(None, 1000, None)
     budget.check_limits(400)
     assert budget.remaining_limits() == RemainingLimits(None, 600, None)
@@ -50,17 +50,17 @@ def test_what_is_left_of_inferences(budget):
 def test_what_is_left_up_to_the_nearest_ceiling_of_a_call(budget):
     budget.check_limits(5000)
     for most in (300, 200):
-        budget.add_ceiling(budget.ceiling_after(most), LimitPassed("inference", atom("ball")))
+        budget.add_ceiling(budget.ceiling_after(most), CallLimitError("inference", atom("ball")))
     assert budget.remaining_limits() == RemainingLimits(None, 200, None)
     budget.check_limits(150)
     assert budget.remaining_limits() == RemainingLimits(None, 50, None)
-    with pytest.raises(LimitPassed):
+    with pytest.raises(CallLimitError):
         budget.check_limits(51)
 
 
 def test_what_is_left_up_to_the_nearest_alarm(budget):
     for instant in (1e12, 1e11):
-        budget.add_alarm(instant, LimitPassed("time", atom("ball")))
+        budget.add_alarm(instant, CallLimitError("time", atom("ball")))
     assert budget.remaining_limits() == RemainingLimits(1e11, None, None)
 
 
@@ -68,7 +68,7 @@ def test_no_two_ceilings_are_the_same(budget):
     ceilings = []
     for _ in range(3):
         ceilings.append(budget.ceiling_after(10))
-        budget.add_ceiling(ceilings[-1], LimitPassed("inference", atom("ball")))
+        budget.add_ceiling(ceilings[-1], CallLimitError("inference", atom("ball")))
     assert ceilings == [10, 11, 12]
 
 
@@ -76,7 +76,7 @@ def test_memory_may_grow_by_just_its_limit(budget, monkeypatch):
     used, now = [50 * MEGABYTE], [1.0]
     monkeypatch.setattr(_budget, "resident_bytes", lambda: used[0])
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
-    budget.allow(Limits(megabytes=2))
+    budget.set_limits(Limits(megabytes=2))
     for used[0] in (50 * MEGABYTE, 52 * MEGABYTE):
         now[0] += 1.0
         budget.check_limits(1)
@@ -91,20 +91,20 @@ def test_what_is_left_of_memory_is_counted_from_now(budget, monkeypatch, now):
     """At 0 the memory has been measured just before, as far as the budget knows."""
     monkeypatch.setattr(_budget, "resident_bytes", lambda: 50 * MEGABYTE)
     monkeypatch.setattr(_budget, "monotonic", lambda: now)
-    budget.allow(Limits(megabytes=2))
+    budget.set_limits(Limits(megabytes=2))
     assert budget.remaining_limits() == RemainingLimits(None, None, 52 * MEGABYTE)
 
 
 def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(_budget, "monotonic", lambda: now[0])
-    budget.allow(Limits(seconds=10.0))
+    budget.set_limits(Limits(seconds=10.0))
     budget.check_limits(1)
     for final in (False, True):
         now[0] += 10.5
         with pytest.raises(LimitError, match="seconds") as caught:
             budget.check_limits(1)
-        assert caught.value.final == final
+        assert caught.value.is_final == final
         if not final:
             budget.check_limits(1)  # begins the time of the handler
             now[0] += 9.5
@@ -112,12 +112,12 @@ def test_past_its_seconds_an_entry_gets_as_many_again_once(budget, monkeypatch):
 
 
 def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_only(budget):
-    budget.allow(Limits(inferences=10))
+    budget.set_limits(Limits(inferences=10))
     with pytest.raises(LimitError) as caught:
         budget.check_limits(11)
     budget.reset()
     saved = budget.enter()
-    budget.close(caught.value)
+    budget.refuse_goals(caught.value)
     with pytest.raises(LimitError):
         budget.check_entry()
     budget.leave(saved)
@@ -134,8 +134,8 @@ def turn():
 def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, turn):
     reports = []
     budget.on_stopped = lambda rule, limit, steps, entry: reports.append((rule, limit, steps))
-    budget.allow(Limits(inferences=100))
-    budget.count_for(turn)
+    budget.set_limits(Limits(inferences=100))
+    budget.attach_turn(turn)
     meter = budget.meter("rule")
     while not meter(10):
         pass
@@ -145,8 +145,8 @@ def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, turn
 
 
 def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
-    budget.count_for(turn)
-    budget.allow(Limits(inferences=1000))
+    budget.attach_turn(turn)
+    budget.set_limits(Limits(inferences=1000))
     budget.goal = outer = object()
     budget.check_limits(900)
 
@@ -162,23 +162,23 @@ def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
 
 
 def test_output_is_limited_for_each_entry(budget, turn):
-    budget.count_for(turn)
-    budget.allow(Limits(output_megabytes=1))
+    budget.attach_turn(turn)
+    budget.set_limits(Limits(output_megabytes=1))
     budget.count_output(MEGABYTE)
     with pytest.raises(LimitError, match="output") as caught:
         budget.count_output(1)
-    assert not caught.value.final
+    assert not caught.value.is_final
     budget.count_output(MEGABYTE // 10)  # a handler may write a tenth more
     with pytest.raises(LimitError, match="output") as caught:
         budget.count_output(1)
-    assert caught.value.final
+    assert caught.value.is_final
     (end,) = turn.following
     end()
     budget.count_output(MEGABYTE)
 
 
 def test_what_no_entry_writes_is_not_limited(budget):
-    budget.allow(Limits(output_megabytes=1))
+    budget.set_limits(Limits(output_megabytes=1))
     for _ in range(3):
         budget.count_output(MEGABYTE)
 
@@ -188,7 +188,7 @@ def test_a_system_that_does_not_tell_has_no_memory_limit(budget, monkeypatch):
         raise FileNotFoundError
 
     monkeypatch.setattr(_budget, "open", missing, raising=False)
-    budget.allow(Limits(megabytes=0))
+    budget.set_limits(Limits(megabytes=0))
     assert _budget.resident_bytes() == 0
     budget.check_limits(1)
     budget.check_limits(1)
@@ -286,8 +286,8 @@ class Model:
 @given(st.lists(STEPS, max_size=25))
 def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_error(steps):
     model, budget, turn = Model(), Budget(), Turn()
-    budget.allow(Model.LIMITS)
-    budget.count_for(turn)
+    budget.set_limits(Model.LIMITS)
+    budget.attach_turn(turn)
     budget.goal = object()
     budget.inner = lambda: budget.run_as_entry(("inner",), lambda: budget.check_limits(0))
     budget.write = budget.count_output
@@ -301,8 +301,8 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
                 try:
                     found = getattr(budget, name)(*number)
                 except LimitError as error:
-                    assert (error.what, error.final) == wanted
-                    assert error.budget is budget and not error.refused and not budget.needs_check
+                    assert (error.limit_name, error.is_final) == wanted
+                    assert error.budget is budget and not error.was_refused and not budget.needs_check
                 else:
                     assert wanted is None
                     if name == "remaining_limits":

@@ -80,7 +80,7 @@ class Watchdog:
         seconds = budget.limits.seconds
         # After a goal has caught a resource error, the budget grants the time limit once more; `rounds` counts the
         # grants.
-        if seconds is not None and elapsed >= seconds * budget.rounds:
+        if seconds is not None and elapsed >= seconds * budget.allowance_count:
             budget.expire(entry)
         if self._next_warning is not None and elapsed >= self._next_warning:
             self._next_warning *= 2

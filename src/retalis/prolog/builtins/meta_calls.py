@@ -16,7 +16,7 @@ from ..database.control_constructs import add_arguments, check_body
 from ..machine.arithmetic import evaluate
 from ..machine.errors import PrologError, domain_error, instantiation_error, type_error
 from ..machine.machine import Code, Guard, Machine
-from ..machine.resource_limits import Budget, LimitPassed, record_caught_error
+from ..machine.resource_limits import Budget, CallLimitError, record_caught_error
 from ..terms.term_traversal import copy, term_key, variables
 from ..terms.types import (
     COLON,
@@ -117,7 +117,7 @@ def call_with_time_limit(machine: Machine, args: Values, continuation: Frame) ->
     # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
     previous_watch = set_limit_check(budget.check_limits)
     machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), previous_watch, len(machine.trail)))
-    budget.add_alarm(monotonic() + seconds, LimitPassed("time", _TIME_LIMIT))
+    budget.add_alarm(monotonic() + seconds, CallLimitError("time", _TIME_LIMIT))
     return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, continuation))
 
 
@@ -126,7 +126,7 @@ def _remove_time_limit(entry: Frame) -> None:
     budget: Budget
     _, budget, count, previous_watch, _ = entry
     for _, error in budget.alarms[count:]:
-        error.close()
+        error.record_end()
     del budget.alarms[count:]
     set_limit_check(previous_watch)
 
@@ -141,7 +141,7 @@ def _finish_in_time(frame: Frame) -> Frame:
     # The goal is called once.
     del machine.choices[height:]
     # The limit may have passed just before the end of the goal; then the error is raised here.
-    error.deliver()
+    error.raise_if_caught()
     return continuation
 
 
@@ -169,7 +169,7 @@ def within(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
     ceiling = integer(ball[1])
     height = len(machine.choices)
     budget = machine.budget
-    budget.add_ceiling(ceiling, LimitPassed("inference", ball))
+    budget.add_ceiling(ceiling, CallLimitError("inference", ball))
     machine.choices.append((_INFERENCE_GUARD, budget, ceiling, len(machine.trail)))
     return machine.logic.control.call(goal, (_FINISHED_WITHIN, machine, height, result, continuation))
 
@@ -180,7 +180,7 @@ def _remove_ceiling(entry: Frame) -> None:
     _, budget, ceiling, _ = entry
     error = budget.ceilings.pop(ceiling, None)
     if error is not None:  # it has been removed already if the goal has exited before
-        error.close()
+        error.record_end()
 
 
 def _finish_within(frame: Frame) -> Optional[Frame]:
@@ -194,7 +194,7 @@ def _finish_within(frame: Frame) -> Optional[Frame]:
     if is_determinate:
         machine.choices.pop()
     if error is not None:
-        error.deliver()
+        error.raise_if_caught()
     return continuation if unify(result, _DETERMINATE if is_determinate else TRUE, machine.trail) else None
 
 
@@ -334,7 +334,7 @@ class _Cleanup:
     """The cleanup of a goal, referenced only by the goal's guard on the stack of choice points.
 
     A cut of the guard frees it and thereby this object, whose finalizer runs the cleanup. So cuts need no check for
-    guards. On PyPy, which does not free objects immediately, the cut calls `Code.dropped` instead.
+    guards. On PyPy, which does not free objects immediately, the cut calls `Code.on_drop` instead.
     """
 
     __slots__ = ("machine", "goal", "done")
@@ -410,4 +410,4 @@ def _exit_goal(frame: Frame) -> Optional[Frame]:
 _CALL_GUARDED = Code("setup_call_cleanup", _call_guarded)
 _GOAL_EXITED = Code("setup_call_cleanup", _exit_goal)
 _CLEANUP = Guard("setup_call_cleanup", lambda entry: entry[1].run())
-_CLEANUP.dropped = _CLEANUP.unwind
+_CLEANUP.on_drop = _CLEANUP.unwind

@@ -269,7 +269,7 @@ class Tables:
         self._next_answer = Code("table", lambda entry: self._enumerate(*entry[1:6]))
         self._more_answers = Code("table", lambda entry: self._follow(*entry[1:5]))
         self._padding = Code("table", self._leave_padding)
-        self._guard.closes = False
+        self._guard.closes_goal = False
         self._new_answer = Code("answer", self._add)
         self._combine_answer = Code("answer", self._combine)
         self._replace_answer = Code("answer", self._replace)
@@ -443,7 +443,7 @@ class Tables:
         newest = self.active[-1]
         # A choice point that closes, such as that of a negation, ends before the continuation could be resumed. The
         # call is only recorded then, and an answer that it misses makes the leader repeat the evaluation.
-        if any(getattr(entry[0], "closes", False) for entry in choices[newest.height :]):
+        if any(getattr(entry[0], "closes_goal", False) for entry in choices[newest.height :]):
             follower = Follower(position, free, continuation, None, 0)
         else:
             bound = [(entry, entry.ref) for entry in trail[newest.mark :]]

@@ -7,7 +7,7 @@ exception.
 
 Rarely called bodies are interpreted, but a body that is called once may run its goals a million times by
 backtracking. `JustInTimeBodies` finds those by sampling: the machine reports the goal that it is about to interpret
-once per slice of steps (`Machine.note_interpreted`). A body that is reported twice is compiled, with its variables
+once per slice of steps (`Machine.on_interpreted_goal`). A body that is reported twice is compiled, with its variables
 as arguments, and the compiled code runs from then on.
 """
 
@@ -202,8 +202,8 @@ class Control:
         }
         self.bodies = JustInTimeBodies(database)
         self._compiled = self.bodies.compiled
-        database.machine.note_interpreted = self.bodies.note_interpreted
-        database.machine.budget.on_new = database.on_code_discarded = self.bodies.clear
+        database.machine.on_interpreted_goal = self.bodies.note_interpreted
+        database.machine.budget.on_reset = database.on_code_discarded = self.bodies.clear
         database.interpret = self.code
         database.solve = self.solve
 

@@ -75,21 +75,21 @@ class Code:
         functor: the functor of the executed goal, for error messages.
         keeps_choice_points: whether the step leaves the choice points unchanged, so that it can be executed outside
             of a run; see `Machine.check`.
-        closes: whether a choice point with this code closes the goal above it, because its solutions are collected or
-            only the first one is used. A call inside the goal cannot continue after that.
-        dropped: called with a choice point that is cut, on interpreters that do not finalise its contents
+        closes_goal: whether a choice point with this code closes the goal above it, because its solutions are
+            collected or only the first one is used. A call inside the goal cannot continue after that.
+        on_drop: called with a choice point that is cut, on interpreters that do not finalise its contents
             immediately.
     """
 
-    __slots__ = ("name", "run", "functor", "keeps_choice_points", "closes", "dropped")
+    __slots__ = ("name", "run", "functor", "keeps_choice_points", "closes_goal", "on_drop")
 
     def __init__(self, name: str, run: Step, closes: bool = False):
         self.name = name
-        self.closes = closes
+        self.closes_goal = closes
         self.run = run
         self.functor: Optional[Functor] = None
         self.keeps_choice_points = False
-        self.dropped: Optional[Callable[[Frame], None]] = None
+        self.on_drop: Optional[Callable[[Frame], None]] = None
 
     def __repr__(self) -> str:
         return f"<{self.name}>"
@@ -113,9 +113,9 @@ class Guard(Code):
 def drop(entry: Frame) -> None:
     """Finalise the objects that only a removed choice point refers to."""
     # Only a `Code` has the attribute; other objects with a `run` hold nothing that must be finalised.
-    dropped = getattr(entry[0], "dropped", None)
-    if dropped is not None:
-        dropped(entry)
+    on_drop = getattr(entry[0], "on_drop", None)
+    if on_drop is not None:
+        on_drop(entry)
 
 
 def fail(frame: Frame) -> None:
@@ -174,17 +174,17 @@ class Machine:
         choices: choice points; the list object never changes.
         done: the frame that ends a run, the continuation of the first frame of each `run`.
         goal_code: the code that runs a goal from its term, the first argument of its frame.
-        note_interpreted: called with the goal that is about to run, at most once in a slice of steps, to find goals
-            worth compiling.
+        on_interpreted_goal: called with the goal that is about to run, at most once in a slice of steps, to find
+            goals worth compiling.
         budget: resource limits of goals, and their use.
         logic: the program that it runs.
-        idle: lengths of choices and trail while no goal runs; see `recovery`.
+        idle_lengths: lengths of choices and trail while no goal runs; see `recovery`.
     """
 
     def __init__(self) -> None:
         self.trail: Trail = []
         self.choices: List[Frame] = make_releasing_list(drop)
-        self.idle = (0, 0)
+        self.idle_lengths = (0, 0)
         finish = self.choices.append
         self.done: Frame = (Code("done", lambda frame: finish(_FINISHED)),)
         self.budget = Budget()
@@ -194,7 +194,7 @@ class Machine:
         self._exit_code = _AttemptExit(self)
         self.catch_code = Code("catch", fail, True)
         self.goal_code: Optional[Code] = None
-        self.note_interpreted: Callable[[Term], None] = lambda goal: None
+        self.on_interpreted_goal: Callable[[Term], None] = lambda goal: None
         self.logic: PrologSystem = None  # type: ignore[assignment]  # set by the program
 
     def unify(self, left: Term, right: Term) -> bool:
@@ -258,7 +258,7 @@ class Machine:
                 del choices[base:]
             if limited:
                 budget.leave(saved)
-            elif budget.used and not base and not budget.at_work:
+            elif budget.has_use and not base and not budget.is_processing_entry:
                 budget.reset()
 
     def check(self, frame: Frame, goal: RunnableGoal) -> bool:
@@ -333,13 +333,13 @@ class Machine:
         stop = (STOP, mark)
         choices.append(stop)
         try:
-            while self._loop(frame, base) if inside else self._watched(frame, goal):
+            while self._loop(frame, base) if inside else self._run_outermost(frame, goal):
                 height = len(choices)
                 if not inside:
-                    self.idle = (height, len(self.trail))
+                    self.idle_lengths = (height, len(self.trail))
                 yield None
                 if not inside:
-                    self.idle = (0, 0)
+                    self.idle_lengths = (0, 0)
                 if len(choices) != height or choices[base] is not stop:
                     raise RetalisError(
                         "solutions of an outer goal were requested while an inner goal is still open"
@@ -352,9 +352,9 @@ class Machine:
                 del choices[base:]
                 undo(self.trail, mark)
                 if not inside:
-                    self.idle = (0, 0)
+                    self.idle_lengths = (0, 0)
                     budget.running = False
-                if not (inside or budget.at_work):
+                if not (inside or budget.is_processing_entry):
                     budget.reset()
 
     def _leave(self, base: int) -> None:
@@ -370,15 +370,15 @@ class Machine:
             # because the list finalises entries on `del`; see `make_releasing_list`.
             del choices[-1:]
 
-    def _watched(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
+    def _run_outermost(self, frame: Optional[Frame], goal: Optional[Term]) -> bool:
         """Continue an outermost run; long steps within it check the limits as well."""
         budget = self.budget
         previous_goal, budget.goal = budget.goal, goal
-        previous_watch = set_limit_check(budget.check_limits)
+        previous_check = set_limit_check(budget.check_limits)
         try:
             return self._loop(frame, 0)
         finally:
-            set_limit_check(previous_watch)
+            set_limit_check(previous_check)
             budget.goal = previous_goal
 
     def _loop(  # noqa: C901 -- a call for each step would cost more than the step
@@ -414,7 +414,7 @@ class Machine:
                     # A slice has ended: a goal that is met here by sampling runs often, and may be compiled.
                     steps = iter(SLICE)
                     if frame[0] is self.goal_code:
-                        self.note_interpreted(frame[1])
+                        self.on_interpreted_goal(frame[1])
                     if len(trail) > self._compact_at:
                         self._compact()
                     self.budget.count_slice()
@@ -438,11 +438,11 @@ class Machine:
     def _recover(self, error: PrologError, frame: Frame, base: int) -> Frame:
         """Return the frame that handles an error; raise it if no choice point above ``base`` does."""
         choices = self.choices
-        error = self._copied(error)
+        error = self._copy_error(error)
         ball = error.term
         self._add_context(ball, frame)
         # A final error reports a limit that the entry has exceeded again: a program that catches it would never end.
-        is_final = getattr(error, "final", False)
+        is_final = getattr(error, "is_final", False)
         while len(choices) > base + 1:
             # Removed before it is handled: the handler may run goals, which push choice points.
             entry = choices[-1]
@@ -461,7 +461,7 @@ class Machine:
         raise error
 
     @staticmethod
-    def _copied(error: PrologError) -> PrologError:
+    def _copy_error(error: PrologError) -> PrologError:
         """Return an error with a copy of its term, because its bindings are about to be undone."""
         try:
             error.term = copy(error.term)

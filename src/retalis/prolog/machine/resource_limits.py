@@ -1,8 +1,8 @@
 """Resource limits of events and queries: seconds, inferences, memory and output.
 
 An *entry* is a unit of accounting: an event or a query with everything that it starts. Each entry may use what
-`Limits` allows, and `Budget` counts it. An engine announces the entries of its turns (`Budget.count_for`); without an
-engine, each outermost run of the machine is an entry.
+`Limits` allows, and `Budget` counts it. An engine announces the entries of its turns (`Budget.attach_turn`); without
+an engine, each outermost run of the machine is an entry.
 
 The machine counts steps in slices of `SLICE` and checks the limits after each slice, so counting costs nothing for a
 single step. Long steps (sorting, copying a large term) call `check_limits`, which counts their work and checks the
@@ -10,15 +10,15 @@ limits as well.
 
 If an entry exceeds a limit:
 
-1. The goal throws `LimitError`. A program may catch the first one; its handler gets a tenth more inferences, and the
-   other limits once again, to clean up.
-2. The next one is *final*: no program can catch it.
+1. The goal throws `LimitError`. A program may catch the first one; its handler may use a tenth more inferences, and
+   the other limits once again, to clean up.
+2. The next error is *final*: no program can catch it.
 3. Further goals of the entry are refused (`Budget.check_entry`), counted, and reported together at the end.
 4. Pattern matching is not interrupted by an exception, which would leave a partial match half joined. It stops at the
    points where it counts its work (`Budget.meter`).
 
 Limits of a single call (``call_with_time_limit/2`` and similar) are *alarms* (instants) and *ceilings* (counts of
-inferences) in the budget; they throw `LimitPassed`.
+inferences) in the budget; they throw `CallLimitError`.
 """
 
 import os
@@ -66,7 +66,7 @@ MAX_COUNT = 10**20
 Number = TypeVar("Number", int, float)
 
 
-def checked_number(name: str, value: object, number_type: Type[Number]) -> Number:
+def validate_limit(name: str, value: object, number_type: Type[Number]) -> Number:
     """Return the non-negative number that a setting contains.
 
     Args:
@@ -78,15 +78,15 @@ def checked_number(name: str, value: object, number_type: Type[Number]) -> Numbe
         UsageError: for any other value: a ``bool``, a text, a negative number, NaN, infinity, or a number above the
             maximum.
     """
-    largest = MAX_COUNT if number_type is int else MAX_LIMIT
+    maximum = MAX_COUNT if number_type is int else MAX_LIMIT
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        if 0 <= value <= largest and number_type(value) == value:
+        if 0 <= value <= maximum and number_type(value) == value:
             return number_type(value)
         value_text = str(value) if abs(value) < 1e300 else "a larger number"
     else:
         value_text = shortened(repr(value))
     expected = "a whole number" if number_type is int else "a number"
-    raise UsageError(f"{name}: expected {expected} from 0 to {largest:.0e}, found {value_text}")
+    raise UsageError(f"{name}: expected {expected} from 0 to {maximum:.0e}, found {value_text}")
 
 
 class _LimitFields(NamedTuple):
@@ -127,10 +127,10 @@ class Limits(_LimitFields):
         """Validate the limits and store them."""
         return super().__new__(
             cls,
-            None if seconds is None else checked_number("seconds", seconds, float),
-            None if inferences is None else checked_number("inferences", inferences, int),
-            None if megabytes is None else checked_number("megabytes", megabytes, float),
-            None if output_megabytes is None else checked_number("output_megabytes", output_megabytes, float),
+            None if seconds is None else validate_limit("seconds", seconds, float),
+            None if inferences is None else validate_limit("inferences", inferences, int),
+            None if megabytes is None else validate_limit("megabytes", megabytes, float),
+            None if output_megabytes is None else validate_limit("output_megabytes", output_megabytes, float),
         )
 
     @classmethod
@@ -145,7 +145,7 @@ NO_LIMITS = Limits(output_megabytes=None)
 class RefusingBudget(Protocol):
     """The budget of a limit that has been exceeded."""
 
-    def close(self, error: "LimitError") -> None:
+    def refuse_goals(self, error: "LimitError") -> None:
         """Refuse further goals of the entry because of an error."""
 
 
@@ -153,46 +153,46 @@ class LimitError(PrologError):
     """A limit has been exceeded.
 
     Attributes:
-        final: whether no program can catch the error.
+        is_final: whether no program can catch the error.
         budget: the budget that has the limit; None for a limit that a program has set for a call.
-        what: the name of the exceeded limit.
-        refused: whether the goal was not started at all; the budget counts and reports such goals.
+        limit_name: name of the exceeded limit.
+        was_refused: whether the goal was not started. The budget counts and reports such goals.
     """
 
-    final = False
+    is_final = False
     budget: Optional[RefusingBudget] = None
-    what = ""
-    refused = False
+    limit_name = ""
+    was_refused = False
 
 
-class LimitPassed(LimitError):
-    """The error of a call with a limit of its own.
+class CallLimitError(LimitError):
+    """Error of a call that has a limit, such as ``call_with_time_limit/2``.
 
     Attributes:
-        kind: the kind of limit.
-        open: whether the call is still running. If it is, the code that receives the error is inside the call, and
-            not the owner of the limit.
+        limit_name: "time" or "inference".
+        is_call_running: whether the call is still running. If it is, the code that receives the error is inside the
+            call, and is not the one that has set the limit.
         was_caught: whether code inside the call has caught the error and the call has continued.
     """
 
     def __init__(self, limit_name: str, term: Term):
         super().__init__(term)
-        self.kind = limit_name
-        self.open = True
+        self.limit_name = limit_name
+        self.is_call_running = True
         self.was_caught = False
 
     @property
     def message(self) -> str:  # type: ignore[override]
         """The text of the error."""
-        if self.open:
-            return f"the {self.kind} limit of a calling goal has been reached"
+        if self.is_call_running:
+            return f"the {self.limit_name} limit of a calling goal has been reached"
         return super().message
 
-    def close(self) -> None:
+    def record_end(self) -> None:
         """Record that the call has ended."""
-        self.open = False
+        self.is_call_running = False
 
-    def deliver(self) -> None:
+    def raise_if_caught(self) -> None:
         """Throw the error when the call exits, if code inside the call had caught it."""
         if self.was_caught:
             raise self
@@ -206,12 +206,12 @@ def record_caught_error(error: Exception) -> bool:
     Returns:
         Whether to report the error; false for a refused goal, see `Budget.check_entry`.
     """
-    if isinstance(error, LimitPassed):
-        error.was_caught = error.open
+    if isinstance(error, CallLimitError):
+        error.was_caught = error.is_call_running
     elif isinstance(error, LimitError):
         if error.budget is not None:
-            error.budget.close(error)
-        return not error.refused
+            error.budget.refuse_goals(error)
+        return not error.was_refused
     return True
 
 
@@ -221,7 +221,7 @@ _MEMORY_CHECK_INTERVAL_SECONDS = 0.005
 
 T = TypeVar("T")
 
-Ask = Optional[Callable[[int, int], None]]
+LimitCheck = Optional[Callable[[int, int], None]]
 """The function that long steps call to check limits; see `foundation.cancellation`."""
 
 
@@ -241,82 +241,81 @@ class Turn(Protocol):
 Meter = Callable[[int], bool]
 """Counts steps of pattern matching (pairs, items, derived events); returns True if pattern matching has to stop."""
 
-BudgetState = Tuple[bool, Ask, object, int, Tuple[int, ...]]
-"""The running goals of a budget; see `Budget.state`."""
+BudgetState = Tuple[bool, LimitCheck, object, int, Tuple[int, ...]]
+"""The running goals of a budget; see `Budget.snapshot`."""
 
 
 class Budget:
     """Resource use and limits of the current entry: an event or query with everything that it starts.
 
-    An engine announces the entries of its turns (`count_for`). Without an engine, each outermost run of the machine
+    An engine announces the entries of its turns (`attach_turn`). Without an engine, each outermost run of the machine
     is an entry.
 
     Attributes:
         limits: the limits of each entry.
-        limited: whether the machine must `enter` each run: limits are set, and no engine announces entries.
+        limited: whether the machine must `enter` each run, because limits are set and no engine announces entries.
         needs_check: whether goals must call `check_entry` before they start.
         turn: announces entries. Its ``thread`` processes one, or is None; its ``entry`` identifies it.
         goal: the running goal, a `CompiledGoal` or a term; None while only patterns are matched.
         inferences: inferences since the start.
         alarms: instants of the monotonic clock (s), with the errors to throw after them.
         ceilings: counts of inferences, with the errors to throw above them.
-        used: whether there is anything to reset at the end of the entry.
-        rounds: number of times that the entry may use its limits; raised when a program may have caught the first
-            error.
-        refused: number of refused goals of the entry.
-        metered: whether rules count their pattern matching; false in an engine without limits.
+        has_use: whether the entry has used resources, which must be reset at its end.
+        allowance_count: 1, or 2 if the entry has exceeded a limit and may use its limits once again to clean up.
+        refused_count: number of refused goals of the entry.
+        meters_patterns: whether rules count their pattern matching; false in an engine without limits.
         pattern_steps: steps of pattern matching until the next check of the limits, negative afterwards. The list
-            with one item never changes, because generated code refers to it.
-        stopped: the rule that was active when a limit stopped pattern matching, and the limit; or None.
-        left_out: steps of pattern matching skipped since then.
-        on_new: called when the use of an entry is reset.
+            has one item, and is never replaced, because generated code refers to it.
+        pattern_stop: the rule that was active when a limit stopped pattern matching, and the limit; or None.
+        skipped_pattern_steps: number of steps of pattern matching skipped since then.
+        on_reset: called when the use of resources is reset.
         on_refused: called at the end of an entry with the number of refused goals, the exceeded limit, and the entry.
         on_stopped: called at the end of an entry whose pattern matching was stopped, with the rule, the limit, the
             number of skipped steps, and the entry.
-        running: whether a run is active that was entered.
+        running: whether a run is active for which `enter` has been called.
     """
 
     def __init__(self) -> None:
         self.turn: Optional[Turn] = None
         self.goal: object = None
-        self.on_new: Callable[[], None] = lambda: None
+        self.on_reset: Callable[[], None] = lambda: None
         self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
         self.on_stopped: Callable[[object, str, int, object], None] = lambda rule, what, steps, entry: None
-        self.metered = False
+        self.meters_patterns = False
         self.pattern_steps = [0]
-        self.allow(NO_LIMITS)
+        self.set_limits(NO_LIMITS)
         self.running = False
-        self._ask = self.check_limits
+        self._limit_check = self.check_limits
         self.inferences = 0
-        self.alarms: List[Tuple[float, LimitPassed]] = []
-        self.ceilings: Dict[int, LimitPassed] = {}
+        self.alarms: List[Tuple[float, CallLimitError]] = []
+        self.ceilings: Dict[int, CallLimitError] = {}
         self._steps = 0  # not yet counted as inferences
-        self._measured = 0.0
-        self._expired: object = None
+        self._memory_check_time = 0.0
+        self._expired_entry: object = None
         self._entry: object = None  # the turn's entry at the first use
         self.reset()
 
-    def allow(self, limits: Limits) -> None:
+    def set_limits(self, limits: Limits) -> None:
         """Set the limits of each entry."""
-        self._spent = 0
+        self._entry_inferences = 0
         self.limits = limits
-        # Limits that steps check. Output is counted where it is written.
-        self._bounded = limits[:3] != NO_LIMITS[:3]
+        # Whether steps have to check limits. Output is counted when it is written.
+        self._has_limits = limits[:3] != NO_LIMITS[:3]
         # The steps since the last check may belong to earlier entries. A check at least eight times per limit keeps
         # this error small.
         steps = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
         self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, steps))
         self.limited = limits != NO_LIMITS and self.turn is None
 
-    def count_for(self, turn: Turn) -> None:
+    def attach_turn(self, turn: Turn) -> None:
         """Treat the units of work of a turn as entries; ``turn.call_next`` schedules the reset after each of them."""
         self.turn = turn
-        self.metered = self._bounded
+        self.meters_patterns = self._has_limits
         self.limited = False
         register_budget(self)
 
     @property
-    def at_work(self) -> bool:
+    def is_processing_entry(self) -> bool:
         """True while a turn processes an entry."""
         return self.turn is not None and self.turn.thread is not None
 
@@ -327,45 +326,45 @@ class Budget:
 
     # Entries
 
-    def enter(self) -> "Union[Ask, _NestedRun]":
+    def enter(self) -> "Union[LimitCheck, _NestedRun]":
         """Start a run with limits; return the value that `leave` needs at its end.
 
-        Long steps check the limits as well; see `watching`. A nested run belongs to the outer one.
+        Long steps check the limits as well; see `foundation.cancellation`. A nested run is part of the outer one.
         """
         if self.running:
             return _NESTED_RUN
         self.running = True
-        previous_watch = CURRENT_CHECK.check
-        CURRENT_CHECK.check = self._ask
-        return previous_watch
+        previous_check = CURRENT_CHECK.check
+        CURRENT_CHECK.check = self._limit_check
+        return previous_check
 
-    def leave(self, saved: "Union[Ask, _NestedRun]") -> None:
+    def leave(self, saved: "Union[LimitCheck, _NestedRun]") -> None:
         """End a run with limits."""
         if isinstance(saved, _NestedRun):
             return
         self.running = False
         CURRENT_CHECK.check = saved
-        if self.used:
+        if self.has_use:
             self.reset()
 
     @contextmanager
-    def watching(self) -> Iterator[None]:
-        """Count long work on a solution of a goal for that goal."""
-        previous_watch = CURRENT_CHECK.check
-        CURRENT_CHECK.check = self._ask
+    def checking_long_steps(self) -> Iterator[None]:
+        """Return a context in which long steps between two solutions of a goal are counted for that goal."""
+        previous_check = CURRENT_CHECK.check
+        CURRENT_CHECK.check = self._limit_check
         try:
             yield
         finally:
-            CURRENT_CHECK.check = previous_watch
+            CURRENT_CHECK.check = previous_check
 
     def reset(self) -> None:
         """Reset the use of resources."""
-        self._begin()
+        self._reset_use()
         self.alarms.clear()
         self.ceilings.clear()
-        self.on_new()
+        self.on_reset()
 
-    def state(self) -> BudgetState:
+    def snapshot(self) -> BudgetState:
         """Return the running goals, for `restore`."""
         return self.running, CURRENT_CHECK.check, self.goal, len(self.alarms), tuple(self.ceilings)
 
@@ -374,7 +373,7 @@ class Budget:
         if state is None:
             self.running = False
             self.goal = None
-            if CURRENT_CHECK.check == self._ask:
+            if CURRENT_CHECK.check == self._limit_check:
                 CURRENT_CHECK.check = None
             self.end()
             return
@@ -384,18 +383,18 @@ class Budget:
         del self.alarms[alarms:]
         self.ceilings = {ceiling: error for ceiling, error in self.ceilings.items() if ceiling in ceilings}
 
-    def _begin(self) -> None:
-        self.used = False
-        self._spent = 0
-        self._printed = 0  # bytes of output
+    def _reset_use(self) -> None:
+        self.has_use = False
+        self._entry_inferences = 0
+        self._output_bytes = 0  # bytes of output
         self._deadline: Optional[float] = None
-        self._memory: Optional[int] = None
-        self.rounds = 1
-        self.refused = 0
-        self._out: Optional[str] = None  # the exceeded limit because of which goals are refused
+        self._max_memory: Optional[int] = None
+        self.allowance_count = 1
+        self.refused_count = 0
+        self._refusal_limit: Optional[str] = None  # the exceeded limit because of which goals are refused
         self.needs_check = False
-        self.stopped: Optional[Tuple[object, str]] = None
-        self.left_out = 0
+        self.pattern_stop: Optional[Tuple[object, str]] = None
+        self.skipped_pattern_steps = 0
         if self.pattern_steps[0] < 0:
             self.pattern_steps[0] = self._pattern_slice
 
@@ -406,10 +405,10 @@ class Budget:
 
     def _report(self) -> None:
         """Report the refused goals and the skipped pattern matching of the entry."""
-        if self.refused and self._out is not None:
-            self.on_refused(self.refused, self._out, self._entry)
-        if self.stopped is not None:
-            self.on_stopped(*self.stopped, self.left_out, self._entry)
+        if self.refused_count and self._refusal_limit is not None:
+            self.on_refused(self.refused_count, self._refusal_limit, self._entry)
+        if self.pattern_stop is not None:
+            self.on_stopped(*self.pattern_stop, self.skipped_pattern_steps, self._entry)
 
     def run_as_entry(self, entry: object, work: Callable[[], T]) -> T:
         """Run ``work`` as an entry of its own in the middle of another entry of a turn; return its result."""
@@ -418,27 +417,30 @@ class Budget:
         previous_goal = turn.entry, self.goal
         # The use of the outer entry is saved attribute by attribute, because generated code and the machine refer to
         # this budget object.
-        saved = [getattr(self, name) for name in _ENTRY_ATTRIBUTES] if self.used else None
+        saved = [getattr(self, name) for name in _ENTRY_ATTRIBUTES] if self.has_use else None
         if saved is not None:
-            self._begin()
+            self._reset_use()
         turn.entry, self.goal = entry, None
         try:
             return work()
         finally:
             turn.entry, self.goal = previous_goal
-            if self.used:
+            if self.has_use:
                 self._report()
-                self._begin()
+                self._reset_use()
             if saved is not None:
                 for name, value in zip(_ENTRY_ATTRIBUTES, saved):
                     setattr(self, name, value)
-                # `_begin` has reset the counter. The outer entry must not continue to match patterns.
-                if self.stopped is not None:
+                # `_reset_use` has reset the counter. The outer entry must not continue to match patterns.
+                if self.pattern_stop is not None:
                     self.pattern_steps[0] = -1
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Count nothing for the current entry while it waits for a user; afterwards it may use its limits again."""
+        """Return a context in which nothing is counted, while the entry waits for a user.
+
+        Afterwards the entry may use its limits again.
+        """
         turn = self.turn
         assert turn is not None
         entry: Any
@@ -448,7 +450,7 @@ class Budget:
         finally:
             # A new identity with the same name: a watchdog that still times the old entry must not expire this one.
             turn.entry = None if entry is None else (*entry, None)
-            self._begin()
+            self._reset_use()
 
     # Goals of entries
 
@@ -458,26 +460,26 @@ class Budget:
         Raises:
             LimitError: with ``refused`` set, if goals are refused.
         """
-        if self._out is not None:
-            self.refused += 1
-            error = self._error(self._out)
-            error.final = error.refused = True
+        if self._refusal_limit is not None:
+            self.refused_count += 1
+            error = self._limit_error(self._refusal_limit)
+            error.is_final = error.was_refused = True
             raise error
         self.needs_check = False
-        past = self._exceeded_limit(monotonic())
-        if past is not None:
-            raise self._exceeded(past)
+        exceeded_limit = self._exceeded_limit(monotonic())
+        if exceeded_limit is not None:
+            raise self._exceeded_error(exceeded_limit)
 
-    def close(self, error: LimitError) -> None:
+    def refuse_goals(self, error: LimitError) -> None:
         """Refuse further goals of the entry because of an error that ended a goal."""
         self._mark_used()
         self.needs_check = True
-        if self._out is None:
-            self._out = error.what
+        if self._refusal_limit is None:
+            self._refusal_limit = error.limit_name
 
     def expire(self, entry: object) -> None:
         """Record that an entry has used its seconds, if it is still active. Any thread may call this."""
-        self._expired = entry
+        self._expired_entry = entry
         self.needs_check = True
         # A running goal notices by its own checks, and ends before pattern matching continues.
         if self.goal is None:
@@ -491,7 +493,7 @@ class Budget:
         Pattern matching is not ended by an error, which would leave matches half joined: it stops at the points where
         it counts, when the function returns True. From then on no rule derives an event from the input of the entry.
         """
-        if not self.metered:
+        if not self.meters_patterns:
             return None
 
         pattern_steps = self.pattern_steps
@@ -504,28 +506,28 @@ class Budget:
 
     def stops(self, rule: object) -> bool:
         """Check the limits after a slice of pattern matching; return True if it has to stop."""
-        if self.stopped is None:
+        if self.pattern_stop is None:
             # The counter is negative here: the difference is the number of steps since the last check.
             self._steps += max(0, self._pattern_slice - self.pattern_steps[0])
-            self._count()
-            past = self._exceeded_limit(monotonic()) if self._bounded else None
-            if past is None:
+            self._count_steps()
+            exceeded_limit = self._exceeded_limit(monotonic()) if self._has_limits else None
+            if exceeded_limit is None:
                 self.pattern_steps[0] = self._pattern_slice
                 return False
-            self.stopped = rule, past
-            self.close(self._error(past))
+            self.pattern_stop = rule, exceeded_limit
+            self.refuse_goals(self._limit_error(exceeded_limit))
             self.pattern_steps[0] = -1
-        self.left_out += 1
+        self.skipped_pattern_steps += 1
         return True
 
     # Limits of calls
 
-    def add_alarm(self, instant: float, error: LimitPassed) -> None:
+    def add_alarm(self, instant: float, error: CallLimitError) -> None:
         """Throw an error after an instant of the monotonic clock (s)."""
         self._mark_used()
         self.alarms.append((instant, error))
 
-    def add_ceiling(self, ceiling: int, error: LimitPassed) -> None:
+    def add_ceiling(self, ceiling: int, error: CallLimitError) -> None:
         """Throw an error above a count of inferences."""
         self._mark_used()
         self.ceilings[ceiling] = error
@@ -560,8 +562,8 @@ class Budget:
         """Count the steps of a run that has ended. If a limit is exceeded, the next goal does not start."""
         self._steps += steps
         if self._steps >= len(SLICE):
-            self._count()
-            if self._bounded and self._exceeded_limit(monotonic()) is not None:
+            self._count_steps()
+            if self._has_limits and self._exceeded_limit(monotonic()) is not None:
                 self.needs_check = True
 
     def count_output(self, size: int) -> None:
@@ -571,12 +573,12 @@ class Budget:
             LimitError: if the entry may not write them. A handler of the first error may write a tenth more.
         """
         limit = self.limits.output_megabytes
-        if limit is None or not (self.running or self.at_work):
+        if limit is None or not (self.running or self.is_processing_entry):
             return
         self._mark_used()
-        if self._printed + size > limit * MEGABYTE * (1.0 if self.rounds == 1 else 1.1):
-            raise self._exceeded("output")
-        self._printed += size
+        if self._output_bytes + size > limit * MEGABYTE * (1.0 if self.allowance_count == 1 else 1.1):
+            raise self._exceeded_error("output")
+        self._output_bytes += size
 
     def remaining_limits(self) -> "Optional[RemainingLimits]":
         """Return the remaining limits for a step that cannot check them itself; None if nothing is limited.
@@ -584,44 +586,44 @@ class Budget:
         Raises:
             PrologError: if a limit has been exceeded already.
         """
-        if not (self._bounded or self.alarms or self.ceilings):
+        if not (self._has_limits or self.alarms or self.ceilings):
             return None
         self._enforce()
-        if self._memory is None and self.limits.megabytes is not None:
-            self._memory = resident_bytes() + int(self.limits.megabytes * MEGABYTE)
+        if self._max_memory is None and self.limits.megabytes is not None:
+            self._max_memory = resident_bytes() + int(self.limits.megabytes * MEGABYTE)
         if not self.alarms and not self.ceilings and self.limits.inferences is None:
-            return RemainingLimits(self._deadline, None, self._memory)
+            return RemainingLimits(self._deadline, None, self._max_memory)
         times = [instant for instant, _ in self.alarms]
         if self._deadline is not None:
             times.append(self._deadline)
         inferences = [ceiling - self.inferences for ceiling in self.ceilings]
         if self.limits.inferences is not None:
-            inferences.append(self.limits.inferences - self._spent)
-        return RemainingLimits(min(times, default=None), min(inferences, default=None), self._memory)
+            inferences.append(self.limits.inferences - self._entry_inferences)
+        return RemainingLimits(min(times, default=None), min(inferences, default=None), self._max_memory)
 
     def _mark_used(self) -> None:
         """Record that the entry has used resources, so that they are reset at its end."""
-        if not self.used:
-            self.used = True
+        if not self.has_use:
+            self.has_use = True
             turn = self.turn
             if turn is not None and turn.thread is not None:
                 self._entry = turn.entry
                 turn.call_next(self.end)
 
-    def _count(self) -> None:
+    def _count_steps(self) -> None:
         self._mark_used()
         steps = self._steps
         self._steps = 0
         self.inferences += steps
-        self._spent += steps
+        self._entry_inferences += steps
 
     def _enforce(self, size: int = 0) -> None:
-        self._count()
+        self._count_steps()
         if self.ceilings:
             for ceiling, error in self.ceilings.items():
                 if self.inferences > ceiling:
                     raise error
-        if not self._bounded and not self.alarms:
+        if not self._has_limits and not self.alarms:
             return
         # Limits of calls are checked first: an inner limit that is reached at the same time must end the inner call,
         # and not the whole entry.
@@ -629,21 +631,21 @@ class Budget:
         for instant, error in self.alarms:
             if now > instant:
                 raise error
-        past = self._exceeded_limit(now, size)
-        if past is None:
+        exceeded_limit = self._exceeded_limit(now, size)
+        if exceeded_limit is None:
             return
-        if self.goal is None and self.at_work:
+        if self.goal is None and self.is_processing_entry:
             # No goal runs: an exception would interrupt pattern matching, which stops where it counts instead.
-            self.close(self._error(past))
+            self.refuse_goals(self._limit_error(exceeded_limit))
             self.pattern_steps[0] = -1
         else:
-            raise self._exceeded(past)
+            raise self._exceeded_error(exceeded_limit)
 
     def _exceeded_limit(self, now: float, size: int = 0) -> Optional[str]:
         """Return the limit that the entry exceeds, or would exceed with ``size`` more bytes; None if none."""
         self._mark_used()
         limits = self.limits
-        if limits.inferences is not None and self._spent > limits.inferences:
+        if limits.inferences is not None and self._entry_inferences > limits.inferences:
             return "inferences"
         if limits.seconds is not None:
             # Time starts with the first check: entries that end before it never read the clock.
@@ -651,37 +653,43 @@ class Budget:
                 self._deadline = now + limits.seconds
             elif now > self._deadline:
                 return "seconds"
-            if self._expired is not None and self.turn is not None and self._expired is self.turn.entry:
+            if (
+                self._expired_entry is not None
+                and self.turn is not None
+                and self._expired_entry is self.turn.entry
+            ):
                 return "seconds"
-        if limits.megabytes is not None and (size or now > self._measured + _MEMORY_CHECK_INTERVAL_SECONDS):
-            self._measured = now
+        if limits.megabytes is not None and (
+            size or now > self._memory_check_time + _MEMORY_CHECK_INTERVAL_SECONDS
+        ):
+            self._memory_check_time = now
             used = resident_bytes()
-            if self._memory is None:
-                self._memory = used + int(limits.megabytes * MEGABYTE)
-            if used + size > self._memory:
+            if self._max_memory is None:
+                self._max_memory = used + int(limits.megabytes * MEGABYTE)
+            if used + size > self._max_memory:
                 return "memory"
         return None
 
-    def _exceeded(self, resource: str) -> LimitError:
-        error = self._error(resource)
-        error.final = self.rounds > 1
+    def _exceeded_error(self, resource: str) -> LimitError:
+        error = self._limit_error(resource)
+        error.is_final = self.allowance_count > 1
         self.needs_check = (
-            self._out is not None
+            self._refusal_limit is not None
         )  # tells the receiver of the error whether goals are refused already
         # The use is not reset after a final error, so that every later check throws again: catching it is useless.
-        if error.final:
+        if error.is_final:
             return error
         # The handler of a first error gets a tenth more inferences, and the other limits once again, to clean up.
-        self.rounds = 2
-        self._spent -= (self.limits.inferences or 0) // 10
+        self.allowance_count = 2
+        self._entry_inferences -= (self.limits.inferences or 0) // 10
         self._deadline = None
-        self._memory = None
-        self._expired = None
+        self._max_memory = None
+        self._expired_entry = None
         return error
 
-    def _error(self, resource: str) -> LimitError:
+    def _limit_error(self, resource: str) -> LimitError:
         error = LimitError(resource_error(resource).term)
-        error.budget, error.what = self, resource
+        error.budget, error.limit_name = self, resource
         return error
 
 
@@ -700,18 +708,18 @@ class _NestedRun:
 _NESTED_RUN = _NestedRun()
 
 _ENTRY_ATTRIBUTES = (
-    "rounds",
-    "refused",
+    "allowance_count",
+    "refused_count",
     "needs_check",
-    "used",
+    "has_use",
     "_entry",
-    "_spent",
-    "_printed",
+    "_entry_inferences",
+    "_output_bytes",
     "_deadline",
-    "_memory",
-    "_out",
-    "stopped",
-    "left_out",
+    "_max_memory",
+    "_refusal_limit",
+    "pattern_stop",
+    "skipped_pattern_steps",
 )
 """Attributes of a budget that record the use of an entry."""
 

@@ -197,7 +197,7 @@ class NamedSlotParser(ParserStack):
     def _store_value(self) -> None:
         """Store the value of the slot that was just read."""
         bracket = self._close_operators()
-        bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_at)
+        bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_offset)
 
     def _close(self, bracket_kind: str) -> None:
         if self.brackets[-1][1] != SLOTS:
@@ -243,7 +243,7 @@ class NamedSlotParser(ParserStack):
             )
         else:
             self.left = atom(name)
-        self.left_at = start
+        self.left_offset = start
         self.left_priority = 0
         self.wants_operand = False
 

@@ -208,7 +208,7 @@ class Parser(NamedSlotParser):
         if infix is None and postfix is None:
             if self._is_declaration():
                 self.wants_operand = True
-                self._push_prefix(DECLARING, self.left_at)
+                self._push_prefix(DECLARING, self.left_offset)
                 return
             raise parser_stack.missing_operator_error(self, self.brackets[-1])
         self.position += 1

@@ -68,11 +68,11 @@ class ParserState:
         self.patterns: Optional[OperatorTable] = operators.patterns() if rules is not NO_RULES else None
         self.left: Term = NIL
         self.left_priority = 0
-        self.left_at = 0
+        self.left_offset = 0
         self.wants_operand = True
         self.argument_limit = 999 if flags.iso else 1200
 
-    def text_at(self, start: int) -> str:
+    def token_text(self, start: int) -> str:
         """Return the text of the token that begins at an offset."""
         for token in self.tokens:
             if token[2] == start:
@@ -108,9 +108,9 @@ def missing_operand_error(parser: ParserState, innermost: List[Any]) -> SyntaxFa
     shown_token = shown(token, parser.source.text)
     bracket_kind = innermost[1]
     if bracket_kind == parser.INFIX:
-        message = f'expected the right argument of "{parser.text_at(innermost[5])}" before {shown_token}'
+        message = f'expected the right argument of "{parser.token_text(innermost[5])}" before {shown_token}'
     elif bracket_kind == parser.PREFIX:
-        message = f'expected the argument of "{parser.text_at(innermost[3])}" before {shown_token}'
+        message = f'expected the argument of "{parser.token_text(innermost[3])}" before {shown_token}'
     elif token[0] == END and innermost[2] is None:
         message = "expected a clause before the full stop"
     else:
@@ -231,7 +231,7 @@ def priority_clash_error(
         start: the offset of the operator.
         outer_operator: the operator whose argument it should be; None if its own left argument has too high priority.
     """
-    name = parser.text_at(start)
+    name = parser.token_text(start)
     left = parser.left[0].name if parser.left.__class__ is tuple else ""
     necks = _PROLOG_NECKS | EVENT_SYNTAX.arrows
     if operator.functor.name in necks and (outer_operator or left in necks):
@@ -291,7 +291,7 @@ class ParserStack(ParserState):
     def _set_left(self, term: Term, start: int) -> None:
         self.left = term
         self.left_priority = 0
-        self.left_at = start
+        self.left_offset = start
         self.wants_operand = False
 
     def _push_prefix(self, operator: Operator, start: int) -> None:
@@ -359,7 +359,7 @@ class ParserStack(ParserState):
 
     def _apply_postfix(self, operator: Operator, start: int) -> None:
         self._reduce_until_fits(operator, "", start)
-        self._build((operator.functor, self.left), start, (self.left_at,))
+        self._build((operator.functor, self.left), start, (self.left_offset,))
         self.left_priority = operator.priority
 
     def _push_infix(self, operator: Operator, name: str, start: int) -> None:
@@ -369,7 +369,7 @@ class ParserStack(ParserState):
             operator = self._reduce_until_fits(operator, name, start)
         if self.table is self.patterns and operator.functor in _RULE_NECKS:
             raise priority_clash_error(self, operator, start, self.operators.infix.get("<-", operator))
-        self.stack.append((operator.right, INFIX, operator, self.left, self.left_at, start, self.table))
+        self.stack.append((operator.right, INFIX, operator, self.left, self.left_offset, start, self.table))
         self.wants_operand = True
         if self.patterns is not None:
             self._switch_table(operator, label)
@@ -388,13 +388,13 @@ class ParserStack(ParserState):
         top = self.stack.pop()
         operator = top[2]
         if top[1] == INFIX:
-            left_at = top[4]
-            self._build((operator.functor, top[3], self.left), top[5], (left_at, self.left_at))
-            self.left_at = left_at
+            left_offset = top[4]
+            self._build((operator.functor, top[3], self.left), top[5], (left_offset, self.left_offset))
+            self.left_offset = left_offset
             self.table = top[6]
         else:
-            self._build((operator.functor, self.left), top[3], (self.left_at,))
-            self.left_at = top[3]
+            self._build((operator.functor, self.left), top[3], (self.left_offset,))
+            self.left_offset = top[3]
             self.table = top[4]
         self.left_priority = operator.priority
 
@@ -436,7 +436,7 @@ class ParserStack(ParserState):
     def _add_item(self, bracket: List[Any]) -> None:
         bracket[4].append(self.left)
         if self.offsets is not None:
-            bracket[5].append(self.left_at)
+            bracket[5].append(self.left_offset)
 
     def _bar(self, start: int) -> None:
         if self.brackets[-1][1] == LIST:
@@ -467,8 +467,8 @@ class ParserStack(ParserState):
         self.table = bracket[3]
         if bracket[1] == GROUP:
             if bracket_kind == "}":
-                self._build((_CURLY, self.left), bracket[4], (self.left_at,))
-            self.left_at = bracket[4]
+                self._build((_CURLY, self.left), bracket[4], (self.left_offset,))
+            self.left_offset = bracket[4]
         else:
             self._add_item(bracket)
             if bracket[1] == LIST:
@@ -483,9 +483,9 @@ class ParserStack(ParserState):
         for item in reversed(items):
             term = (CONS, item, term)
         self._build(term, self.tokens[bracket[2]][2], tuple(bracket[5]))
-        self.left_at = self.tokens[bracket[2]][2]
+        self.left_offset = self.tokens[bracket[2]][2]
 
     def _close_arguments(self, bracket: List[Any]) -> None:
         items = bracket[4]
         self._build((functor(bracket[6], len(items)), *items), bracket[7], tuple(bracket[5]))
-        self.left_at = bracket[7]
+        self.left_offset = bracket[7]

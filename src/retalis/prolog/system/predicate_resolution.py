@@ -211,7 +211,7 @@ class PredicateTable:
 
         retry = Code(str(key), resume)
         retry.functor = key
-        retry.dropped = _close_generator
+        retry.on_drop = _close_generator
 
         def call(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
             solutions: Any = function(machine, *args)

@@ -378,12 +378,12 @@ class MachineState(NamedTuple):
 
 def state_of(machine: Machine) -> MachineState:
     """Return the current position of a machine."""
-    return MachineState(len(machine.choices), len(machine.trail), machine.budget.state())
+    return MachineState(len(machine.choices), len(machine.trail), machine.budget.snapshot())
 
 
 def go_back(machine: Machine, state: Optional[MachineState]) -> None:
     """Return a machine to an earlier position, or to its idle one if it is None, and unwind the guards above it."""
-    height, mark = machine.idle if state is None else state[:2]
+    height, mark = machine.idle_lengths if state is None else state[:2]
     budget, choices = machine.budget, machine.choices
     while len(choices) > height:
         entry = choices[-1]
@@ -499,7 +499,7 @@ class PrologSystem(PredicateTable):
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        self.machine.budget.allow(limits)
+        self.machine.budget.set_limits(limits)
 
     # Clients
 
