@@ -24,7 +24,7 @@ from rosgraph_msgs.msg import Log
 
 HERE = Path(__file__).resolve().parent
 sys.path += [str(HERE.parent), str(HERE.parent / "ros")]
-from fuzz.mutate import changed_bytes  # noqa: E402
+from fuzz.mutate import mutate_bytes  # noqa: E402
 from harness import Collector, wait_for_message_path, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
@@ -409,7 +409,7 @@ class Attacks(unittest.TestCase):
                     body = (
                         request(chance)
                         if chance.random() < 0.5
-                        else changed_bytes(chance, chance.choice(VALID), VALID)
+                        else mutate_bytes(chance, chance.choice(VALID), VALID)
                     )
                 else:
                     body = bodies[number]

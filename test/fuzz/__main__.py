@@ -32,7 +32,8 @@ def arguments(argv):
 def show(campaign, save=None):
     """Print what a campaign has found; save the inputs."""
     print(
-        f"{campaign.kind}: {campaign.done} inputs, {campaign.taken} steps taken, {campaign.refused} refused, "
+        f"{campaign.kind}: {campaign.done} inputs, {campaign.accepted_count} steps taken, "
+        f"{campaign.refused_count} refused, "
         f"slowest {campaign.slowest:.2f} s, at most {campaign.peak} MB, {len(campaign.counted)} findings, "
         f"{len(campaign.known)} known",
         flush=True,

@@ -1,4 +1,4 @@
-"""Many inputs of a kind, in processes that may die of them, and what was found."""
+"""Campaigns: many inputs of a kind in worker processes, and their findings."""
 
 import json
 import os
@@ -14,31 +14,32 @@ from pathlib import Path
 from .known_findings import reason
 
 HERE = Path(__file__).resolve().parent
-STILL = 10.0
-"""Seconds of CPU time on one input after which its process is ended: no handler could end the work."""
+MAX_INPUT_CPU_SECONDS = 10.0
+"""CPU seconds of one input after which its process is killed, because no handler could end it."""
 
-BLOCKED = 60.0
-"""Seconds on one input, worked on or not, after which its process is ended."""
+MAX_INPUT_SECONDS = 60.0
+"""Seconds of one input after which its process is killed."""
 
-LOOK = 0.5
-"""Seconds between two looks at a process."""
+POLL_INTERVAL_SECONDS = 0.5
+"""Seconds between two checks of a process."""
 
-DEATHS = 30
-"""Processes that may die before a campaign is given up."""
+MAX_DEATHS = 30
+"""Number of processes that may die before a campaign ends."""
 
 FOLDER = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-"""Where inputs lie that have to be files: in memory where that is possible."""
+"""Folder of inputs that must be files: in memory if possible."""
 
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Campaign:
-    """A run over inputs of one kind.
+    """Run over inputs of one kind.
 
     Attributes:
-        findings: by their keys, the first input of each with the number of all.
-        done: how many inputs were worked on.
-        taken, refused: steps that ended well, and with a documented error.
+        findings: the first input of each finding with the number of its inputs, by key.
+        done: number of processed inputs.
+        accepted_count: number of steps without an error.
+        refused_count: number of steps with a documented error.
         slowest: seconds of CPU time of the slowest input.
     """
 
@@ -46,12 +47,12 @@ class Campaign:
         self.kind = kind
         self.seed = seed
         self.findings = {}
-        self.done = self.taken = self.refused = self.deaths = self.peak = 0
+        self.done = self.accepted_count = self.refused_count = self.deaths = self.peak = 0
         self.slowest = 0.0
         self._lock = threading.Lock()
 
     def run(self, inputs, jobs=1, minutes=0.0, first=0):
-        """Work on inputs from a number on, so many processes at a time."""
+        """Process inputs from a number on, with several processes at a time."""
         end = time.monotonic() + 60 * minutes if minutes else None
         share = -(-inputs // jobs)
         parts = [
@@ -67,25 +68,25 @@ class Campaign:
         self._confirm()
 
     def replay(self, first, number):
-        """Work on the inputs of a block up to a number."""
+        """Process the inputs of a block up to a number."""
         self._part(first, number - first + 1, None)
 
     def file(self, path):
-        """Work on an input in a file."""
+        """Process an input in a file."""
         with tempfile.TemporaryDirectory(prefix="fuzz", dir=FOLDER) as scratch:
             _Process(self, scratch, ["file", str(Path(path).resolve())]).wait()
 
     def found(self, line):
-        """Take a finding."""
+        """Add a finding."""
         with self._lock:
             known = self.findings.setdefault(line["key"], dict(line, times=0))
             known["times"] += 1
 
     def add(self, figures):
-        """Take the figures of a process that has come to its end."""
+        """Add the counts of a process that has ended."""
         with self._lock:
-            self.taken += figures["taken"]
-            self.refused += figures["refused"]
+            self.accepted_count += figures["taken"]
+            self.refused_count += figures["refused"]
             self.slowest = max(self.slowest, figures["slowest"])
             self.peak = max(self.peak, figures["peak"])
 
@@ -99,12 +100,12 @@ class Campaign:
             with self._lock:
                 self.done += process.done if died_at is None else max(0, died_at - first + 1)
                 self.deaths += died_at is not None
-            if died_at is None or self.deaths > DEATHS or (end is not None and time.monotonic() > end):
+            if died_at is None or self.deaths > MAX_DEATHS or (end is not None and time.monotonic() > end):
                 return
             first = max(first, died_at) + 1
 
     def _confirm(self):
-        """Leave out what took long or much only once: another process may have held up the machine."""
+        """Mark findings of time and memory that do not recur: another process may have slowed down the machine."""
         for line in list(self.findings.values()):
             if line["what"] in ("time", "growth") and not known_reason(line):
                 again = Campaign(self.kind, self.seed)
@@ -124,7 +125,7 @@ class Campaign:
 
 
 def known_reason(line):
-    """Return why a finding is known, or an empty text."""
+    """Return the reason why a finding is known, or ""."""
     return reason(line["kind"], line["what"], f"{line['where']} {line['detail']}")
 
 
@@ -206,15 +207,15 @@ class _Process:
         last, since, used = None, time.monotonic(), 0.0
         while True:
             try:
-                self._process.wait(LOOK)
+                self._process.wait(POLL_INTERVAL_SECONDS)
                 return
             except subprocess.TimeoutExpired:
                 pass
             at, now, cpu = self._at(), time.monotonic(), self._cpu()
             if at != last or at[0] < 0:
                 last, since, used = at, now, cpu
-            elif cpu - used > STILL or now - since > BLOCKED:
-                self._killed = "hang" if cpu - used > STILL else "blocked"
+            elif cpu - used > MAX_INPUT_CPU_SECONDS or now - since > MAX_INPUT_SECONDS:
+                self._killed = "hang" if cpu - used > MAX_INPUT_CPU_SECONDS else "blocked"
                 self._process.send_signal(signal.SIGABRT)  # faulthandler tells where it is
                 return
 

@@ -20,60 +20,60 @@ NUMBERS = (
 TOKENS = list("()[]{},|.'\"`\\;:!%/*-+<>=@#&^~?_$ \n\t\r0123456789abcXYZé∀\0\u2028\U0001f600")
 
 
-def changed_bytes(chance, data, others):
-    """Return bytes with a few changes: bits, numbers, lengths, pieces left out, doubled or of another input."""
+def mutate_bytes(rng, data, others):
+    """Return bytes with a few changes: bits, numbers and lengths; pieces that are removed, repeated or inserted."""
     data = bytearray(data)
-    for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
-        at = chance.randrange(len(data) + 1)
-        what = chance.randrange(9)
-        if what == 0 and data:
-            data[at % len(data)] ^= 1 << chance.randrange(8)
-        elif what == 1 and data:
-            data[at % len(data)] = chance.choice(NUMBERS) & 0xFF
-        elif what <= 4:
-            start = at - at % 4 if what == 2 else at
-            number = chance.choice(NUMBERS) if chance.random() < 0.7 else chance.randrange(2 * len(data) + 1)
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
+        position = rng.randrange(len(data) + 1)
+        choice = rng.randrange(9)
+        if choice == 0 and data:
+            data[position % len(data)] ^= 1 << rng.randrange(8)
+        elif choice == 1 and data:
+            data[position % len(data)] = rng.choice(NUMBERS) & 0xFF
+        elif choice <= 4:
+            start = position - position % 4 if choice == 2 else position
+            number = rng.choice(NUMBERS) if rng.random() < 0.7 else rng.randrange(2 * len(data) + 1)
             data[start : start + 4] = number.to_bytes(4, "little")
-        elif what == 5:
-            del data[at : at + chance.choice((1, 4, 8, 40))]
-        elif what == 6:
-            del data[at:]
-        elif what == 7:
-            data[at:at] = data[chance.randrange(len(data) + 1) :][: chance.choice((1, 4, 8, 100))]
+        elif choice == 5:
+            del data[position : position + rng.choice((1, 4, 8, 40))]
+        elif choice == 6:
+            del data[position:]
+        elif choice == 7:
+            data[position:position] = data[rng.randrange(len(data) + 1) :][: rng.choice((1, 4, 8, 100))]
         else:
-            other = chance.choice(others)
-            start = chance.randrange(len(other) + 1)
-            data[at:at] = other[start : start + chance.choice((1, 4, 16, 200))]
+            other = rng.choice(others)
+            start = rng.randrange(len(other) + 1)
+            data[position:position] = other[start : start + rng.choice((1, 4, 16, 200))]
     return bytes(data)
 
 
-def changed_text(chance, text, others, tokens=()):
-    """Return a text with a few changes: tokens put in, pieces left out, moved, doubled or of another text."""
+def mutate_text(rng, text, others, tokens=()):
+    """Return a text with a few changes: inserted tokens; pieces that are removed, moved, repeated or inserted."""
     text = list(text)
-    for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
-        at = chance.randrange(len(text) + 1)
-        what = chance.random()
-        if what < 0.4:
-            own = tokens and chance.random() < 0.6
-            text[at:at] = chance.choice(tokens if own else TOKENS)
-        elif what < 0.65:
-            del text[at : at + chance.choice((1, 1, 2, 4, 12))]
-        elif what < 0.8:
-            end = at + chance.randint(1, 12)
-            other = chance.randrange(len(text) + 1)
-            text[other:other] = text[at:end]
-        elif what < 0.95:
-            other = chance.choice(others)
-            start = chance.randrange(len(other) + 1)
-            text[at:at] = other[start : start + chance.choice((1, 4, 12, 40))]
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
+        position = rng.randrange(len(text) + 1)
+        choice = rng.random()
+        if choice < 0.4:
+            use_own_tokens = tokens and rng.random() < 0.6
+            text[position:position] = rng.choice(tokens if use_own_tokens else TOKENS)
+        elif choice < 0.65:
+            del text[position : position + rng.choice((1, 1, 2, 4, 12))]
+        elif choice < 0.8:
+            end = position + rng.randint(1, 12)
+            other = rng.randrange(len(text) + 1)
+            text[other:other] = text[position:end]
+        elif choice < 0.95:
+            other = rng.choice(others)
+            start = rng.randrange(len(other) + 1)
+            text[position:position] = other[start : start + rng.choice((1, 4, 12, 40))]
         else:
-            text[at : at + 1] = text[at : at + 1] * chance.choice((2, 20, 300))
+            text[position : position + 1] = text[position : position + 1] * rng.choice((2, 20, 300))
     return "".join(text)
 
 
-def soup(chance, tokens, most=25):
-    """Return a text of tokens."""
-    return "".join(chance.choice(tokens) for _ in range(chance.randint(1, most)))
+def random_tokens(rng, tokens, max_tokens=25):
+    """Return a text of random tokens."""
+    return "".join(rng.choice(tokens) for _ in range(rng.randint(1, max_tokens)))
 
 
 def to_bytes(text):

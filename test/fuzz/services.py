@@ -7,7 +7,7 @@ from retalis import Definitions
 
 from .kinds.base import ARGUMENTS, corpus
 from .kinds.messages import valid
-from .mutate import changed_bytes, changed_text, soup, to_text
+from .mutate import mutate_bytes, mutate_text, random_tokens, to_text
 
 EVENTS = (
     "a(X)",
@@ -105,43 +105,43 @@ class Inputs:
         header = next(one for one in self.headers if one["type"] == "fuzz/A")
         self.definition = self.known.add("fuzz/A", header["message_definition"])
 
-    def chance(self, kind, number):
+    def rng(self, kind, number):
         """Return the generator for an input."""
         return random.Random(f"{kind} {self.seed} {number}")
 
     def request(self, number):
         """Return a service and the texts of its fields."""
-        chance = self.chance("request", number)
-        name = chance.choice(sorted(FIELDS))
-        return name, [self._field(chance, texts) for texts in FIELDS[name]]
+        rng = self.rng("request", number)
+        name = rng.choice(sorted(FIELDS))
+        return name, [self._field(rng, texts) for texts in FIELDS[name]]
 
-    def _field(self, chance, texts):
-        what = chance.random()
+    def _field(self, rng, texts):
+        what = rng.random()
         if what < 0.75:
-            return chance.choice(texts)
+            return rng.choice(texts)
         if what < 0.8:
-            return soup(chance, PIECES)
+            return random_tokens(rng, PIECES)
         if what < 0.85:
-            return chance.choice(ARGUMENTS)
-        return changed_text(chance, chance.choice(texts), texts, PIECES)
+            return rng.choice(ARGUMENTS)
+        return mutate_text(rng, rng.choice(texts), texts, PIECES)
 
     def text(self, number):
         """Return a text for one of the String topics."""
-        chance = self.chance("text", number)
-        if chance.random() < 0.3:
-            return f"event({chance.choice('ab')}({chance.choice(ARGUMENTS)}))"
-        return changed_text(chance, chance.choice(self.events), self.events, PIECES)
+        rng = self.rng("text", number)
+        if rng.random() < 0.3:
+            return f"event({rng.choice('ab')}({rng.choice(ARGUMENTS)}))"
+        return mutate_text(rng, rng.choice(self.events), self.events, PIECES)
 
     def message(self, number):
         """Return bytes for a topic of type ``fuzz/A``."""
-        chance = self.chance("message", number)
-        data = valid(chance, self.definition)
-        return data if chance.random() < 0.3 else changed_bytes(chance, data, [data])
+        rng = self.rng("message", number)
+        data = valid(rng, self.definition)
+        return data if rng.random() < 0.3 else mutate_bytes(rng, data, [data])
 
     def header(self, number):
         """Return type, definition and checksum as a publisher may send them."""
-        chance = self.chance("header", number)
-        header = dict(chance.choice(self.headers))
-        field = chance.choice(("type", "message_definition", "md5sum"))
-        header[field] = changed_text(chance, header[field], [header[field]], PIECES)
+        rng = self.rng("header", number)
+        header = dict(rng.choice(self.headers))
+        field = rng.choice(("type", "message_definition", "md5sum"))
+        header[field] = mutate_text(rng, header[field], [header[field]], PIECES)
         return header["type"], header["message_definition"], header["md5sum"]

@@ -44,5 +44,5 @@ def test_nothing_is_found(kind, monkeypatch):
     ]
     assert not shown, "\n".join(shown)
     assert campaign.done == inputs
-    assert campaign.taken > inputs // 50
-    assert campaign.refused > inputs // 50
+    assert campaign.accepted_count > inputs // 50
+    assert campaign.refused_count > inputs // 50

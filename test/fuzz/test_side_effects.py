@@ -87,7 +87,11 @@ def test_the_same_number_makes_the_same_input():
     one, two = Campaign("texts", 3), Campaign("texts", 3)
     one.run(200, 1)
     two.run(200, 2)
-    assert (one.done, one.taken, one.refused) == (two.done, two.taken, two.refused)
+    assert (one.done, one.accepted_count, one.refused_count) == (
+        two.done,
+        two.accepted_count,
+        two.refused_count,
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
-"""Works on inputs one after the other, in a process of its own that may die of them.
+"""Worker process that processes inputs one after the other, and may die of one.
 
-It writes a line of JSON for each finding, and a last one with figures. Where it is goes into a small file, so
-that who started it knows the input of which it has died.
+It writes a line of JSON for each finding, and finally one with counts. It stores the number of the current input in a
+small file, so that its parent knows the input that has killed it.
 """
 
 import faulthandler
@@ -19,125 +19,125 @@ from pathlib import Path
 from .kinds import kind_of
 from .side_effects import Finding, Watch, raised_at
 
-ADDRESSES = 3 << 30
-"""Bytes of address space: an input that wants all memory gets a `MemoryError`, not the machine."""
+MAX_ADDRESS_SPACE_BYTES = 3 << 30
+"""Maximum address space in bytes: an input that needs more raises `MemoryError`."""
 
-SAME = 3
-"""Inputs that are told of one finding; of the others only the number."""
+MAX_REPORTED_INPUTS = 3
+"""Maximum number of inputs that are reported for one finding; further ones are counted."""
 
-WARM = 2000
-"""Inputs after which the memory of a process should not grow any more."""
+WARM_UP_INPUTS = 2000
+"""Number of inputs after which the memory of a process should be constant."""
 
-LEAK = 50 << 20
-"""Bytes by which it may all the same."""
+MAX_LEAK_BYTES = 50 << 20
+"""Maximum growth of the memory after `WARM_UP_INPUTS` in bytes."""
 
-LONGEST = 8
-"""Seconds of CPU time after which a process for one input is ended."""
+MAX_CPU_SECONDS = 8
+"""Maximum CPU time of a process for one input, in seconds."""
 
-COLLECT = 16
-"""Blocks from one collection of garbage to the next."""
+BLOCKS_PER_COLLECTION = 16
+"""Number of blocks between two garbage collections."""
 
-FRESH = 50
-"""Inputs of the corpus that are worked on before the watch begins, so that what they import and cache is there."""
+MAX_WARM_UP_INPUTS = 50
+"""Maximum number of inputs that are processed before side effects are checked, because they import and cache."""
 
 
 class Worker:
-    """Works on the inputs of a kind.
+    """Worker for the inputs of a kind.
 
     Args:
         name: the kind.
-        seed: with the number of an input it makes what that is.
-        tell: takes each finding, as a dictionary.
-        progress: a file that takes the number of the input that is worked on, and when its block began.
+        seed: determines the inputs, together with their numbers.
+        report: receives each finding, as a dictionary.
+        progress: file descriptor for the number of the current input and of the first one of its block.
     """
 
-    def __init__(self, name, seed, scratch, tell, progress=None):
+    def __init__(self, name, seed, scratch, report, progress=None):
         self.name = name
         self.seed = seed
         self.kind = kind_of(name)(Path(scratch))
-        self.watch = Watch(scratch, self.kind.reads, self.kind.seconds, self.kind.growth)
-        self.tell = tell
+        self.watch = Watch(scratch, self.kind.may_read_files, self.kind.seconds, self.kind.max_growth)
+        self.report = report
         self.progress = progress
-        self.chance = random.Random()
-        self.since = 0
-        self.done = 0
-        self.told = {}
+        self.rng = random.Random()
+        self.block_start = 0
+        self.processed_count = 0
+        self.report_counts = {}
 
     def warm_up(self):
-        """Import and compile what is needed, and begin to watch."""
-        self.kind.begin()
-        for data in self.kind.corpus[:FRESH] if self.kind.warm else ():
+        """Process some inputs of the corpus, then start to check side effects."""
+        self.kind.reset()
+        for data in self.kind.corpus[:MAX_WARM_UP_INPUTS] if self.kind.may_warm_up else ():
             self.kind.prepare(data)
             try:
                 self.kind.run(data)
-            except Exception:  # it is worked on again, watched
-                self.kind.begin()
-        self.kind.taken = self.kind.refused = 0
+            except Exception:  # the input is processed again, with checks
+                self.kind.reset()
+        self.kind.accepted_count = self.kind.refused_count = 0
         gc.collect()
         gc.freeze()
         self.watch.install()
 
-    def input(self, number):
-        """Return the input of a number: first those of the corpus."""
+    def get_input(self, number):
+        """Return the input with a number; the first ones are those of the corpus."""
         if number < len(self.kind.corpus):
             return self.kind.corpus[number]
-        self.chance.seed(f"{self.name} {self.seed} {number}")
-        return self.kind.make(self.chance)
+        self.rng.seed(f"{self.name} {self.seed} {number}")
+        return self.kind.generate(self.rng)
 
     def run(self, numbers, until=None):
-        """Work on the inputs of some numbers."""
+        """Process the inputs with some numbers."""
         resident, base = self.watch.resident, None
         for number in numbers:
-            if number % self.kind.block == 0 or number == numbers[0]:
+            if number % self.kind.block_size == 0 or number == numbers[0]:
                 if until is not None and time.monotonic() > until:
                     break
-                self.begin(number)
-            self.work(number, self.input(number))
-            self.done += 1
-            if self.done == WARM:
+                self.begin_block(number)
+            self.process(number, self.get_input(number))
+            self.processed_count += 1
+            if self.processed_count == WARM_UP_INPUTS:
                 gc.collect()
                 base = resident()
         if base is not None:
-            self.kind.begin()
+            self.kind.reset()
             gc.collect()
-            grown = resident() - base
-            if grown > LEAK:
-                text = f"{grown >> 20} MB in {self.done - WARM} inputs"
-                self.found(numbers[-1], b"", Finding("leak", text, self.name))
+            growth = resident() - base
+            if growth > MAX_LEAK_BYTES:
+                text = f"{growth >> 20} MB in {self.processed_count - WARM_UP_INPUTS} inputs"
+                self.report_finding(numbers[-1], b"", Finding("leak", text, self.name))
 
-    def begin(self, number):
-        """Begin a block: nothing that inputs before have left counts."""
-        if number // self.kind.block % COLLECT == 0:
+    def begin_block(self, number):
+        """Begin a block with new objects, so that earlier inputs have no influence."""
+        if number // self.kind.block_size % BLOCKS_PER_COLLECTION == 0:
             gc.collect()
-        self.since = number
-        self.kind.begin()
+        self.block_start = number
+        self.kind.reset()
 
-    def work(self, number, data):
-        """Work on an input, and tell what it did that it must not."""
+    def process(self, number, data):
+        """Process an input and report its problem."""
         if self.progress is not None:
             subject = self.kind.subject(data).encode()
-            os.pwrite(self.progress, struct.pack("<qq80s", number, self.since, subject), 0)
-        problem = self.problem(data)
+            os.pwrite(self.progress, struct.pack("<qq80s", number, self.block_start, subject), 0)
+        problem = self.find_problem(data)
         if problem is not None:
-            self.found(number, data, problem)
-            self.begin(number + 1)
+            self.report_finding(number, data, problem)
+            self.begin_block(number + 1)
 
-    def problem(self, data):
-        """Work on an input; return what it did that it must not, or None."""
-        return self._apart(data) if self.kind.apart else self._problem(data)
+    def find_problem(self, data):
+        """Process an input; return its problem, or None."""
+        return self._process_isolated(data) if self.kind.is_isolated else self._process(data)
 
-    def _apart(self, data):
-        """Do the same in a process of its own."""
+    def _process_isolated(self, data):
+        """Process an input in a separate process; return its problem, or None."""
         read, write = os.pipe()
         child = os.fork()
         if not child:
-            resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
+            resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_SECONDS, MAX_CPU_SECONDS))
             self.watch.start_timer()
-            before = self.kind.taken, self.kind.refused
-            problem = self._problem(data)
-            steps = self.kind.taken - before[0], self.kind.refused - before[1]
-            told = None if problem is None else problem.args
-            os.write(write, json.dumps((told, steps, self.watch.slowest)).encode())
+            before = self.kind.accepted_count, self.kind.refused_count
+            problem = self._process(data)
+            steps = self.kind.accepted_count - before[0], self.kind.refused_count - before[1]
+            finding = None if problem is None else problem.args
+            os.write(write, json.dumps((finding, steps, self.watch.slowest)).encode())
             os._exit(0)
         os.close(write)
         with os.fdopen(read, "rb") as answer:
@@ -146,16 +146,16 @@ class Worker:
         if not text:
             what = "time" if os.WTERMSIG(status) == signal.SIGXCPU else "died"
             return Finding(what, f"status {status}", self.kind.subject(data))
-        told, (taken, refused), slowest = json.loads(text)
-        self.kind.taken += taken
-        self.kind.refused += refused
+        finding, (accepted, refused), slowest = json.loads(text)
+        self.kind.accepted_count += accepted
+        self.kind.refused_count += refused
         self.watch.slowest = max(self.watch.slowest, slowest)
-        return None if told is None else Finding(*told)
+        return None if finding is None else Finding(*finding)
 
-    def _problem(self, data):
+    def _process(self, data):
         kind = self.kind
         kind.prepare(data)
-        self.watch.mark = kind.marked(data)
+        self.watch.mark = kind.marker_of(data)
         try:
             with self.watch.input():
                 kind.run(data)
@@ -167,14 +167,14 @@ class Worker:
             )
         return None
 
-    def found(self, number, data, problem):
-        """Tell a finding, shortened where that is simple."""
+    def report_finding(self, number, data, problem):
+        """Report a finding, with a shortened input if possible."""
         where, detail = problem.where, problem.detail
         subject = self.kind.subject(data) if problem.what in ("time", "growth") else ""
         if subject:  # one finding for each subject, wherever the watch interrupted the work
             where, detail = subject, f"{detail} at {where}"
         key = f"{problem.what} {where} {'' if subject else detail.split(':')[0][:40]}"
-        times = self.told[key] = self.told.get(key, 0) + 1
+        times = self.report_counts[key] = self.report_counts.get(key, 0) + 1
         line = {
             "key": key,
             "what": problem.what,
@@ -183,17 +183,17 @@ class Worker:
             "kind": self.name,
             "seed": self.seed,
             "number": number,
-            "since": self.since,
-            "again": times > SAME,
+            "since": self.block_start,
+            "again": times > MAX_REPORTED_INPUTS,
         }
-        if times <= SAME:
-            small = self.shortened(data, problem) if times == 1 else data
+        if times <= MAX_REPORTED_INPUTS:
+            small = self.shorten(data, problem) if times == 1 else data
             line["input"] = small.hex()
-        self.tell(line)
+        self.report(line)
 
-    def shortened(self, data, problem, most=300):
-        """Return a shorter input that does the same by itself, where one is found by leaving out pieces."""
-        if problem.what in ("time", "growth", "leak") or not self.same(data, problem):
+    def shorten(self, data, problem, most=300):
+        """Return a shorter input with the same problem, found by removing pieces."""
+        if problem.what in ("time", "growth", "leak") or not self.has_same_problem(data, problem):
             return data
         size = len(data) // 2
         while size and most:
@@ -201,50 +201,50 @@ class Worker:
             while at < len(data) and most:
                 most -= 1
                 shorter = data[:at] + data[at + size :]
-                if self.same(shorter, problem):
+                if self.has_same_problem(shorter, problem):
                     data = shorter
                 else:
                     at += size
             size //= 2
         return data
 
-    def same(self, data, problem):
-        """Tell whether an input by itself leads to the same problem."""
-        self.kind.begin()
-        found = self.problem(data)
+    def has_same_problem(self, data, problem):
+        """Return whether an input alone causes the same problem."""
+        self.kind.reset()
+        found = self.find_problem(data)
         return found is not None and (found.what, found.where) == (problem.what, problem.where)
 
 
 def main(argv):
-    """Work on what the command line says: kind, seed, scratch folder, first number, count, seconds; or a file."""
+    """Process the inputs of the command line: kind, seed, scratch folder, first number, count, seconds; or a file."""
     name, seed, scratch = argv[0], int(argv[1]), argv[2]
     faulthandler.enable()
     lines = os.fdopen(os.dup(1), "w", encoding="ascii")
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
-    resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_ADDRESS_SPACE_BYTES, MAX_ADDRESS_SPACE_BYTES))
     os.chdir(scratch)
     progress = os.open(os.path.join(scratch, "progress"), os.O_RDWR | os.O_CREAT)
 
-    def tell(line):
+    def report(line):
         print(json.dumps(line), file=lines, flush=True)
 
-    worker = Worker(name, seed, scratch, tell, progress)
+    worker = Worker(name, seed, scratch, report, progress)
     worker.warm_up()
     if argv[3] == "file":
-        worker.begin(0)
-        worker.work(0, Path(argv[4]).read_bytes())
+        worker.begin_block(0)
+        worker.process(0, Path(argv[4]).read_bytes())
     else:
         first, count, seconds = int(argv[3]), int(argv[4]), float(argv[5])
         until = time.monotonic() + seconds if seconds else None
         worker.run(range(first, first + count), until)
     watch, kind = worker.watch, worker.kind
-    tell(
+    report(
         {
-            "done": worker.done,
-            "taken": kind.taken,
-            "refused": kind.refused,
+            "done": worker.processed_count,
+            "taken": kind.accepted_count,
+            "refused": kind.refused_count,
             "slowest": watch.slowest,
             "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10,
         }

@@ -5,7 +5,7 @@ import os
 from retalis import Playback
 from retalis.playback.bag_locations import MergedBag
 
-from ..mutate import changed_bytes
+from ..mutate import mutate_bytes
 from .base import LOGGED, SETTINGS, Kind
 
 TOPICS = """<publish_subscribe>
@@ -25,7 +25,7 @@ MEGABYTES = 8
 
 
 class Inputs(Kind):
-    block = 20
+    block_size = 20
 
     def setup(self):
         self.paths = {ending: self.scratch / f"fuzz{ending}" for _, ending in ENDINGS}
@@ -36,14 +36,14 @@ class Inputs(Kind):
         for name, text in (("pub_sub.xml", TOPICS), ("goalPredicates.txt", GOALS)):
             (self.scratch / name).write_text(text)
 
-    def begin(self):
+    def reset(self):
         self.playback = Playback(self.scratch, self.report, settings=SETTINGS)
 
     def report(self, error):
         str(error)
 
-    def make(self, chance):
-        return changed_bytes(chance, chance.choice(self.corpus), self.corpus)
+    def generate(self, rng):
+        return mutate_bytes(rng, rng.choice(self.corpus), self.corpus)
 
     def prepare(self, data):
         ending = next(ending for begin, ending in ENDINGS if data.startswith(begin))

@@ -18,7 +18,7 @@ else:
     get_typestore(Stores.ROS1_NOETIC)
 
 CORPUS = Path(__file__).resolve().parent.parent / "corpus"
-# An input is several events, each with the time twice where a program catches that it is over: all within a second.
+# An input is several events. Each may use the time limit twice if the program catches the error: all within a second.
 SETTINGS = Settings(
     limits=Limits(seconds=0.1, inferences=30_000, megabytes=30), max_depth=50, queue=100, folders=()
 )
@@ -28,110 +28,111 @@ ARGUMENTS = Path(__file__).with_name("arguments.txt").read_text(encoding="utf-8"
 
 
 class Kind:
-    """Makes inputs of one kind and feeds them to where the package takes them.
+    """Generator of the inputs of one kind, which also passes them to the package.
 
     An input is bytes. Those in the corpus are files, and the lines of ``seeds.txt``.
 
     Attributes:
-        block: how many inputs are worked on before `begin` makes everything anew.
-        reads: whether inputs may have files anywhere read.
-        seconds: CPU time that an input may take.
-        growth: bytes by which the resident memory may grow while an input is worked on.
-        warm: whether the corpus may be worked on before the watch begins.
-        apart: whether each input is worked on in a process of its own, so that memory that was freed before hides
-            no growth.
-        taken, refused: how many steps ended well, and how many with a documented error.
+        block_size: number of inputs after which `reset` creates the shared objects again.
+        may_read_files: whether inputs may read any file.
+        seconds: maximum CPU time of an input.
+        max_growth: maximum growth of the resident memory during an input, in bytes.
+        may_warm_up: whether inputs of the corpus may be processed before the side effects are checked.
+        is_isolated: whether each input is processed in a separate process, so that memory that was freed before
+            hides no growth.
+        accepted_count: number of steps without an error.
+        refused_count: number of steps with a documented error.
     """
 
-    block = 50
-    reads = False
-    warm = True
-    apart = False
+    block_size = 50
+    may_read_files = False
+    may_warm_up = True
+    is_isolated = False
     seconds = SECONDS
-    growth = GROWTH
+    max_growth = GROWTH
 
     def __init__(self, scratch):
         self.scratch = scratch
-        self.taken = self.refused = 0
+        self.accepted_count = self.refused_count = 0
         self.corpus = corpus(type(self).__module__.rpartition(".")[2])
         self.texts = [to_text(data) for data in self.corpus]
         self.setup()
 
     def setup(self):
-        """Prepare what all inputs share."""
+        """Create the objects that all inputs share and do not change."""
 
-    def begin(self):
-        """Make anew what inputs change."""
+    def reset(self):
+        """Create the objects that inputs change."""
 
-    def make(self, chance):
-        """Return an input."""
+    def generate(self, rng):
+        """Return a random input."""
         raise NotImplementedError
 
     def prepare(self, data):
-        """Do what is no work of the package, before the watch begins."""
+        """Do the work outside of the package, whose side effects are not checked."""
 
     def run(self, data):
-        """Work on an input; raises what does not belong to the documented errors."""
+        """Process an input; undocumented errors are raised."""
         raise NotImplementedError
 
-    def marked(self, data):
-        """Return the part of an input that must not come up in a source, or nothing."""
+    def marker_of(self, data):
+        """Return the part of an input that must not occur in generated source, or ""."""
         return ""
 
     def subject(self, data):
-        """Return the name under which findings of an input are collected, or nothing for the place in the package."""
+        """Return the name under which findings of an input are grouped; "" to group them by place in the package."""
         return ""
 
     def attempt(self, work, *arguments):
-        """Do a step that may end with a documented error; return its result or None."""
+        """Do a step that may raise a documented error; return its result or None."""
         try:
-            found = work(*arguments)
+            result = work(*arguments)
         except RetalisError as error:
             str(error)
             error.brief()
-            self.refused += 1
+            self.refused_count += 1
             return None
-        self.taken += 1
-        return found
+        self.accepted_count += 1
+        return result
 
 
 def corpus(kind):
     """Return the inputs in the corpus of a kind."""
-    found = []
+    inputs = []
     for path in sorted((CORPUS / kind).glob("*")):
         data = path.read_bytes()
-        found += data.splitlines() if path.name == "seeds.txt" else [data]
-    return found
+        inputs += data.splitlines() if path.name == "seeds.txt" else [data]
+    return inputs
 
 
-class Raised(logging.Handler):
-    """Raises an internal error that was logged instead of let out."""
+class InternalErrorCheck(logging.Handler):
+    """Handler that turns an internal error in the log into a finding."""
 
     def __init__(self):
         super().__init__()
-        self.found = None
+        self.logged_error = None
 
     def emit(self, record):
         text = record.getMessage()
         if "internal error" in text or record.exc_info:
-            self.found = text
+            self.logged_error = text
 
     def check(self):
-        text, self.found = self.found, None
+        text, self.logged_error = self.logged_error, None
         if text is not None:
             lines = text.strip().split("\n")
             places = [line.strip() for line in lines if "/retalis/" in line]
-            where = places[-1].split("/retalis/")[-1] if places else lines[0]
-            raise Finding("logged", f"{lines[-1]}", where)
+            place = places[-1].split("/retalis/")[-1] if places else lines[0]
+            raise Finding("logged", f"{lines[-1]}", place)
 
 
-LOGGED = Raised()
+LOGGED = InternalErrorCheck()
 log = logging.getLogger("retalis")
 log.addHandler(LOGGED)
 
 
-def silent_engine(settings=SETTINGS):
-    """Return an engine that prints nothing and raises what it would have logged as its own fault."""
+def create_silent_engine(settings=SETTINGS):
+    """Return an engine that prints nothing."""
     engine = Engine(settings=settings)
     engine.logic.output = engine.logic.error_output = lambda text: None
     return engine

@@ -7,9 +7,9 @@ from retalis import Reports, StreamClock
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage, read_checkpoint, resume
 from retalis.serialization.codec import from_bytes, to_bytes
 
-from ..mutate import changed_bytes
+from ..mutate import mutate_bytes
 from . import states
-from .base import LOGGED, SETTINGS, silent_engine
+from .base import LOGGED, SETTINGS, create_silent_engine
 
 SCHEMAS = (
     "DROP TABLE records; CREATE VIEW records AS WITH RECURSIVE x(memory, first, number, data, checked) AS "
@@ -46,7 +46,7 @@ class Inputs(states.Inputs):
         (self.folder / "goalPredicates.txt").write_text("memorize(a(X), [], X, as, 5)\n")
         (self.folder / "pub_sub.xml").write_text("<xml></xml>\n")
         self.path = self.scratch / "state.db"
-        engine = silent_engine()
+        engine = create_silent_engine()
         engine.load_program(self.folder)
         engine.load(states.PROGRAMS[0][0])
         kept = Checkpointer(engine, CheckpointStorage(self.path), self.folder, Reports(), 0.5)
@@ -55,26 +55,26 @@ class Inputs(states.Inputs):
             kept.write()
         kept.stop()
         self.database = self.path.read_bytes()
-        LOGGED.found = None
+        LOGGED.logged_error = None
 
-    def make(self, chance):
-        what = chance.random()
+    def generate(self, rng):
+        what = rng.random()
         if what < 0.3:
-            return changed_bytes(chance, self.database, [self.database])
+            return mutate_bytes(rng, self.database, [self.database])
         self.path.write_bytes(self.database)
         base = sqlite3.connect(str(self.path), isolation_level=None)
         base.execute("PRAGMA journal_mode = DELETE")
         if what < 0.4:
-            base.executescript(chance.choice(SCHEMAS))
+            base.executescript(rng.choice(SCHEMAS))
         else:
-            table = chance.choice(("sections", "sections", "records"))
+            table = rng.choice(("sections", "sections", "records"))
             rows = base.execute(f"SELECT rowid, data FROM {table} ORDER BY rowid").fetchall()
-            at, data = chance.choice(rows)
+            at, data = rng.choice(rows)
             if what < 0.55:
-                data = changed_bytes(chance, data, [data])
+                data = mutate_bytes(rng, data, [data])
             else:
                 found = from_bytes(data)
-                data = to_bytes(self.changed(chance, found, self.places(found)))
+                data = to_bytes(self.changed(rng, found, self.places(found)))
             base.execute(f"UPDATE {table} SET data = ?, checked = ? WHERE rowid = ?", (data, crc32(data), at))
         base.close()
         return self.path.read_bytes()

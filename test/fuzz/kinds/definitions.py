@@ -4,7 +4,7 @@ from retalis import Definitions
 from retalis.messages.event_text_writer import text_writer
 from retalis.messages.type_registry import InstalledTypes
 
-from ..mutate import changed_text, soup, to_bytes, to_text
+from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from ..side_effects import Finding
 from .base import Kind
 
@@ -51,19 +51,19 @@ PIECES += (
 class Inputs(Kind):
     """The first line of an input is the type's name."""
 
-    block = 100
+    block_size = 100
 
     def setup(self):
         self.installed = InstalledTypes()
         self.installed.text("no_such_package/Type")
 
-    def begin(self):
+    def reset(self):
         self.known = Definitions(self.installed)
 
-    def make(self, chance):
-        if chance.random() < 0.2:
-            return to_bytes("pkg/Soup\n" + soup(chance, PIECES, 12))
-        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+    def generate(self, rng):
+        if rng.random() < 0.2:
+            return to_bytes("pkg/Soup\n" + random_tokens(rng, PIECES, 12))
+        return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
     def run(self, data):
         name, _, text = to_text(data).partition("\n")

@@ -1,7 +1,7 @@
 """Texts on the topic of events, for an engine that takes events only."""
 
-from ..mutate import changed_text, soup, to_bytes, to_text
-from .base import ARGUMENTS, LOGGED, Kind, silent_engine
+from ..mutate import mutate_text, random_tokens, to_bytes, to_text
+from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
 
 PIECES = (
     "event(",
@@ -46,26 +46,26 @@ memorize(c(X), [number(X)], got(X), cs, 3)
 
 
 class Inputs(Kind):
-    block = 200
+    block_size = 200
 
-    def begin(self):
-        self.engine = silent_engine()
+    def reset(self):
+        self.engine = create_silent_engine()
         self.engine.load(rules=RULES, goals=GOALS)
         self.engine.on_output(lambda term, topic, name: self.engine.show(term))
 
-    def make(self, chance):
-        if chance.random() < 0.15:
-            return to_bytes("event(" + soup(chance, PIECES))
-        if chance.random() < 0.3:
-            name, argument = chance.choice("abc"), chance.choice(ARGUMENTS)
-            return to_bytes(chance.choice(FORMS).format(f"{name}({argument})", chance.choice(ARGUMENTS)))
-        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+    def generate(self, rng):
+        if rng.random() < 0.15:
+            return to_bytes("event(" + random_tokens(rng, PIECES))
+        if rng.random() < 0.3:
+            name, argument = rng.choice("abc"), rng.choice(ARGUMENTS)
+            return to_bytes(rng.choice(FORMS).format(f"{name}({argument})", rng.choice(ARGUMENTS)))
+        return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
     def run(self, data):
         before = self.engine.reports.warnings
         self.engine.post_text(to_text(data))
         if self.engine.reports.warnings > before:
-            self.refused += 1
+            self.refused_count += 1
         else:
-            self.taken += 1
+            self.accepted_count += 1
         LOGGED.check()

@@ -76,12 +76,12 @@ ACTS = {
 
 
 class Inputs(Kind):
-    warm = False
+    may_warm_up = False
 
     def setup(self):
         self.corpus = [act.encode() for act in ACTS]
 
-    def make(self, chance):
+    def generate(self, rng):
         return b"documented"
 
     def run(self, data):

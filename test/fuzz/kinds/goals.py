@@ -6,8 +6,8 @@ from pathlib import Path
 from retalis import atom
 from retalis.prolog.syntax.term_writer import write_term
 
-from ..mutate import changed_text, to_bytes, to_text
-from .base import ARGUMENTS, LOGGED, Kind, silent_engine
+from ..mutate import mutate_text, to_bytes, to_text
+from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "predicates.md"
 EXAMPLE = re.compile(r"`` (.+?) ``")
@@ -25,39 +25,39 @@ def examples():
 
 
 class Inputs(Kind):
-    block = 100
+    block_size = 100
 
     def setup(self):
         self.texts += examples()
-        keys = silent_engine().logic.names()
+        keys = create_silent_engine().logic.names()
         self.keys = sorted((write_term(atom(key.name), None, quoted=True), key.arity) for key in keys)
 
-    def begin(self):
-        self.engine = silent_engine()
+    def reset(self):
+        self.engine = create_silent_engine()
         self.engine.load(
             "foo(1). foo(2). foo(f(X)) :- foo(X). a(X) <- b(X). p(X) --> [X], q. q --> []. q --> [x], q."
         )
 
-    def make(self, chance):
-        if chance.random() < 0.5:
-            return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, ARGUMENTS))
-        goals = [self.goal(chance) for _ in range(chance.choice((1, 1, 2, 3)))]
-        return to_bytes(chance.choice((", ", ", ", " ; ", " -> ")).join(goals))
+    def generate(self, rng):
+        if rng.random() < 0.5:
+            return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, ARGUMENTS))
+        goals = [self.goal(rng) for _ in range(rng.choice((1, 1, 2, 3)))]
+        return to_bytes(rng.choice((", ", ", ", " ; ", " -> ")).join(goals))
 
-    def goal(self, chance, depth=0):
-        name, arity = chance.choice(self.keys)
-        arguments = [self.argument(chance, depth) for _ in range(arity)]
+    def goal(self, rng, depth=0):
+        name, arity = rng.choice(self.keys)
+        arguments = [self.argument(rng, depth) for _ in range(arity)]
         return f"{name}({', '.join(arguments)})" if arity else name
 
-    def argument(self, chance, depth):
-        what = chance.random()
+    def argument(self, rng, depth):
+        what = rng.random()
         if what > 0.93 and depth < 3:
-            return f"({self.goal(chance, depth + 1)})"
+            return f"({self.goal(rng, depth + 1)})"
         if what > 0.88 and depth < 3:
-            return f"[{self.argument(chance, depth + 1)}, {self.argument(chance, depth + 1)}]"
+            return f"[{self.argument(rng, depth + 1)}, {self.argument(rng, depth + 1)}]"
         if what > 0.83 and depth < 3:
-            return f"f({self.argument(chance, depth + 1)})"
-        return f"({chance.choice(ARGUMENTS)})"
+            return f"f({self.argument(rng, depth + 1)})"
+        return f"({rng.choice(ARGUMENTS)})"
 
     def run(self, data):
         found = self.attempt(self.engine.query, to_text(data), MOST)

@@ -5,7 +5,7 @@ import json
 from retalis import Definitions
 from retalis.messages.type_registry import InstalledTypes
 
-from ..mutate import changed_text, to_bytes, to_text
+from ..mutate import mutate_text, to_bytes, to_text
 from .base import Kind
 from .definitions import PIECES
 
@@ -15,7 +15,7 @@ FIELDS = ("type", "message_definition", "md5sum", "callerid", "topic")
 class Inputs(Kind):
     """An input is a JSON object: the header, with the type that is asked for as ``wanted``."""
 
-    block = 100
+    block_size = 100
 
     def setup(self):
         self.installed = InstalledTypes()
@@ -25,21 +25,21 @@ class Inputs(Kind):
             field: [str(one.get(field, "")) for one in self.headers] for field in (*FIELDS, "wanted")
         }
 
-    def begin(self):
+    def reset(self):
         self.known = Definitions(self.installed)
 
-    def make(self, chance):
-        header = dict(chance.choice(self.headers))
-        for _ in range(chance.randint(1, 3)):
-            field = chance.choice((*FIELDS, "message_definition", "wanted"))
-            what = chance.random()
+    def generate(self, rng):
+        header = dict(rng.choice(self.headers))
+        for _ in range(rng.randint(1, 3)):
+            field = rng.choice((*FIELDS, "message_definition", "wanted"))
+            what = rng.random()
             if what < 0.1:
                 header.pop(field, None)
             elif what < 0.3:
-                header[field] = chance.choice(self.values[field])
+                header[field] = rng.choice(self.values[field])
             else:
                 texts = self.values[field]
-                header[field] = changed_text(chance, str(header.get(field, "")), texts, PIECES)
+                header[field] = mutate_text(rng, str(header.get(field, "")), texts, PIECES)
         return to_bytes(json.dumps(header))
 
     def run(self, data):

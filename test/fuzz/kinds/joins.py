@@ -6,9 +6,9 @@ from events.operator_table import PAIRS
 
 from retalis import Limits, Settings
 
-from ..mutate import changed_text, to_bytes, to_text
+from ..mutate import mutate_text, to_bytes, to_text
 from ..side_effects import Finding
-from .base import LOGGED, Kind, silent_engine
+from .base import LOGGED, Kind, create_silent_engine
 
 MARK = "\n%%\n"
 """Separates the program of an input from its events: lines of a time and an event."""
@@ -54,80 +54,80 @@ VALUES = ("0", "1", "1", "2", "-1", "2.5", "x", "_", "f(Z, Z)", "nan", "[1, 2]",
 
 
 class Inputs(Kind):
-    block = 1
+    block_size = 1
     seconds = 5.0  # of all events together
-    reads = True  # a program that is loaded may name any file
+    may_read_files = True  # a program that is loaded may name any file
 
     def setup(self):
         self.large = "[" + ",".join(f"p({at},[{at}.5,a])" for at in range(300)) + "]"
 
-    def begin(self):
-        self.engine = silent_engine(SETTINGS)
+    def reset(self):
+        self.engine = create_silent_engine(SETTINGS)
 
-    def make(self, chance):
-        if self.texts and chance.random() < 0.1:
-            return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, VALUES + JOINS))
-        policy = chance.choice(POLICIES)
+    def generate(self, rng):
+        if self.texts and rng.random() < 0.1:
+            return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, VALUES + JOINS))
+        policy = rng.choice(POLICIES)
         lines = [f":- set_etalis_flag(event_consumption_policy, {policy})."]
-        lines += [f":- {flag}." for flag in FLAGS if chance.random() < 0.15]
-        lines += [self.rule(chance) for _ in range(chance.choice((1, 1, 2, 3)))]
-        if chance.random() < 0.1:  # as many events as limits allow
+        lines += [f":- {flag}." for flag in FLAGS if rng.random() < 0.15]
+        lines += [self.rule(rng) for _ in range(rng.choice((1, 1, 2, 3)))]
+        if rng.random() < 0.1:  # as many events as limits allow
             lines += [
-                f"{one}(X) <- {other}(X) {chance.choice(('and', 'seq'))} {other}(_)." for one, other in CHAIN
+                f"{one}(X) <- {other}(X) {rng.choice(('and', 'seq'))} {other}(_)." for one, other in CHAIN
             ]
-        return to_bytes("\n".join(lines) + MARK + "\n".join(self.events(chance)))
+        return to_bytes("\n".join(lines) + MARK + "\n".join(self.events(rng)))
 
-    def rule(self, chance):
+    def rule(self, rng):
         """Return a rule; some heads are events of other rules, or of the rule itself."""
-        head = chance.choice(("h(X)", "h(X, Y)", "h(X, Y)", "a(X)", "b(f(X))"))
+        head = rng.choice(("h(X)", "h(X, Y)", "h(X, Y)", "a(X)", "b(f(X))"))
         properties = []
-        if chance.random() < 0.2:
-            properties.append(f"property(policy, {chance.choice(POLICIES)})")
-        if chance.random() < 0.2:
-            properties.append(f"property(after_match, {chance.choice(AFTER_MATCH)})")
-        if chance.random() < 0.2:
+        if rng.random() < 0.2:
+            properties.append(f"property(policy, {rng.choice(POLICIES)})")
+        if rng.random() < 0.2:
+            properties.append(f"property(after_match, {rng.choice(AFTER_MATCH)})")
+        if rng.random() < 0.2:
             properties.append("property(event_rule_window, 5)")
-        label = f"l{chance.randrange(99)}([{', '.join(properties)}]) : " if properties else ""
-        pattern = self.pattern(chance, chance.choice((1, 2, 2, 3)))
+        label = f"l{rng.randrange(99)}([{', '.join(properties)}]) : " if properties else ""
+        pattern = self.pattern(rng, rng.choice((1, 2, 2, 3)))
         return f"{label}{head} <- {pattern}."
 
-    def pattern(self, chance, depth):
+    def pattern(self, rng, depth):
         if not depth:
-            return f"{chance.choice('aabc')}({chance.choice('XXYYZ_')})"
-        what = chance.random()
+            return f"{rng.choice('aabc')}({rng.choice('XXYYZ_')})"
+        what = rng.random()
         if what < 0.6:
-            left, right = (self.pattern(chance, depth - 1 - chance.randrange(depth)) for _ in range(2))
-            return f"({left} {chance.choice(JOINS)} {right})"
-        inner = self.pattern(chance, depth - 1)
+            left, right = (self.pattern(rng, depth - 1 - rng.randrange(depth)) for _ in range(2))
+            return f"({left} {rng.choice(JOINS)} {right})"
+        inner = self.pattern(rng, depth - 1)
         if what < 0.68:
-            return f"({inner} within {chance.choice((1, 3, 60))})"
+            return f"({inner} within {rng.choice((1, 3, 60))})"
         if what < 0.76:
-            return f"({inner} where {chance.choice(('X = Y', 'X > 0', 'number(X)', chr(92) + '+ X = 1'))})"
+            return f"({inner} where {rng.choice(('X = Y', 'X > 0', 'number(X)', chr(92) + '+ X = 1'))})"
         if what < 0.82:
-            return f"({inner} {chance.choice(('star_times', 'ntimes 2', 'ntimes 5'))})"
+            return f"({inner} {rng.choice(('star_times', 'ntimes 2', 'ntimes 5'))})"
         if what < 0.92:
-            window = chance.choice((*WINDOWS, *STEPS)).format("X")
-            measure = chance.choice(MEASURES).format("X")
-            return f"aggregate({measure}, {chance.choice(('a(X)', 'a(X, Y)', 'b(X)', inner))}, S, {window})"
+            window = rng.choice((*WINDOWS, *STEPS)).format("X")
+            measure = rng.choice(MEASURES).format("X")
+            return f"aggregate({measure}, {rng.choice(('a(X)', 'a(X, Y)', 'b(X)', inner))}, S, {window})"
         stream = ("({0} seq absent(b(X), 2))", "({0} with throttle(2, X))", "({0} with change(X))")
-        return chance.choice(stream).format(inner)
+        return rng.choice(stream).format(inner)
 
-    def events(self, chance):
+    def events(self, rng):
         """Return lines of events: values repeat, so that many are partners of each other."""
         now = 1.0
-        few = chance.random() < 0.5  # the same event again and again: all pairs join
+        few = rng.random() < 0.5  # the same event again and again: all pairs join
         lines, sent = [], []
-        for _ in range(chance.randint(5, MAX_EVENTS)):
-            now += chance.choice((0, 0, 0.5, 1, 1, 10))
-            what = chance.random()
+        for _ in range(rng.randint(5, MAX_EVENTS)):
+            now += rng.choice((0, 0, 0.5, 1, 1, 10))
+            what = rng.random()
             if sent and what < 0.08:
-                lines.append(f"{now} rev({chance.choice(sent)})")
+                lines.append(f"{now} rev({rng.choice(sent)})")
                 continue
-            value = "1" if few else self.large if what > 0.97 else chance.choice(VALUES)
-            more = f", {chance.choice(VALUES)}" if chance.random() < 0.1 else ""
-            event = f"{chance.choice('aabc')}({value}{more})"
+            value = "1" if few else self.large if what > 0.97 else rng.choice(VALUES)
+            more = f", {rng.choice(VALUES)}" if rng.random() < 0.1 else ""
+            event = f"{rng.choice('aabc')}({value}{more})"
             sent.append(event)
-            late = now - chance.choice((0.5, 3, 100)) if chance.random() < 0.1 else now
+            late = now - rng.choice((0.5, 3, 100)) if rng.random() < 0.1 else now
             lines.append(f"{max(0.0, late)} {event}")
         return lines
 

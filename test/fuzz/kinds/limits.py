@@ -14,7 +14,7 @@ from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms.types import MINUS, NIL
 
 from ..mutate import to_bytes, to_text
-from .base import LOGGED, Kind, silent_engine
+from .base import LOGGED, Kind, create_silent_engine
 from .goals import PAGE
 
 SETTINGS = Settings(limits=Limits(seconds=0.2, megabytes=50), limit_start=False, folders=())
@@ -51,9 +51,9 @@ def _assoc(low, high):
 
 def large_values():
     """Return terms that are made once, by the name of the global variable that holds them."""
-    chance = random.Random(1)
+    rng = random.Random(1)
     numbers = list(range(MANY))
-    shuffled = chance.sample(numbers, MANY)
+    shuffled = rng.sample(numbers, MANY)
     some = shuffled[: MANY // 3]
     names = [atom(f"item{number % 5000}") for number in shuffled]
     return {
@@ -157,24 +157,24 @@ def signatures():
 class Inputs(Kind):
     """An input is the name of a built-in and its arity, then a goal that calls it."""
 
-    apart = True
-    warm = False
+    is_isolated = True
+    may_warm_up = False
     seconds = 0.4 * SLACK
-    growth = int(SLACK * (100 << 20))
+    max_growth = int(SLACK * (100 << 20))
 
     def setup(self):
         self.engine = None
-        keys = silent_engine().logic.names()
+        keys = create_silent_engine().logic.names()
         self.keys = sorted((key.name, key.arity) for key in keys if key.arity and key.name not in LEFT_OUT)
         self.quoted = {name: write_term(atom(name), None, quoted=True) for name, _ in self.keys}
         self.signatures = signatures()
         self.values = large_values()
         self.corpus += self.systematic()
 
-    def begin(self):
+    def reset(self):
         if self.engine is not None:  # an input changes only its own process
             return
-        self.engine = silent_engine(SETTINGS)
+        self.engine = create_silent_engine(SETTINGS)
         self.engine.load(PROGRAM)
         self.engine.logic.globals.update(self.values)
 
@@ -204,20 +204,20 @@ class Inputs(Kind):
             f"{name}/{len(places)}\n\\+ \\+ ({text})"
         )  # without copying the values into the answer
 
-    def make(self, chance):
-        name, arity = chance.choice(self.keys)
+    def generate(self, rng):
+        name, arity = rng.choice(self.keys)
         names = self.signatures.get((name, arity), [""] * arity)
         values, places = [], []
         for kind in names:
-            if places and chance.random() < 0.15:  # one term twice: the walk meets itself
-                places.append(chance.choice(places))
+            if places and rng.random() < 0.15:  # one term twice: the walk meets itself
+                places.append(rng.choice(places))
                 continue
-            choice = BY_NAME.get(kind, ALL) if chance.random() < 0.75 else ALL
-            if kind and chance.random() < 0.15:
+            choice = BY_NAME.get(kind, ALL) if rng.random() < 0.75 else ALL
+            if kind and rng.random() < 0.15:
                 choice = ("V = _",)
             places.append(len(values))
-            values.append(chance.choice(choice))
-        return self.goal(name, values, places, "answer of " if chance.random() < 0.05 else "")
+            values.append(rng.choice(choice))
+        return self.goal(name, values, places, "answer of " if rng.random() < 0.05 else "")
 
     def subject(self, data):
         return to_text(data).partition("\n")[0][:60]

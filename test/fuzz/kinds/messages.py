@@ -8,7 +8,7 @@ from retalis.messages.event_text_writer import text_writer
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 
-from ..mutate import changed_bytes, changed_text, to_bytes, to_text
+from ..mutate import mutate_bytes, mutate_text, to_bytes, to_text
 from ..side_effects import Finding
 from .base import CORPUS, Kind
 
@@ -56,32 +56,32 @@ PIECES += (
 )
 
 
-def valid(chance, definition):
+def valid(rng, definition):
     """Return the bytes of a random message."""
-    return b"".join(_slot(chance, slot) for slot in definition.fields)
+    return b"".join(_slot(rng, slot) for slot in definition.fields)
 
 
-def _slot(chance, slot):
+def _slot(rng, slot):
     if slot.length is None:
-        return _one(chance, slot)
-    number = chance.choice((0, 1, 2, 5, 40)) if slot.length < 0 else slot.length
+        return _one(rng, slot)
+    number = rng.choice((0, 1, 2, 5, 40)) if slot.length < 0 else slot.length
     start = struct.pack("<I", number) if slot.length < 0 else b""
-    return start + b"".join(_one(chance, slot) for _ in range(number))
+    return start + b"".join(_one(rng, slot) for _ in range(number))
 
 
-def _one(chance, slot):
+def _one(rng, slot):
     if slot.definition is not None:
-        return valid(chance, slot.definition)
+        return valid(rng, slot.definition)
     if slot.type == "string":
-        text = chance.choice(TEXTS)
+        text = rng.choice(TEXTS)
         return struct.pack("<I", len(text)) + text
     if slot.type in ("time", "duration"):
-        return struct.pack("<II", chance.randrange(1 << 31), chance.randrange(10**9))
-    return bytes(chance.randrange(256) for _ in range(struct.calcsize(SIZES[slot.type])))
+        return struct.pack("<II", rng.randrange(1 << 31), rng.randrange(10**9))
+    return bytes(rng.randrange(256) for _ in range(struct.calcsize(SIZES[slot.type])))
 
 
 class Inputs(Kind):
-    block = 5000
+    block_size = 5000
 
     def setup(self):
         self.known = Definitions()
@@ -93,27 +93,23 @@ class Inputs(Kind):
         self.writers = {name: text_writer(self.known.decoder(kind)) for name, kind in self.types.items()}
         self.valid = {}
 
-    def begin(self):
+    def reset(self):
         self.reader = EventReader()
 
-    def make(self, chance):
+    def generate(self, rng):
         if not self.valid:
             self._learn()
-        name = chance.choice(self.names)
-        data = chance.choice(self.valid[name])
-        if chance.random() < 0.7:
-            return f"decode {name}\n".encode() + changed_bytes(
-                chance, data, self.valid[chance.choice(self.names)]
-            )
+        name = rng.choice(self.names)
+        data = rng.choice(self.valid[name])
+        if rng.random() < 0.7:
+            return f"decode {name}\n".encode() + mutate_bytes(rng, data, self.valid[rng.choice(self.names)])
         texts = self.written[name]
-        return f"encode {name}\n".encode() + to_bytes(
-            changed_text(chance, chance.choice(texts), texts, PIECES)
-        )
+        return f"encode {name}\n".encode() + to_bytes(mutate_text(rng, rng.choice(texts), texts, PIECES))
 
     def _learn(self):
-        chance = random.Random(1)
+        rng = random.Random(1)
         for name, kind in self.types.items():
-            self.valid[name] = [valid(chance, kind) for _ in range(20)]
+            self.valid[name] = [valid(rng, kind) for _ in range(20)]
         self.written = {name: [self.writers[name](data) for data in self.valid[name]] for name in self.names}
 
     def run(self, data):

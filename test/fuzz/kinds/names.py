@@ -16,9 +16,9 @@ from retalis.prolog.syntax.event_text import to_text as text_of
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 
-from ..mutate import soup, to_bytes, to_text
+from ..mutate import random_tokens, to_bytes, to_text
 from ..side_effects import Finding
-from .base import LOGGED, Kind, silent_engine
+from .base import LOGGED, Kind, create_silent_engine
 
 PIECES = (
     "'",
@@ -123,7 +123,7 @@ FILE_GOALS += (
 class Inputs(Kind):
     """An input is a JSON object: the place, the name, and its mark."""
 
-    block = 50
+    block_size = 50
 
     def setup(self):
         self.installed = InstalledTypes()
@@ -135,29 +135,29 @@ class Inputs(Kind):
                     self.places[number % len(self.places)], to_text(data), number
                 )
 
-    def begin(self):
+    def reset(self):
         self.known = Definitions(self.installed)
-        self.engine = silent_engine()
+        self.engine = create_silent_engine()
         self.outputs = []
         self.engine.on_output(lambda term, topic, name: self.outputs.append((term, topic, name)))
         self.reader = EventReader()
 
-    def make(self, chance):
-        what = chance.random()
+    def generate(self, rng):
+        what = rng.random()
         if what < 0.3:
-            name = soup(chance, PIECES, 2)
+            name = random_tokens(rng, PIECES, 2)
         elif what < 0.6:
-            name = "a" + soup(chance, PIECES, 3)
+            name = "a" + random_tokens(rng, PIECES, 3)
         else:
-            name = soup(chance, PIECES, 6)
-        return self._input(chance.choice(self.places), name, chance.randrange(10**9))
+            name = random_tokens(rng, PIECES, 6)
+        return self._input(rng.choice(self.places), name, rng.randrange(10**9))
 
     def _input(self, place, name, number):
         mark = f"{MARK}{number}"
         at = number % (len(name) + 1)
         return to_bytes(json.dumps({"place": place, "name": name[:at] + mark + name[at:], "mark": mark}))
 
-    def marked(self, data):
+    def marker_of(self, data):
         found = re.search(rb'"mark": "(zq\d+)"', data)
         return found[1].decode() if found else ""
 

@@ -7,7 +7,7 @@ from retalis.messages.event_text_writer import text_writer
 from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of
 
-from ..mutate import changed_text, soup, to_bytes, to_text
+from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from ..side_effects import Finding
 from .base import Kind
 
@@ -125,34 +125,34 @@ CDR = (b"\0\1\0\0", b"\0\0\0\0")
 class Inputs(Kind):
     """The first line of an input is the type's name; the definition decides which bytes are tried."""
 
-    block = 100
+    block_size = 100
 
     def setup(self):
         for encoding in ("utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"):  # imports the codecs
             "".encode(encoding)
 
-    def make(self, chance):
-        what = chance.random()
+    def generate(self, rng):
+        what = rng.random()
         if what < 0.1:
-            return to_bytes(f"{chance.choice(MSG_NAMES)}\n" + soup(chance, PIECES, 15))
+            return to_bytes(f"{rng.choice(MSG_NAMES)}\n" + random_tokens(rng, PIECES, 15))
         if what < 0.4 and self.texts:
-            return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
-        text = self.definition(chance)
-        for _ in range(chance.choice((0, 0, 1, 2))):
-            name = chance.choice(("pkg/msg/Type", "pkg/Type", "std_msgs/msg/Header", "pkg/msg/Kind", "Type"))
-            text += f"{SEPARATOR}{name}\n{self.definition(chance)}"
-        if chance.random() < 0.3:
-            text = changed_text(chance, text, [text], PIECES)
-        return to_bytes(f"{chance.choice(MSG_NAMES[:4])}\n{text}")
+            return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
+        text = self.definition(rng)
+        for _ in range(rng.choice((0, 0, 1, 2))):
+            name = rng.choice(("pkg/msg/Type", "pkg/Type", "std_msgs/msg/Header", "pkg/msg/Kind", "Type"))
+            text += f"{SEPARATOR}{name}\n{self.definition(rng)}"
+        if rng.random() < 0.3:
+            text = mutate_text(rng, text, [text], PIECES)
+        return to_bytes(f"{rng.choice(MSG_NAMES[:4])}\n{text}")
 
-    def definition(self, chance):
+    def definition(self, rng):
         lines = []
-        for at in range(chance.choice((0, 1, 2, 3, 6))):
-            odd = chance.random() < 0.15
-            kind = chance.choice(TYPES if odd else TYPES[:17])
-            array = chance.choice(ARRAYS if odd else ARRAYS[:8])
-            name = chance.choice(NAMES) if odd else f"x{at}"
-            rest = chance.choice(RESTS) if odd else ""
+        for at in range(rng.choice((0, 1, 2, 3, 6))):
+            odd = rng.random() < 0.15
+            kind = rng.choice(TYPES if odd else TYPES[:17])
+            array = rng.choice(ARRAYS if odd else ARRAYS[:8])
+            name = rng.choice(NAMES) if odd else f"x{at}"
+            rest = rng.choice(RESTS) if odd else ""
             lines.append(f"{kind}{array} {name}{rest}\n")
         return "".join(lines)
 

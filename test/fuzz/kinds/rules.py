@@ -2,8 +2,8 @@
 
 from events.operator_table import AGGREGATES, PAIRS
 
-from ..mutate import changed_text, soup, to_bytes, to_text
-from .base import ARGUMENTS, LOGGED, Kind, silent_engine
+from ..mutate import mutate_text, random_tokens, to_bytes, to_text
+from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
 
 PIECES = (
     " <- ",
@@ -95,40 +95,38 @@ EVENTS = ("a(1)", "b(2)", "c", "a(b(3))")
 
 
 class Inputs(Kind):
-    block = 8
-    reads = True  # a program that is loaded may name any file
+    block_size = 8
+    may_read_files = True  # a program that is loaded may name any file
 
-    def begin(self):
-        self.engine = silent_engine()
+    def reset(self):
+        self.engine = create_silent_engine()
         self.time = 0
 
-    def make(self, chance):
-        if chance.random() < 0.1:
-            return to_bytes(soup(chance, PIECES))
-        if chance.random() < 0.4:
-            return to_bytes("".join(self.rule(chance) for _ in range(chance.choice((1, 1, 2, 3)))))
-        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+    def generate(self, rng):
+        if rng.random() < 0.1:
+            return to_bytes(random_tokens(rng, PIECES))
+        if rng.random() < 0.4:
+            return to_bytes("".join(self.rule(rng) for _ in range(rng.choice((1, 1, 2, 3)))))
+        return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
-    def rule(self, chance):
+    def rule(self, rng):
         """Return a rule that reads well, more often than not."""
-        head = chance.choice(
-            ("h(X)", "h(X, Y)", "h", "a(X)", "h do foo(X)", "h do assertz(seen(X))", "'H'(Y)")
-        )
-        label = chance.choice(("", "", "", "l : ", "l([property(event_rule_window, 5)]) : "))
-        return f"{label}{head} <- {self.pattern(chance, chance.choice((1, 2, 2, 3)))}.\n"
+        head = rng.choice(("h(X)", "h(X, Y)", "h", "a(X)", "h do foo(X)", "h do assertz(seen(X))", "'H'(Y)"))
+        label = rng.choice(("", "", "", "l : ", "l([property(event_rule_window, 5)]) : "))
+        return f"{label}{head} <- {self.pattern(rng, rng.choice((1, 2, 2, 3)))}.\n"
 
-    def pattern(self, chance, depth):
-        if not depth or chance.random() < 0.1:
-            return chance.choice(("a(X)", "b(Y)", "a(_)", "b(X)", "c", f"a({chance.choice(ARGUMENTS)})"))
-        left = self.pattern(chance, depth - 1)
-        what = chance.random()
+    def pattern(self, rng, depth):
+        if not depth or rng.random() < 0.1:
+            return rng.choice(("a(X)", "b(Y)", "a(_)", "b(X)", "c", f"a({rng.choice(ARGUMENTS)})"))
+        left = self.pattern(rng, depth - 1)
+        what = rng.random()
         if what < 0.65:
-            return f"({left} {chance.choice(SIDES)} {self.pattern(chance, depth - 1)})"
+            return f"({left} {rng.choice(SIDES)} {self.pattern(rng, depth - 1)})"
         if what < 0.9:
-            return f"({left} {chance.choice(GOALS)})"
+            return f"({left} {rng.choice(GOALS)})"
         if what < 0.95:
-            return f"({left} seq aggregate({chance.choice(KINDS)}, {self.pattern(chance, 0)}, S))"
-        return chance.choice(STREAMS).format(left)
+            return f"({left} seq aggregate({rng.choice(KINDS)}, {self.pattern(rng, 0)}, S))"
+        return rng.choice(STREAMS).format(left)
 
     def run(self, data):
         self.attempt(self.engine.load_rules, to_text(data))

@@ -7,9 +7,9 @@ from retalis.prolog.terms.timestamps import FloatSeconds
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
 from retalis.serialization.state_file_format import pack_sections, unpack_sections
 
-from ..mutate import NUMBERS, changed_bytes
+from ..mutate import NUMBERS, mutate_bytes
 from ..side_effects import Finding
-from .base import LOGGED, SETTINGS, Kind, silent_engine
+from .base import LOGGED, SETTINGS, Kind, create_silent_engine
 
 PROGRAMS = (
     (
@@ -103,20 +103,20 @@ def deep(number):
 class Inputs(Kind):
     """An input is the state itself."""
 
-    block = 40
-    warm = False
+    block_size = 40
+    may_warm_up = False
 
     def setup(self):
         self.states = []
         for rules, goals in PROGRAMS:
-            engine = silent_engine()
+            engine = create_silent_engine()
             engine.load(rules, goals)
             for now, event in enumerate(EVENTS, 1):
                 engine.event(event, now)
             for number in range(60 if "tfs" in goals else 0):  # so many are kept by columns
                 engine.event(f"tf(a{number % 3}, v({number}.5, {number}))", 8 + number / 100)
             self.states.append(unpack_sections(engine.snapshot()))
-        LOGGED.found = None
+        LOGGED.logged_error = None
         self.whole = [pack_sections(state) for state in self.states]
         self.sections = [(state, name) for state in self.states for name in state]
         self.values = [1, -1, 1 << 70, 0.5, float("nan"), None, True, "", "text", b"", [], (), {}, atom("a")]
@@ -135,23 +135,23 @@ class Inputs(Kind):
         ]
         self.shared = {(name, arity): functor(name, arity) for name in "abcf" for arity in range(3)}
 
-    def make(self, chance):
-        what = chance.random()
+    def generate(self, rng):
+        what = rng.random()
         if what < 0.05:
-            whole = chance.choice(self.whole)
-            return whole[: chance.randrange(len(whole))]
-        state, name = chance.choice(self.sections)
+            whole = rng.choice(self.whole)
+            return whole[: rng.randrange(len(whole))]
+        state, name = rng.choice(self.sections)
         if what < 0.15:
-            return changed_bytes(chance, pack_sections(state), self.whole)
+            return mutate_bytes(rng, pack_sections(state), self.whole)
         if what < 0.3:
-            changed = changed_bytes(chance, state[name], [state[name]])
+            changed = mutate_bytes(rng, state[name], [state[name]])
             return pack_sections(dict(state, **{name: changed}))
         if what < 0.35:
-            other = chance.choice(self.states)
+            other = rng.choice(self.states)
             return pack_sections(dict(state, **{name: other.get(name, b"")}))
         data = from_bytes(state[name])
-        for _ in range(chance.choice((1, 1, 1, 2))):
-            data = self.changed(chance, data, self.places(data))
+        for _ in range(rng.choice((1, 1, 1, 2))):
+            data = self.changed(rng, data, self.places(data))
         return pack_sections(dict(state, **{name: to_bytes(data)}))
 
     def places(self, data, path=(), found=None):
@@ -166,27 +166,27 @@ class Inputs(Kind):
                 self.places(item, (*path, key), found)
         return found
 
-    def changed(self, chance, data, places):
+    def changed(self, rng, data, places):
         """Return data with another value at one place."""
-        path = chance.choice(places[1:] or places)
-        return self.put(data, path, lambda old: self.other(chance, old))
+        path = rng.choice(places[1:] or places)
+        return self.put(data, path, lambda old: self.other(rng, old))
 
-    def other(self, chance, old):
+    def other(self, rng, old):
         """Return a value for another: of the same type, or of any."""
-        what = chance.random()
+        what = rng.random()
         if old.__class__ is int and what < 0.5:
-            return old + chance.choice((-1, 1, 1000, -old - 1))
+            return old + rng.choice((-1, 1, 1000, -old - 1))
         if old.__class__ is Ref and what < 0.7:
-            return Ref(max(0, old.number + chance.choice((-2, -1, 1, 2, -old.number, 5))))
+            return Ref(max(0, old.number + rng.choice((-2, -1, 1, 2, -old.number, 5))))
         if old.__class__ is Functor and what < 0.5:
-            return chance.choice((functor(old.name, old.arity + 1), functor("f", 1), functor("a", 1)))
+            return rng.choice((functor(old.name, old.arity + 1), functor("f", 1), functor("a", 1)))
         if old.__class__ is str and what < 0.5:
-            return chance.choice((old + "x", old[1:], "no_such", "'"))
+            return rng.choice((old + "x", old[1:], "no_such", "'"))
         if isinstance(old, (list, dict)) and old and what < 0.5:
             if isinstance(old, list):
-                return chance.choice((old[1:], old[:-1], old + old[:1], old + old, old[::-1], old[:1] * 1000))
+                return rng.choice((old[1:], old[:-1], old + old[:1], old + old, old[::-1], old[:1] * 1000))
             return dict(list(old.items())[1:])
-        return chance.choice(self.values)
+        return rng.choice(self.values)
 
     def put(self, data, path, change):
         if not path:
@@ -210,9 +210,9 @@ class Inputs(Kind):
             engine = self.restored(data)
         except UsageError as error:
             str(error)
-            self.refused += 1
+            self.refused_count += 1
             self.check_shared()
-            LOGGED.found = None
+            LOGGED.logged_error = None
             return
         if engine is None:
             return

@@ -6,7 +6,7 @@ from retalis import Limits, RetalisError, Settings
 
 from ..mutate import to_bytes, to_text
 from ..side_effects import Finding
-from .base import LOGGED, Kind, silent_engine
+from .base import LOGGED, Kind, create_silent_engine
 
 SETTINGS = Settings(limits=Limits(seconds=2.0, inferences=300_000, megabytes=40), folders=())
 
@@ -23,21 +23,21 @@ MODES = ("min", "max")
 class Inputs(Kind):
     """An input is a JSON object: rules with and without tables, operations, and the goals to compare."""
 
-    block = 20
+    block_size = 20
 
     def setup(self):
-        silent_engine().load(DYNAMIC + FACTS)  # reads the library
+        create_silent_engine().load(DYNAMIC + FACTS)  # reads the library
 
-    def make(self, chance):
+    def generate(self, rng):
         names, tabled, plain = ["n", "s", "up"], [], []
-        for at in range(chance.choice((1, 2, 3, 4))):
+        for at in range(rng.choice((1, 2, 3, 4))):
             name = f"p{at}"
-            for rule in self.rules(chance, name, names):
+            for rule in self.rules(rng, name, names):
                 tabled.append(rule[0])
                 plain.append(rule[1])
-            if chance.random() < 0.85:
+            if rng.random() < 0.85:
                 names.append(name)
-        declared = [name for name in names[3:] if chance.random() < 0.9] + ["r"]
+        declared = [name for name in names[3:] if rng.random() < 0.9] + ["r"]
         heads = ", ".join(f"{name}/{2 if name == 'r' else 1}" for name in declared)
         # What tables read and is not tabled itself is read by the table that calls it.
         start = (
@@ -45,7 +45,7 @@ class Inputs(Kind):
             if ", " in heads
             else f":- table {heads} as incremental.\n"
         )
-        operations = [self.operation(chance, names) for _ in range(chance.randint(3, 14))]
+        operations = [self.operation(rng, names) for _ in range(rng.randint(3, 14))]
         found = {
             "tabled": start + "".join(tabled) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- r(X, Z), e(Z, Y).\n",
             "plain": "".join(plain) + "r(X, Y) :- e(X, Y).\nr(X, Y) :- e(X, Z), r(Z, Y).\n",
@@ -54,50 +54,50 @@ class Inputs(Kind):
         }
         return to_bytes(json.dumps(found))
 
-    def rules(self, chance, name, names):
+    def rules(self, rng, name, names):
         """Return clauses of a predicate over those before it, for both programs."""
-        for _ in range(chance.choice((1, 1, 2))):
-            bound = chance.choice(
-                ("n(X)", "e(X, _)", "e(_, X)", "r(_, X)", "memory_value(X)", f"{chance.choice(names)}(X)")
+        for _ in range(rng.choice((1, 1, 2))):
+            bound = rng.choice(
+                ("n(X)", "e(X, _)", "e(_, X)", "r(_, X)", "memory_value(X)", f"{rng.choice(names)}(X)")
             )
             body = [bound]
-            for _ in range(chance.choice((0, 1, 2))):
-                body.append(chance.choice(FORMS).format(self.literal(chance, names)))
-            if chance.random() < 0.2:
+            for _ in range(rng.choice((0, 1, 2))):
+                body.append(rng.choice(FORMS).format(self.literal(rng, names)))
+            if rng.random() < 0.2:
                 body = [f"findall(Y, ({', '.join(body).replace('X', 'Y')}), L), sort(L, S), length(S, X)"]
             yield (f"{name}(X) :- {', '.join(body)}.\n",) * 2
 
-    def literal(self, chance, names):
-        return chance.choice(
+    def literal(self, rng, names):
+        return rng.choice(
             (
-                f"{chance.choice(names)}(X)",
+                f"{rng.choice(names)}(X)",
                 "e(X, _)",
                 "r(X, _)",
-                f"r({chance.choice(CONSTANTS)}, X)",
-                f"clause({chance.choice('ns')}(X), true)",
+                f"r({rng.choice(CONSTANTS)}, X)",
+                f"clause({rng.choice('ns')}(X), true)",
                 "newest_matching(m, X, _, _)",
                 "holds(h(X))",
             )
         )
 
-    def operation(self, chance, names):
+    def operation(self, rng, names):
         """Return a goal, or an event after a mark."""
-        what = chance.random()
+        what = rng.random()
         low, high = sorted(
-            chance.sample(CONSTANTS, 2)
+            rng.sample(CONSTANTS, 2)
         )  # edges lead upwards, so that programs without tables end
-        fact = chance.choice((f"e({low}, {high})", f"n({low})", f"s({high})"))
+        fact = rng.choice((f"e({low}, {high})", f"n({low})", f"s({high})"))
         if what < 0.35:
-            return f"{chance.choice(('assertz', 'asserta'))}({fact})"
+            return f"{rng.choice(('assertz', 'asserta'))}({fact})"
         if what < 0.6:
             return f"ignore(retract({fact}))"
         if what < 0.65:
-            return chance.choice(("retractall(e(_, _))", "retractall(n(_))", f"retractall(e({low}, _))"))
+            return rng.choice(("retractall(e(_, _))", "retractall(n(_))", f"retractall(e({low}, _))"))
         if what < 0.7:
             return "assertz((n(X) :- s(X)))"
         if what < 0.8:
-            return f"event {chance.choice(('pose', 'seen', 'a', 'b'))}({chance.choice(CONSTANTS)})"
-        name = chance.choice(names)
+            return f"event {rng.choice(('pose', 'seen', 'a', 'b'))}({rng.choice(CONSTANTS)})"
+        name = rng.choice(names)
         if what < 0.84:  # an error while the answers of a table are read
             return f"{name}(_), atom_length(_, _)"
         if what < 0.9:  # a table that is not read to its end, or changes while it is read
@@ -113,7 +113,7 @@ class Inputs(Kind):
             operations, goals = found["operations"], found["goals"]
         except (ValueError, KeyError, TypeError):  # an input that was shortened too far
             return
-        engines = [silent_engine(SETTINGS), silent_engine(SETTINGS)]
+        engines = [create_silent_engine(SETTINGS), create_silent_engine(SETTINGS)]
         for engine, text in zip(engines, (tabled, plain)):
             if self.attempt(lambda engine=engine, text=text: engine.load(text, MEMORY) or True) is None:
                 return
@@ -138,9 +138,9 @@ class Inputs(Kind):
         try:
             found = sorted({engine.show(one["X"]) for one in engine.query(goal, 200)})
         except RetalisError as error:
-            self.refused += 1
+            self.refused_count += 1
             return f"error {error.brief()}"[:60]
-        self.taken += 1
+        self.accepted_count += 1
         return found
 
 

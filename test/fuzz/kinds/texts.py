@@ -7,7 +7,7 @@ from retalis.prolog.syntax.term_reader import read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 
-from ..mutate import TOKENS, changed_text, soup, to_bytes, to_text
+from ..mutate import TOKENS, mutate_text, random_tokens, to_bytes, to_text
 from .base import Kind
 
 PIECES = (
@@ -46,26 +46,26 @@ PIECES += (
 
 
 class Inputs(Kind):
-    block = 1000
+    block_size = 1000
 
-    def begin(self):
+    def reset(self):
         self.operators = Operators.prolog()
         self.events = EventReader(self.operators)
         self.flags = (ReadFlags(), ReadFlags(iso=True, double_quotes="codes"), ReadFlags(event_text=True))
 
-    def make(self, chance):
-        if chance.random() < 0.4:
-            return to_bytes(soup(chance, PIECES if chance.random() < 0.3 else TOKENS))
-        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+    def generate(self, rng):
+        if rng.random() < 0.4:
+            return to_bytes(random_tokens(rng, PIECES if rng.random() < 0.3 else TOKENS))
+        return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
     def run(self, data):
         text = to_text(data)
         for found in read_program(text, self.operators, flags=self.flags[len(text) % 3]):
             if isinstance(found, SyntaxFault):
                 str(found)
-                self.refused += 1
+                self.refused_count += 1
             else:
                 write_term(found.term, self.operators)
-                self.taken += 1
+                self.accepted_count += 1
         self.attempt(read_term, text, self.operators)
         self.attempt(self.events.read, text)

@@ -4,7 +4,7 @@ import os
 
 from retalis.events.program.topic_configuration import read_topics
 
-from ..mutate import changed_bytes, changed_text, soup, to_bytes
+from ..mutate import mutate_bytes, mutate_text, random_tokens, to_bytes
 from .base import Kind
 
 PIECES = (
@@ -39,19 +39,19 @@ PIECES += (
 
 
 class Inputs(Kind):
-    block = 1000
+    block_size = 1000
 
     def setup(self):
         self.path = self.scratch / "pub_sub.xml"
         self.file = os.open(str(self.path), os.O_RDWR | os.O_CREAT)
 
-    def make(self, chance):
-        what = chance.random()
+    def generate(self, rng):
+        what = rng.random()
         if what < 0.1:
-            return to_bytes(soup(chance, PIECES))
+            return to_bytes(random_tokens(rng, PIECES))
         if what < 0.25:
-            return changed_bytes(chance, chance.choice(self.corpus), self.corpus)
-        return to_bytes(changed_text(chance, chance.choice(self.texts), self.texts, PIECES))
+            return mutate_bytes(rng, rng.choice(self.corpus), self.corpus)
+        return to_bytes(mutate_text(rng, rng.choice(self.texts), self.texts, PIECES))
 
     def prepare(self, data):
         os.ftruncate(self.file, 0)
