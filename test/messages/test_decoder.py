@@ -95,8 +95,8 @@ def test_what_is_not_looked_at_is_not_decoded():
     size = 1 << 20
     term = found.decode(struct.pack("<I", size) + bytes(size) + struct.pack("<I", 5) + bytes(20))
     image, ranges = term[1:]
-    assert image.__class__ is Lazy and image.made is None
-    assert ranges.__class__ is Lazy and ranges.made is None
+    assert image.__class__ is Lazy and image.decoded_term is None
+    assert ranges.__class__ is Lazy and ranges.decoded_term is None
     assert deref(image).name.startswith('"FFFFFFFFFFAAAA')
 
 
@@ -104,7 +104,7 @@ def test_a_lazy_message_is_decoded_when_it_is_looked_at():
     found = decoder("int8 x\n")
     term = found.lazy(b"\5")
     assert term.functor is functor("pkg__0__Type", 1)
-    assert term.made is None
+    assert term.decoded_term is None
     assert deref(term) == (functor("pkg__0__Type", 1), 5)
     with pytest.raises(MessageError):
         deref(found.lazy(b""))

@@ -402,7 +402,7 @@ def test_undecoded_parts_go_out_as_they_came_in():
     )
     term = registry.decoder(definition).decode(data)
     assert registry.encoder(definition).encode(term) == data
-    assert all(part.made is None for part in term[1:])
+    assert all(part.decoded_term is None for part in term[1:])
 
 
 ARRAYS = Definitions(InstalledTypes([], [], include_rosbags=False)).add(
@@ -429,7 +429,7 @@ def test_array_terms_are_published_like_their_lists(encode, build):
         if build:
             deref(term[1])
         assert encode(term) == expected
-    assert row[0].made is None or build
+    assert row[0].decoded_term is None or build
 
 
 def test_an_array_term_of_another_length_is_refused():

@@ -304,7 +304,7 @@ def test_folds_are_those_of_the_list(goal, items):
 def test_the_short_ways_do_not_build_the_list(goal):
     term = array_term(np.arange(20.0))
     assert len(answers_of(goal, {"L": term})[0]) == 1
-    assert term.made is None
+    assert term.decoded_term is None
 
 
 def test_a_variable_that_is_bound_to_an_array_is_followed():
@@ -312,4 +312,4 @@ def test_a_variable_that_is_bound_to_an_array_is_followed():
     term = array_term(np.arange(1.0, 20.0))
     result = Var()
     assert [deref(result) for _ in logic.solutions((functor("smallest", 2), term, result))] == [1.0]
-    assert term.made is None
+    assert term.decoded_term is None

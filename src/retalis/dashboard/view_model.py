@@ -201,7 +201,7 @@ def _truncate(term: Term, budget: List[int], depth: int) -> Term:
         budget: one number, how many further subterms may be written; 0 after something was replaced.
         depth: how many further levels may be written.
     """
-    if term.__class__ is Lazy and term.made is None and term.functor is CONS:
+    if term.__class__ is Lazy and term.decoded_term is None and term.functor is CONS:
         # An array of numbers that has not been decoded: reading its elements would decode it.
         budget[0] = 0
         return _ELLIPSIS

@@ -249,7 +249,7 @@ def _number_packer(slot: Field, decoder: ArrayDecoder) -> Callable[[Term], bytes
     def encode(term: Term) -> bytes:
         # An array term has the bytes of the numbers, which are copied. The same decoder means that
         # the elements have the same type.
-        if term.__class__ is Lazy and term.make is decoder:
+        if term.__class__ is Lazy and term.decoder is decoder:
             encoded_bytes = bytes(term.source)
             count = len(encoded_bytes) // size
         else:

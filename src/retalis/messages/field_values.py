@@ -35,7 +35,9 @@ def blob_term(data: bytes) -> Term:
 
 def raw_bytes(term: Term) -> Optional[bytes]:
     """Return the bytes of a lazy term of `blob_term`, or of `text_term` if it was not accessed; otherwise None."""
-    if term.__class__ is Lazy and (term.make is BLOB or (term.make is text_atom and term.made is None)):
+    if term.__class__ is Lazy and (
+        term.decoder is BLOB or (term.decoder is text_atom and term.decoded_term is None)
+    ):
         raw: bytes = term.source
         return raw
     return None

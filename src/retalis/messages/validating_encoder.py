@@ -105,7 +105,7 @@ def _encode_slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> Non
         chunks.append(raw)
         return
     array = lazy_array(term)
-    if array is not None and array.make is number_decoder(slot):
+    if array is not None and array.decoder is number_decoder(slot):
         # The array has the bytes of the slot.
         count = element_count(array)
         _check_length(slot, count, path)
@@ -139,7 +139,7 @@ def _check_length(slot: Field, count: int, path: str) -> None:
 def _get_bytes(slot: Field, term: Term, path: str) -> bytes:
     """Return the bytes of a byte array, which may be a string or a list of numbers."""
     array = lazy_array(term)
-    if array is not None and array.make in (BLOB, number_decoder(slot)):
+    if array is not None and array.decoder in (BLOB, number_decoder(slot)):
         _check_length(slot, len(array.source), path)
         return bytes(array.source)
     value = deref(term)

@@ -96,4 +96,4 @@ def test_array_terms_are_not_decoded():
     term = array_term(np.arange(20.0))
     value_of("array_min", term)
     value_of("array_percentile", term, 5)
-    assert term.made is None
+    assert term.decoded_term is None

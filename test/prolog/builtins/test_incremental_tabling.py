@@ -173,9 +173,9 @@ def test_a_source_that_has_changed_during_an_evaluation_and_is_what_it_was_leave
             return "off"
 
     table, switch = Table(True), Switch()
-    table.depend({(switch, None): "off"})
+    table.add_reads({(switch, None): "off"})
     assert not table.is_outdated
-    table.depend({(switch, None): "on"})
+    table.add_reads({(switch, None): "on"})
     assert table.is_outdated
 
 

@@ -290,7 +290,7 @@ def test_a_text_of_many_terms_is_cut_only_once(monkeypatch):
     monkeypatch.setattr(text_streams, "read_program", lambda *args: cut.append(1) or read_program(*args))
     stream = InputStream("many", "p(1).\n" * 2000)
     operators, read = Operators.prolog(), 0
-    while stream.term(operators, ReadFlags()) is not None:
+    while stream.read_term(operators, ReadFlags()) is not None:
         read += 1
     assert (read, len(cut)) == (2000, 1)
 
@@ -318,29 +318,29 @@ def test_terms_and_characters_are_read_from_one_text(parts, data):
         )
 
     for term, _ in parts:
-        found = shown(whole.term(operators, flags))
+        found = shown(whole.read_term(operators, flags))
         assert found is not None
         if data.draw(st.booleans()):  # to the end of the term by characters
-            while mixed.at < whole.at:
-                assert mixed.character(True) == text[mixed.at - 1]
+            while mixed.offset < whole.offset:
+                assert mixed.read_character(True) == text[mixed.offset - 1]
         else:
-            assert shown(mixed.term(operators, flags)) == found
-        assert mixed.at == whole.at, term
-    assert whole.term(operators, flags) is None
-    assert mixed.character(False) == text[mixed.at : mixed.at + 1]
+            assert shown(mixed.read_term(operators, flags)) == found
+        assert mixed.offset == whole.offset, term
+    assert whole.read_term(operators, flags) is None
+    assert mixed.read_character(False) == text[mixed.offset : mixed.offset + 1]
 
 
 def test_streams_belong_to_their_program(logic):
     answers(logic, "open(facts, read, _)")
-    assert len(streams_of(logic.machine).opened) == 1
-    assert not streams_of(prolog().machine).opened
+    assert len(streams_of(logic.machine).open_streams) == 1
+    assert not streams_of(prolog().machine).open_streams
 
 
 @given(st.text("ab\n", max_size=30), st.lists(st.integers(0, 30), max_size=12))
 def test_positions_are_those_of_the_text_wherever_reading_goes(text, places):
     stream = InputStream("any", text)
     for place in places:
-        if not stream.go_to(place):
+        if not stream.set_position(place):
             assert place > len(text)
             continue
         before = text[:place]
@@ -358,7 +358,7 @@ def test_lines_of_a_long_text_are_counted_once():
 
     stream = InputStream("long", Text("p(1).\n" * 1000))
     for at in range(0, 6000, 6):
-        stream.at = at
+        stream.offset = at
         assert stream.line == at // 6 + 1
     assert Text.looked <= 6000
 

@@ -401,7 +401,7 @@ def test_a_parameter_of_type_ndarray_gets_an_array():
     for _ in engine.logic.solutions((functor("doubled", 2), ranges, result)):
         shown = writeq(result)
     assert seen[0].dtype == numpy.dtype("f4") and not seen[0].flags.writeable
-    assert ranges.made is None
+    assert ranges.decoded_term is None
     assert shown == "[0.0,2.0,4.0,6.0,8.0,10.0,12.0,14.0,16.0]"
     (found,) = engine.query("doubled([1,2,3], L), total(L, T), as_before(L, K), total('\"ab\"', B)")
     assert [engine.show(found[name]) for name in "LTKB"] == ["[2,4,6]", "12.0", "list", "195.0"]

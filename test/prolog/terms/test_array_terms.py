@@ -20,7 +20,7 @@ def test_the_numbers_of_an_array_term_are_those_of_the_array(dtype):
     assert array.dtype == numbers.dtype
     assert array.tolist() == numbers.tolist()
     assert not array.flags.writeable
-    assert term.made is None
+    assert term.decoded_term is None
     assert writeq(term) == writeq(make_list(numbers.tolist()))
 
 
@@ -32,7 +32,7 @@ def test_byte_order_and_strides_are_those_of_the_terms(numbers):
 def test_the_bytes_stay_after_the_list_has_been_made():
     term = array_term(np.arange(9.0))
     deref(term)
-    assert term.made is not None
+    assert term.decoded_term is not None
     assert array_of(term).tolist() == list(range(9))
 
 
@@ -87,14 +87,14 @@ def test_bound_variables_are_followed():
     assert array_of(whole).tolist() == [1, 2, 3.5]
     whole.ref = array_term(np.arange(9))
     assert array_of(whole).tolist() == list(range(9))
-    assert whole.ref.made is None
+    assert whole.ref.decoded_term is None
 
 
 @pytest.mark.parametrize("data", [b"", b"text", b"\x00\xff", bytes(range(256)) * 8])
 def test_bytes_of_byte_arrays(data):
     lazy = Lazy(LAZY_STRING_FUNCTOR, BLOB, data)
     assert array_of(lazy).tobytes() == data
-    assert lazy.made is None
+    assert lazy.decoded_term is None
     assert array_of(deref(lazy)).tobytes() == data
     assert array_of(lazy).tobytes() == data
 

@@ -459,12 +459,12 @@ class StateRegistry:
         """
         if state.__class__ is Var:
             if self._tables.active:
-                self._tables.note(self, None)
+                self._tables.record_read(self, None)
             return list(self._all.values()), None
         callable_of(state)
         key = state[0] if state.__class__ is tuple else state.functor
         if self._tables.active:
-            self._tables.note(self, key)
+            self._tables.record_read(self, key)
         declarations = self.declarations_with_functor_of(state)
         if not declarations:
             raise existence_error("state", indicator(key))

@@ -91,7 +91,7 @@ class MemoryInstances:
         except ValueError:
             return None
         if self._active_tables:
-            self._tables.note(self, key)
+            self._tables.record_read(self, key)
         return self.instances.get(key)
 
     def read_all(self) -> List[MemoryInstance]:
@@ -102,7 +102,7 @@ class MemoryInstances:
         """
         if self._active_tables:
             for key in (None, *self.instances):
-                self._tables.note(self, key)
+                self._tables.record_read(self, key)
         return list(self.instances.values())
 
     def version(self, part: Hashable) -> object:
@@ -293,7 +293,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return None
         # As in `instant_of`.
-        is_unconverted = time.__class__ is Lazy and time.make is to_term and time.made is None
+        is_unconverted = time.__class__ is Lazy and time.decoder is to_term and time.decoded_term is None
         record = instance.memory.at_or_before(time.source if is_unconverted else instant_of(time))
         return record if not instance.has_variables or record is None else _with_new_variables(record)
 
@@ -302,7 +302,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         if instance is None:
             return None
         # As in `instant_of`.
-        is_unconverted = time.__class__ is Lazy and time.make is to_term and time.made is None
+        is_unconverted = time.__class__ is Lazy and time.decoder is to_term and time.decoded_term is None
         record = instance.memory.at_or_after(time.source if is_unconverted else instant_of(time))
         return record if not instance.has_variables or record is None else _with_new_variables(record)
 

@@ -19,7 +19,7 @@ from ..terms.types import CONS, MINUS, NIL, CompoundTerm, Functor, Term, Var, at
 from ..terms.unification import compare, unify
 from .argument_checks import items
 from .builtin_registry import deterministic
-from .list_predicates import bounded
+from .list_predicates import limited_rounds
 
 _NODE, _EMPTY = functor("t", 5), atom("t")
 _LEFT, _EVEN, _RIGHT = atom("<"), atom("-"), atom(">")
@@ -63,7 +63,7 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
         raise instantiation_error()
     if node is not _EMPTY and (node.__class__ is not tuple or node[0] is not _NODE):
         raise type_error("btree", node)
-    for _ in bounded():
+    for _ in limited_rounds():
         if node.__class__ is not tuple or node[0] is not _NODE:
             return False
         node_key = node[1]
@@ -105,7 +105,7 @@ def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, 
     """
     path: _Path = []
     node: Any = deref(tree)
-    for _ in bounded():
+    for _ in limited_rounds():
         if node is _EMPTY:
             break
         if not _is_node(node):
@@ -222,7 +222,7 @@ def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
     place = len(path)
     path.append((node, side))
     following: Any = right if side > 0 else left
-    for _ in bounded():
+    for _ in limited_rounds():
         inner_subtree, outer_subtree = (
             (following[4], following[5]) if side > 0 else (following[5], following[4])
         )

@@ -433,7 +433,7 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
     names = [_table_option(machine, key, option) for option in options]
     declare(machine, key, modes)
     tables = tables_of(machine)
-    tables.declared.setdefault(key, copy(item))
+    tables.declarations_by_functor.setdefault(key, copy(item))
     predicate = machine.logic.database.predicate(key)
     if "dynamic" in names:
         declare_dynamic(machine, indicator(key), set())

@@ -155,12 +155,14 @@ def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
         return name
     # A file that was opened by `see` or `tell` before is continued, not opened again (Edinburgh input and output).
     names = {
-        open_stream.asked: open_stream for open_stream in streams.opened.values() if open_stream.mode == mode
+        open_stream.opening_name: open_stream
+        for open_stream in streams.open_streams.values()
+        if open_stream.mode == mode
     }
     if alias in names:
         return streams.term_of(names[alias])
     open_stream = streams.open(name, mode)
-    streams.find_open(open_stream).asked = alias
+    streams.find_open(open_stream).opening_name = alias
     return open_stream
 
 
@@ -168,7 +170,7 @@ def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
 def seen(machine: Machine) -> bool:
     """Close the current input, and set it to the user's."""
     streams = streams_of(machine)
-    if streams.input is not streams.user:
+    if streams.input is not streams.user_input:
         streams.close(streams.input)
     return True
 
@@ -227,7 +229,9 @@ def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
         and property_term[0].name == "alias"
         and not isinstance(open_stream, str)
     ):
-        number = next(number for number, candidate in streams.opened.items() if candidate is open_stream)
+        number = next(
+            number for number, candidate in streams.open_streams.items() if candidate is open_stream
+        )
         streams.aliases[atom_of(property_term[1]).name] = number
     return True
 
@@ -237,7 +241,7 @@ def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
 
 def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
     source = streams_of(machine).to_read(stream)
-    result = source.term(machine.logic.operators, flags_of(machine, options))
+    result = source.read_term(machine.logic.operators, flags_of(machine, options))
     # The reader has skipped the invalid term, so the next read continues after it.
     if isinstance(result, SyntaxFault):
         raise syntax_error_in(source, streams_of(machine).term_of(source), result)
@@ -294,7 +298,7 @@ def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callab
         # Checked before a character is consumed, so that an error loses no input.
         check(deref(value))
         _require_kind(source, stream_type)
-        return unify(value, as_term(source.character(take)), machine.trail)
+        return unify(value, as_term(source.read_character(take)), machine.trail)
 
     @deterministic(f"{name}/1")
     def one_argument(machine: Machine, value: Term) -> bool:
@@ -311,8 +315,8 @@ def _require_kind(source: InputStream, stream_type: str) -> None:
     Raises:
         PrologError: a permission error for a text stream.
     """
-    if stream_type == "binary" and source.kind == "text":
-        raise permission_error("input", "text_stream", source.itself)
+    if stream_type == "binary" and source.stream_type == "text":
+        raise permission_error("input", "text_stream", source.stream_term)
 
 
 def _code(character: str) -> Term:
@@ -357,22 +361,22 @@ for _name, _as_term, _check in (
 def peek_string(machine: Machine, stream: Term, length: Term, text: Term) -> bool:
     """Unify with the next characters of a stream, without consuming them."""
     source, count = streams_of(machine).to_read(stream), natural(length)
-    return unify(text, String(source.ahead(count)), machine.trail)
+    return unify(text, String(source.peek_text(count)), machine.trail)
 
 
 @deterministic("get0/1")
 def get_any(machine: Machine, code: Term) -> bool:
     """Read the code of a character."""
-    return unify(code, _code(streams_of(machine).input.character(True)), machine.trail)
+    return unify(code, _code(streams_of(machine).input.read_character(True)), machine.trail)
 
 
 @deterministic("get/1")
 def get_visible(machine: Machine, code: Term) -> bool:
     """Read the code of the next character that is not white space."""
     source = streams_of(machine).input
-    char = source.character(True)
+    char = source.read_character(True)
     while char and char.isspace():
-        char = source.character(True)
+        char = source.read_character(True)
     return unify(code, _code(char), machine.trail)
 
 
@@ -391,7 +395,7 @@ def skip_in(machine: Machine, stream: Term, character: Term) -> bool:
 def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
     source, stop = streams_of(machine).to_read(stream), character_of(machine, character)
     steps = 0
-    while source.character(True) not in (stop, ""):
+    while source.read_character(True) not in (stop, ""):
         steps += 1
         # The whole input may be skipped in one step of the machine.
         if not steps & 1023:
@@ -402,10 +406,10 @@ def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
 @deterministic("at_end_of_stream/0")
 def at_end(machine: Machine) -> bool:
     """Test for the end of the current input."""
-    return not streams_of(machine).input.character(False)
+    return not streams_of(machine).input.read_character(False)
 
 
 @deterministic("at_end_of_stream/1")
 def at_end_of(machine: Machine, stream: Term) -> bool:
     """Test for the end of a stream."""
-    return not streams_of(machine).to_read(stream).character(False)
+    return not streams_of(machine).to_read(stream).read_character(False)

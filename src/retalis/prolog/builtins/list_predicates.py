@@ -790,7 +790,7 @@ def is_cons(term: Term) -> "TypeGuard[CompoundTerm]":
     return term.__class__ is tuple and term[0] is CONS
 
 
-def bounded() -> Iterator[None]:
+def limited_rounds() -> Iterator[None]:
     """Yield for each item of a list, with regular checks of the limits; raise `TermTooLarge` for a cyclic list."""
     for _ in range(MAX_STEPS // len(_ITEMS)):
         yield from _ITEMS
@@ -805,7 +805,7 @@ def _filter(
 
     def run(machine: Machine, list_term: Term, second_list: Term, result: Term) -> bool:
         remaining = deref(list_term)
-        for _ in bounded():
+        for _ in limited_rounds():
             if not is_cons(remaining):
                 break
             if memberchk(machine, remaining[1], second_list) is keeps:
@@ -830,7 +830,7 @@ deterministic("union/3", is_locked=False)(_filter(_UNION, False, lambda second_l
 def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
     """Test that each item of a list unifies with an item of another list."""
     remaining = deref(list_term)
-    for _ in bounded():
+    for _ in limited_rounds():
         if not is_cons(remaining):
             break
         if not memberchk(machine, remaining[1], superset):
@@ -852,7 +852,7 @@ def _extreme_member(name: str, sign: int) -> Callable[[Machine, Term, Term], boo
         if not is_cons(remaining):
             raise no_matching_rule("lists", (outer, result, remaining))
         best, remaining = remaining[1], deref(remaining[2])
-        for _ in bounded():
+        for _ in limited_rounds():
             if not is_cons(remaining):
                 break
             if compare(best, remaining[1]) * sign < 0:
@@ -873,7 +873,7 @@ deterministic("min_member/2", is_locked=False)(_extreme_member("min_member", -1)
 def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
     """Compute the union of two ordered sets."""
     first: Optional[Term] = None  # the item taken from the left set and not yet merged
-    for _ in bounded():
+    for _ in limited_rounds():
         if first is None:
             left = deref(left)
             if left is NIL:

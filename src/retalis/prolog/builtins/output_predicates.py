@@ -439,7 +439,7 @@ def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], stream_term
     if not isinstance(byte, int) or not 0 <= byte <= 255:
         raise type_error("byte", byte)
     # Standard streams and captures are text streams.
-    if not isinstance(stream, OutputStream) or stream.kind != "binary":
+    if not isinstance(stream, OutputStream) or stream.stream_type != "binary":
         raise permission_error("output", "text_stream", deref(stream_term))
     stream.write(chr(byte))
     return True

@@ -83,7 +83,7 @@ def pose(term: Term) -> Pose:
     """Return the position and the rotation of a pose."""
     if term.__class__ is Var:
         term = deref(term)
-    if term.__class__ is Lazy and term.make is pose_term:
+    if term.__class__ is Lazy and term.decoder is pose_term:
         source: Optional[Pose] = term.source
         if source is not None:  # the term has not been built yet
             return source

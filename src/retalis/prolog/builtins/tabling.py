@@ -139,17 +139,17 @@ class Follower(NamedTuple):
 
     Attributes:
         position: number of answers that it has returned.
-        free: unbound variables of the call.
-        after: its continuation.
-        bound: variables bound since the evaluation of the active table began, with their values; None if the call
+        free_variables: unbound variables of the call.
+        continuation: its continuation.
+        bindings: variables bound since the evaluation of the active table began, with their values; None if the call
             cannot be suspended.
         height: size of the stack of choice points at the suspension; cuts in the continuation depend on it.
     """
 
     position: int
-    free: List[Var]
-    after: Frame
-    bound: Optional[List[Tuple[Any, Term]]]
+    free_variables: List[Var]
+    continuation: Frame
+    bindings: Optional[List[Tuple[Any, Term]]]
     height: int
 
 
@@ -159,80 +159,80 @@ class Table:
     Attributes:
         answers: values of the call's variables, in the order in which they were found; None for an answer that has
             been replaced by a better one.
-        known: positions of the answers by their keys.
-        ground: whether all answers are ground.
-        reads: data that the answers of an incremental table depend on; None for other tables.
+        positions_by_key: positions of the answers by their keys.
+        has_ground_answers: whether all answers are ground.
+        read_versions: versions of the data that the answers of an incremental table depend on; None for other tables.
         state: "new", "active", "waiting" (evaluated, but part of the SCC of an older table), "complete", or for an
             incremental table "checked": complete as long as nothing that it has read changes.
         index: position on the stack of active tables.
         low: the lowest index of a table that it is known to depend on.
         parent: for a waiting table, the table below it on the stack, which depends on it.
-        mark: length of the trail when the current round of its evaluation began.
+        trail_mark: length of the trail at the beginning of the current round of its evaluation.
         height: size of the stack of choice points when the current round began.
-        first: numbers of waiting tables and of ready followers when it became active.
+        first_numbers: numbers of waiting tables and of ready followers at the time when it became active.
         followers: suspended calls that have returned all answers so far.
     """
 
     index: int
     low: int
-    mark: int
+    trail_mark: int
     height: int
-    first: Tuple[int, int]
+    first_numbers: Tuple[int, int]
 
     __slots__ = (
         "answers",
-        "known",
-        "ground",
-        "reads",
+        "positions_by_key",
+        "has_ground_answers",
+        "read_versions",
         "state",
         "index",
         "low",
         "parent",
-        "mark",
+        "trail_mark",
         "height",
-        "first",
+        "first_numbers",
         "followers",
     )
 
     def __init__(self, incremental: bool = False) -> None:
         self.state = "new"
-        self.reads: Optional[Reads] = {} if incremental else None
+        self.read_versions: Optional[Reads] = {} if incremental else None
         self.parent: Optional[Table] = None
-        self.empty()
+        self.remove_answers()
 
-    def empty(self) -> None:
+    def remove_answers(self) -> None:
         """Remove all answers and followers."""
         self.answers: List[Any] = []
-        self.known: Dict[Hashable, int] = {}
-        self.ground = True
+        self.positions_by_key: Dict[Hashable, int] = {}
+        self.has_ground_answers = True
         self.followers: List[Follower] = []
 
-    def renew(self) -> None:
+    def reset(self) -> None:
         """Reset the table to one that has not been evaluated."""
         # The key of the table stays in `Tables.by_call`: calls that are suspended hold the object.
         self.state = "new"
-        self.empty()
-        if self.reads is not None:
+        self.remove_answers()
+        if self.read_versions is not None:
             # Replaced, not cleared: the tables of an SCC share one dictionary.
-            self.reads = {}
+            self.read_versions = {}
 
     def complete(self) -> None:
-        """Mark the table as complete, and free what only the evaluation needed."""
-        self.state = "complete" if self.reads is None else "checked"
-        if len(self.known) < len(self.answers):
+        """Mark the table as complete, and free the data that is only needed by the evaluation."""
+        self.state = "complete" if self.read_versions is None else "checked"
+        if len(self.positions_by_key) < len(self.answers):
             self.answers = [answer for answer in self.answers if answer is not None]
-        self.known.clear()
+        self.positions_by_key.clear()
         self.followers.clear()
 
     @property
     def is_outdated(self) -> bool:
         """True if data that an incremental table has read has changed since."""
-        reads = self.reads or {}
+        reads = self.read_versions or {}
         return any(source.version(key) != version for (source, key), version in reads.items())
 
-    def depend(self, reads: Reads) -> None:
+    def add_reads(self, reads: Reads) -> None:
         """Add the reads of another table to those of an incremental table."""
-        own_reads = self.reads
+        own_reads = self.read_versions
         if own_reads is not None and own_reads is not reads:
             for read, version in reads.items():
                 if own_reads.setdefault(read, version) != version:
@@ -255,7 +255,7 @@ class Tables:
     def __init__(self, machine: Machine):
         self.machine = machine
         self.by_call: Dict[Hashable, Table] = {}
-        self.declared: Dict[Functor, Term] = {}
+        self.declarations_by_functor: Dict[Functor, Term] = {}
         """Declarations of the tabled predicates: indicators, or heads with modes."""
         self.active: List[Table] = []
         """Tables under evaluation, the oldest first. The list is never replaced: others hold a reference to it."""
@@ -284,30 +284,30 @@ class Tables:
             self.by_call.clear()
             self._drop_at = _MIN_TABLES_BEFORE_DROP
 
-    def note(self, source: VersionedSource, key: Hashable) -> None:
+    def record_read(self, source: VersionedSource, key: Hashable) -> None:
         """Record that part of a source is about to be read. Must be called only while a table is active."""
-        reads = self.active[-1].reads
+        reads = self.active[-1].read_versions
         if reads is not None and (source, key) not in reads:
             reads[source, key] = source.version(key)
 
     def observe(self, predicate: Predicate) -> None:
         """Record reads of a predicate's clauses in incremental tables from now on."""
         if not predicate.is_incremental:
-            predicate.observe(self.note_predicate)
+            predicate.observe(self.record_predicate_read)
             # Existing tables have read the predicate without recording it.
             self.clear()
 
-    def note_predicate(self, predicate: Predicate) -> None:
+    def record_predicate_read(self, predicate: Predicate) -> None:
         """Record that the clauses of a predicate are about to be read, if a table is active."""
         if self.active:
-            self.note(predicate, None)
+            self.record_read(predicate, None)
 
     def declarations(self) -> List[Term]:
         """Return the declarations of all tabled predicates, as terms."""
         predicate = self.machine.logic.database.predicate
         return [
             (AS, item, INCREMENTAL) if predicate(key).is_incremental else item
-            for key, item in self.declared.items()
+            for key, item in self.declarations_by_functor.items()
         ]
 
     def repair(self) -> None:
@@ -318,18 +318,18 @@ class Tables:
         self._earlier_rounds.clear()
         for table in self.by_call.values():
             if table.state != "complete":
-                table.renew()
+                table.reset()
 
     def snapshot(self) -> List[Tuple[Hashable, List[Values], bool]]:
         """Return the complete tables as ``(key, answers, ground)``, without incremental ones; see `restore`."""
         complete = [(key, table) for key, table in self.by_call.items() if table.state == "complete"]
-        return [(key, table.answers, table.ground) for key, table in complete]
+        return [(key, table.answers, table.has_ground_answers) for key, table in complete]
 
     def restore(self, saved_tables: List[Tuple[Hashable, List[Values], bool]]) -> None:
         """Add the complete tables that `snapshot` has returned."""
         for key, answers, ground in saved_tables:
             table = self.by_call[key] = Table()
-            table.answers, table.ground = answers, ground
+            table.answers, table.has_ground_answers = answers, ground
             table.complete()
 
     def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> TabledCall:
@@ -390,18 +390,18 @@ class Tables:
                 table = self.by_call[key] = Table(predicate.is_incremental)
             elif table.state == "complete":
                 # A single ground answer, the most common case, is bound without a further call.
-                if len(table.answers) != 1 or not table.ground:
-                    return self._enumerate(table.answers, table.ground, 0, free, continuation)
+                if len(table.answers) != 1 or not table.has_ground_answers:
+                    return self._enumerate(table.answers, table.has_ground_answers, 0, free, continuation)
                 for var, value in zip(free, table.answers[0]):
                     var.ref = value
                     bound(var)
                 return continuation
-            elif table.state == "checked" and table.reads is not None:
+            elif table.state == "checked" and table.read_versions is not None:
                 if not table.is_outdated:
-                    self._depend(table.reads)
-                    return self._enumerate(table.answers, table.ground, 0, free, continuation)
-                # Goals that are still enumerating its answers keep the old list, which `renew` does not change.
-                table.renew()
+                    self._depend(table.read_versions)
+                    return self._enumerate(table.answers, table.has_ground_answers, 0, free, continuation)
+                # Goals that are still enumerating its answers keep the old list, which `reset` does not change.
+                table.reset()
             if table.state == "new":
                 collect = self._collector(table, free, moded, modes)
                 own = collect[2]
@@ -438,7 +438,7 @@ class Tables:
             self.machine.choices.append(
                 (self._more_answers, table, position + 1, free, continuation, len(self.machine.trail))
             )
-            return self.give(answers[position], table.ground, free, continuation)
+            return self.give(answers[position], table.has_ground_answers, free, continuation)
         choices, trail = self.machine.choices, self.machine.trail
         newest = self.active[-1]
         # A choice point that closes, such as that of a negation, ends before the continuation could be resumed. The
@@ -446,19 +446,19 @@ class Tables:
         if any(getattr(entry[0], "closes_goal", False) for entry in choices[newest.height :]):
             follower = Follower(position, free, continuation, None, 0)
         else:
-            bound = [(entry, entry.ref) for entry in trail[newest.mark :]]
+            bound = [(entry, entry.ref) for entry in trail[newest.trail_mark :]]
             follower = Follower(position, free, continuation, bound, len(choices))
         table.followers.append(follower)
         return None
 
     def _evaluate(self, clauses: Frame, table: Table, free: List[Var], continuation: Frame) -> Frame:
         """Start the evaluation of a table; its bindings are undone on completion."""
-        if table.reads is not None and len(self.by_call) >= self._drop_at:
+        if table.read_versions is not None and len(self.by_call) >= self._drop_at:
             self._drop_outdated()
         machine = self.machine
         index = len(self.active)
         table.index = table.low = index
-        table.first = len(self.waiting), len(self.ready)
+        table.first_numbers = len(self.waiting), len(self.ready)
         machine.choices.append((self._guard, index, table, len(machine.trail)))
         self.active.append(table)
         table.state = "active"
@@ -476,17 +476,17 @@ class Tables:
     def _depend(self, reads: Reads) -> None:
         """Add the reads of a complete table to those of the active table, if any."""
         if self.active:
-            self.active[-1].depend(reads)
+            self.active[-1].add_reads(reads)
 
     def _begin_round(self, table: Table, clauses: Frame, free: List[Var], continuation: Frame) -> None:
         """Push the choice point that ends a round: it is reached when the clauses have no more solutions."""
-        table.mark = len(self.machine.trail)
-        self.machine.choices.append((self._round, table, clauses, free, continuation, table.mark))
+        table.trail_mark = len(self.machine.trail)
+        self.machine.choices.append((self._round, table, clauses, free, continuation, table.trail_mark))
         table.height = len(self.machine.choices)
 
     def _store_answer(self, table: Table, key: Hashable, answer: Values) -> None:
         """Store a new answer, and make the followers of the table ready."""
-        table.known[key] = len(table.answers)
+        table.positions_by_key[key] = len(table.answers)
         table.answers.append(answer)
         if table.followers:
             self.ready += [(table, follower) for follower in table.followers]
@@ -510,10 +510,10 @@ class Tables:
             answer.append(value)
         else:
             key = answer = tuple(answer)
-        if key not in table.known:
+        if key not in table.positions_by_key:
             self._store_answer(table, key, answer)
-            if key is not answer and table.ground:
-                table.ground = all(map(has_no_variables, answer))
+            if key is not answer and table.has_ground_answers:
+                table.has_ground_answers = all(map(has_no_variables, answer))
 
     def _combine(self, frame: Frame) -> Optional[Frame]:
         """Store an answer of a moded table, or combine it with the answer that is equal in the other arguments."""
@@ -522,10 +522,10 @@ class Tables:
         _, table, free, places, modes = frame
         answer = copy((_ANSWER, *free))[1:]
         key = term_key((_ANSWER, *[value for index, value in enumerate(answer) if index not in places]))
-        index = table.known.get(key)
+        index = table.positions_by_key.get(key)
         if index is None:
             self._store_answer(table, key, answer)
-            table.ground = table.ground and all(map(has_no_variables, answer))
+            table.has_ground_answers = table.has_ground_answers and all(map(has_no_variables, answer))
             return None
         merged = list(answer)
         goals = []
@@ -545,9 +545,9 @@ class Tables:
         table: Table
         _, table, key, merged, grows = frame
         answer = copy((_ANSWER, *merged))
-        index = table.known[key]
+        index = table.positions_by_key[key]
         if term_key(answer) != term_key((_ANSWER, *table.answers[index])):
-            table.ground = table.ground and has_no_variables(answer)
+            table.has_ground_answers = table.has_ground_answers and has_no_variables(answer)
             if grows:
                 table.answers[index] = None
                 self._store_answer(table, key, answer[1:])
@@ -562,12 +562,12 @@ class Tables:
         # Not the leader of its SCC: an older table decides when both are complete.
         if table.low < table.index:
             return self._defer_completion(table, free, continuation)
-        waiting, ready = table.first
+        waiting, ready = table.first_numbers
         has_new_answers = False
         # Followers that were ready before this table became active belong to older tables.
         while len(self.ready) > ready:
             followed, follower = self.ready.pop()
-            if follower.bound is not None:
+            if follower.bindings is not None:
                 return self._resume(entry, followed, follower)
             # This follower missed answers and cannot be resumed, so the round is repeated, which serves all others
             # too.
@@ -592,25 +592,25 @@ class Tables:
             member.complete()
         self.active.pop()
         self.machine.choices.pop()  # the guard
-        if table.reads is not None:
-            self._depend(table.reads)
-        return self._enumerate(table.answers, table.ground, 0, free, continuation)
+        if table.read_versions is not None:
+            self._depend(table.read_versions)
+        return self._enumerate(table.answers, table.has_ground_answers, 0, free, continuation)
 
     def _reset_uncalled(self, members: List[Table]) -> None:
         """Reset tables that the last round has not called: their reads are not among those of the SCC."""
         for member in members:
             for table in self._earlier_rounds.pop(member, ()):
                 if table.state == "new":
-                    table.renew()
+                    table.reset()
 
     @staticmethod
     def _merge_reads(members: List[Table]) -> None:
         """Give all incremental tables of an SCC one dictionary with the reads of all of them."""
-        incremental = [member for member in members if member.reads is not None]
+        incremental = [member for member in members if member.read_versions is not None]
         for member in incremental[1:]:
-            incremental[0].depend(member.reads or {})
+            incremental[0].add_reads(member.read_versions or {})
         for member in incremental[1:]:
-            member.reads = incremental[0].reads
+            member.read_versions = incremental[0].read_versions
 
     def _resume(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
         """Resume a suspended call: restore its bindings, and return the answers that were added since."""
@@ -622,10 +622,10 @@ class Tables:
         below = len(choices)
         choices += [(self._padding, below, len(trail))] * (follower.height - below)
         table.height = len(choices)
-        for var, value in follower.bound or ():
+        for var, value in follower.bindings or ():
             var.ref = value
             trail.append(var)
-        return self._follow(followed, follower.position, follower.free, follower.after)
+        return self._follow(followed, follower.position, follower.free_variables, follower.continuation)
 
     def _leave_padding(self, entry: Frame) -> None:
         del self.machine.choices[entry[1] :]
@@ -678,11 +678,11 @@ class Tables:
         """Discard the evaluations above an exception, with their answers, which may be incomplete."""
         table: Table
         _, index, table, _ = entry
-        waiting, ready = table.first
+        waiting, ready = table.first_numbers
         members = [*self.active[index:], *self.waiting[waiting:]]
         self._reset_uncalled(members)
         for member in members:
-            member.renew()
+            member.reset()
         del self.active[index:]
         del self.waiting[waiting:]
         del self.ready[ready:]

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from ..system.prolog_system import PrologSystem
 
 MAX_OPEN_STREAMS = 64
-"""Limit for streams that are open at the same time."""
+"""Maximum number of streams that are open at the same time."""
 
 _MAX_BUFFERED_CHARACTERS = 4096
-"""Limit for the characters of an incomplete line that an output stream buffers."""
+"""Maximum number of characters of an incomplete line that an output stream buffers."""
 
 _STREAM = functor("$stream", 1)
 _SYNTAX, _AT = functor("syntax_error", 1), functor("stream", 4)
@@ -50,31 +50,31 @@ class InputStream:
     Args:
         name: name for error messages.
         text: the text, or its part that has been read so far.
-        more: returns the next line, or None at the end; None if ``text`` is complete.
+        read_line: returns the next line, or None at the end; None if ``text`` is complete.
 
     Attributes:
-        at: position in ``text``.
-        asked: name by which ``see/1`` or ``tell/1`` opened it.
-        itself: the stream term.
-        kind: ``text`` or ``binary``.
+        offset: position in ``text``.
+        opening_name: name by which ``see/1`` or ``tell/1`` opened it.
+        stream_term: the stream term.
+        stream_type: ``text`` or ``binary``.
         eof_action: action for a read past the end: ``error``, ``eof_code`` or ``reset``.
-        ended: whether the end of the stream has been read.
+        has_read_end: whether the end of the stream has been read.
     """
 
     mode = "read"
 
-    def __init__(self, name: str, text: str = "", more: Optional[Callable[[], Optional[str]]] = None):
+    def __init__(self, name: str, text: str = "", read_line: Optional[Callable[[], Optional[str]]] = None):
         self.name = name
-        self.asked = ""
+        self.opening_name = ""
         self.text = text
-        self.at = 0
-        self.more = more
-        self.itself: Term = atom(name)
-        self.kind = "text"
-        self.eof_action = "eof_code" if more is None else "reset"
-        self.ended = False
+        self.offset = 0
+        self.read_line = read_line
+        self.stream_term: Term = atom(name)
+        self.stream_type = "text"
+        self.eof_action = "eof_code" if read_line is None else "reset"
+        self.has_read_end = False
         self._start = (0, 0, 0)  # characters, line ends and column before `text`
-        self._counted = (
+        self._line_counts = (
             0,
             0,
             -1,
@@ -83,91 +83,91 @@ class InputStream:
         self._base = 0
         self._next = 0
 
-    def _fill(self) -> bool:
+    def _append_line(self) -> bool:
         """Append the next line to the text; return whether there was one."""
-        line = None if self.more is None else self.more()
+        line = None if self.read_line is None else self.read_line()
         if line is None:
             return False
-        # What has been read is dropped, so that memory does not grow with an interactive session.
+        # Text that has been read is dropped, so that memory does not grow in an interactive session.
         self._start = self.position
-        self.text, self.at, self._program = self.text[self.at :] + line, 0, None
+        self.text, self.offset, self._program = self.text[self.offset :] + line, 0, None
         # Positions are relative to the text that remains.
-        self._counted = (0, 0, -1)
+        self._line_counts = (0, 0, -1)
         return True
 
     @property
     def position(self) -> Tuple[int, int, int]:
         """Numbers of characters read, of line ends read, and of characters read of the current line."""
         characters, lines, column = self._start
-        start, counted, newline = self._counted
+        start, counted, newline = self._line_counts
         # Lines are counted incrementally from the last position; only repositioning backwards restarts the count.
-        if start > self.at:
+        if start > self.offset:
             start, counted, newline = 0, 0, -1
-        counted += self.text.count("\n", start, self.at)
-        newline = max(newline, self.text.rfind("\n", start, self.at))
-        self._counted = (self.at, counted, newline)
+        counted += self.text.count("\n", start, self.offset)
+        newline = max(newline, self.text.rfind("\n", start, self.offset))
+        self._line_counts = (self.offset, counted, newline)
         # Without a line end in the present text, the column continues that of the dropped text.
-        column = column + self.at if newline < 0 else self.at - newline - 1
-        return characters + self.at, lines + counted, column
+        column = column + self.offset if newline < 0 else self.offset - newline - 1
+        return characters + self.offset, lines + counted, column
 
-    def go_to(self, characters: int) -> bool:
+    def set_position(self, characters: int) -> bool:
         """Set the position to a number of characters from the start; return whether its text is still stored."""
         # Only the text that has not been dropped can be read again.
         position = characters - self._start[0]
         if not 0 <= position <= len(self.text):
             return False
-        self.at, self.ended = position, False
+        self.offset, self.has_read_end = position, False
         return True
 
-    def read_end(self, take: bool) -> None:
-        """Record that the end of the stream is read; ``take`` is False for a peek.
+    def record_end_read(self, is_consumed: bool) -> None:
+        """Record that the end of the stream is read; ``is_consumed`` is False for a peek.
 
         Raises:
             PrologError: a permission error if it has been read before, and the ``eof_action`` is ``error``.
         """
-        if self.ended and self.eof_action == "error":
-            raise permission_error("input", "past_end_of_stream", self.itself)
-        self.ended = self.ended or take
+        if self.has_read_end and self.eof_action == "error":
+            raise permission_error("input", "past_end_of_stream", self.stream_term)
+        self.has_read_end = self.has_read_end or is_consumed
 
-    def character(self, take: bool) -> str:
-        """Return the next character, or "" at the end; it is consumed if ``take``."""
-        if self.at >= len(self.text) and not self._fill():
-            self.read_end(take)
+    def read_character(self, is_consumed: bool) -> str:
+        """Return the next character, or "" at the end; it is consumed if ``is_consumed``."""
+        if self.offset >= len(self.text) and not self._append_line():
+            self.record_end_read(is_consumed)
             return ""
-        char = self.text[self.at]
-        # `take` is a boolean: a peek does not advance.
-        self.at += take
+        char = self.text[self.offset]
+        # Adds 1 or 0: a peek does not advance.
+        self.offset += is_consumed
         return char
 
-    def ahead(self, length: int) -> str:
+    def peek_text(self, length: int) -> str:
         """Return the next ``length`` characters, or fewer at the end, without consuming them."""
-        while len(self.text) - self.at < length and self._fill():
+        while len(self.text) - self.offset < length and self._append_line():
             pass
-        return self.text[self.at : self.at + length]
+        return self.text[self.offset : self.offset + length]
 
     @property
     def line(self) -> int:
         """Number of the current line, from 1."""
         return self.position[1] + 1
 
-    def term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
+    def read_term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
         """Read a term; return a `SyntaxFault` for an invalid one, and None at the end."""
         while True:
-            result = self._term(operators, flags)
-            # A term may span lines, but a line is requested only if the term is incomplete: the user waits for an
-            # answer to the terms that are complete.
-            if self.more is None or not self._may_continue(result) or not self._fill():
-                self.at = self._next
+            result = self._read_next_term(operators, flags)
+            # A term may span lines, but a line is requested only if the term is incomplete, because the user expects
+            # an answer to complete terms.
+            if self.read_line is None or not self._may_continue(result) or not self._append_line():
+                self.offset = self._next
                 if result is None:
-                    self.read_end(True)
+                    self.record_end_read(True)
                 return result
 
-    def _term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
+    def _read_next_term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
         program = self._program
-        # The reader is kept between terms. Without that, each read would tokenize the rest of the text again.
-        if program is None or self._next != self.at:
-            program = read_program(self.text[self.at :], operators, self.name, flags, self.line)
-            self._program, self._base = program, self.at
+        # The reader is reused for the next term, because a new one would tokenize the rest of the text again.
+        if program is None or self._next != self.offset:
+            program = read_program(self.text[self.offset :], operators, self.name, flags, self.line)
+            self._program, self._base = program, self.offset
         program.operators, program.flags = operators, flags
         previous_end = program.end
         result = next(iter(program), None)
@@ -179,7 +179,7 @@ class InputStream:
 
     def _may_continue(self, result: Union[ReadTerm, SyntaxFault, None]) -> bool:
         """Return whether the term may be incomplete, so that another line has to be read."""
-        unread_text = self.text[self.at :].rstrip()
+        unread_text = self.text[self.offset :].rstrip()
         if result is None or not unread_text:
             return True
         if not isinstance(result, SyntaxFault) or unread_text.endswith("."):
@@ -190,14 +190,14 @@ class InputStream:
 class OutputStream:
     """An output stream to a file, written in complete lines."""
 
-    def __init__(self, name: str, mode: str, add: Callable[[str], None]):
+    def __init__(self, name: str, mode: str, append_to_file: Callable[[str], None]):
         self.name = name
-        self.asked = ""
-        self.itself: Term = atom(name)
-        self.kind = "text"
+        self.opening_name = ""
+        self.stream_term: Term = atom(name)
+        self.stream_type = "text"
         self.mode = mode
         self.column = 0
-        self._add = add
+        self._append_to_file = append_to_file
         self._buffer: List[str] = []
         self._size = 0
 
@@ -213,7 +213,7 @@ class OutputStream:
         text = "".join(self._buffer)
         self._buffer, self._size = [], 0
         if text:
-            self._add(text)
+            self._append_to_file(text)
 
 
 class _ReplacedOutput:
@@ -245,23 +245,23 @@ class OutputCapture:
 
     Attributes:
         texts: parts of the captured text.
-        before: the output that it has replaced.
-        replaced: the output that was replaced by the stream set before; None if none was set.
-        itself: its stream term.
+        replaced_output: the output that it has replaced.
+        stream_output: the output that was replaced by the stream set before; None if none was set.
+        stream_term: its stream term.
     """
 
     mode = "append"
-    kind = "text"
-    name = asked = ""
+    stream_type = "text"
+    name = opening_name = ""
 
     def __init__(self, logic: "PrologSystem"):
         self.texts: List[str] = []
-        self.before = _ReplacedOutput(logic.output, logic.column)
+        self.replaced_output = _ReplacedOutput(logic.output, logic.column)
         self._logic = logic
         self._streams = _streams(logic)
-        self.itself: Term = self._streams.new_term()
+        self.stream_term: Term = self._streams.new_term()
         self._size = 0
-        self._stream, self.replaced = self._streams.replace_current(None, None)
+        self._stream, self.stream_output = self._streams.replace_current(None, None)
         logic.output, logic.column = self, 0
 
     def __call__(self, text: str) -> None:
@@ -273,8 +273,8 @@ class OutputCapture:
     def end(self) -> None:
         """Restore the output that was replaced."""
         logic = self._logic
-        logic.output, logic.column = self.before.output, self.before.column
-        self._streams.replace_current(self._stream, self.replaced)
+        logic.output, logic.column = self.replaced_output.output, self.replaced_output.column
+        self._streams.replace_current(self._stream, self.stream_output)
 
 
 def end_captures(logic: "PrologSystem") -> None:
@@ -294,15 +294,15 @@ class ProgramStreams:
 
     def __init__(self, logic: "PrologSystem"):
         self._logic = logic
-        self.opened: Dict[int, OpenStream] = {}
+        self.open_streams: Dict[int, OpenStream] = {}
         self.aliases: Dict[str, int] = {}
-        self.user = InputStream("user_input", more=self._ask)
-        self.input = self.user
+        self.user_input = InputStream("user_input", read_line=self._read_user_line)
+        self.input = self.user_input
         self.output: Optional[OutputStream] = None
         self._replaced: Optional[_ReplacedOutput] = None
         self._number = 0
 
-    def _ask(self) -> Optional[str]:
+    def _read_user_line(self) -> Optional[str]:
         ask = self._logic.ask
         return None if ask is None else ask()
 
@@ -330,7 +330,7 @@ class ProgramStreams:
         # The alias is checked before the file is opened, which would already empty it.
         if alias is not None and (alias in self.aliases or alias in _USER):
             raise permission_error("open", "source_sink", (functor("alias", 1), atom(alias)))
-        if len(self.opened) >= MAX_OPEN_STREAMS:
+        if len(self.open_streams) >= MAX_OPEN_STREAMS:
             raise resource_error(
                 "streams", reason=f"{MAX_OPEN_STREAMS} streams are open, the maximum: close one with close/1"
             )
@@ -341,11 +341,11 @@ class ProgramStreams:
         else:
             path = files.to_write(name, mode == "append")
             stream = OutputStream(path, mode, lambda text: files.add(path, text, encoding))
-        stream.itself, stream.kind = self.new_term(), stream_type
-        self.opened[self._number] = stream
+        stream.stream_term, stream.stream_type = self.new_term(), stream_type
+        self.open_streams[self._number] = stream
         if alias is not None:
             self.aliases[alias] = self._number
-        return stream.itself
+        return stream.stream_term
 
     def new_term(self) -> Term:
         """Return a new stream term."""
@@ -354,7 +354,7 @@ class ProgramStreams:
 
     def term_of(self, stream: OpenStream) -> Term:
         """Return the stream term of a stream."""
-        return stream.itself
+        return stream.stream_term
 
     def find(self, term: Term) -> Union[OpenStream, str]:
         """Return the stream of a stream term or alias; for a standard stream, return its name.
@@ -371,15 +371,15 @@ class ProgramStreams:
             if number is None and term.name in (*_USER, "user", "current_output"):
                 return term.name
         elif isinstance(term, tuple) and term[0] is _STREAM:
-            # Captures are not in `opened`, because they end without `close/1`.
+            # Captures are not in `open_streams`, because they end without `close/1`.
             for capture in self._captures():
-                if capture.itself == term:
+                if capture.stream_term == term:
                     return capture
             value = deref(term[1])
             number = value if isinstance(value, int) else None
         else:
             raise domain_error("stream_or_alias", term)
-        stream = None if number is None else self.opened.get(number)
+        stream = None if number is None else self.open_streams.get(number)
         if stream is None:
             raise existence_error("stream", term)
         return stream
@@ -400,7 +400,7 @@ class ProgramStreams:
             return self.input
         open_stream = self.find(term)
         if open_stream in ("user_input", "user"):
-            return self.user
+            return self.user_input
         if not isinstance(open_stream, InputStream):
             raise permission_error("input", "stream", deref(term))
         return open_stream
@@ -458,7 +458,7 @@ class ProgramStreams:
             yield self._replaced
             output = self._replaced.output
         while isinstance(output, OutputCapture):
-            replaced = output.replaced or output.before
+            replaced = output.stream_output or output.replaced_output
             yield replaced
             output = replaced.output
 
@@ -472,8 +472,8 @@ class ProgramStreams:
         """Return the stream term of the current output."""
         capture = self._logic.output
         if isinstance(capture, OutputCapture):
-            return capture.itself
-        return atom("user_output") if self.output is None else self.output.itself
+            return capture.stream_term
+        return atom("user_output") if self.output is None else self.output.stream_term
 
     def replace_current(
         self, stream: Optional[OutputStream], replaced: Optional[_ReplacedOutput]
@@ -504,13 +504,13 @@ class ProgramStreams:
         if isinstance(stream, OutputCapture):
             return
         if stream is self.input:
-            self.input = self.user
+            self.input = self.user_input
         # The output is reset before the stream is removed, so that nothing can be written to a closed stream.
         if stream is self.output:
             self.set_output("user_output")
-        for number, open_stream in list(self.opened.items()):
+        for number, open_stream in list(self.open_streams.items()):
             if open_stream is stream:
-                del self.opened[number]
+                del self.open_streams[number]
                 self.aliases = {alias: index for alias, index in self.aliases.items() if index != number}
         if isinstance(stream, OutputStream):
             stream.flush()
@@ -518,8 +518,8 @@ class ProgramStreams:
     def repair(self) -> None:
         """Close all streams, after the goal that opened them has been interrupted."""
         self.set_output("user_output")
-        self.input = self.user
-        self.opened.clear()
+        self.input = self.user_input
+        self.open_streams.clear()
         self.aliases.clear()
 
 
@@ -555,7 +555,7 @@ def _streams(logic: "PrologSystem") -> ProgramStreams:
 def syntax_error_in(stream: InputStream, term: Term, fault: SyntaxFault) -> PrologError:
     """Return the Prolog error for a syntax error in a stream."""
     line, column = (0, 0) if fault.place is None else (fault.place.line, fault.place.column)
-    return PrologError((ERROR, (_SYNTAX, atom(fault.message)), (_AT, term, line, column - 1, stream.at)))
+    return PrologError((ERROR, (_SYNTAX, atom(fault.message)), (_AT, term, line, column - 1, stream.offset)))
 
 
 _POSITION = functor("$stream_position", 4)
@@ -585,7 +585,8 @@ def stream_property(machine: Machine, stream: Term, property_term: Term) -> Solu
     if stream.__class__ is Var:
         candidates: List[Tuple[Term, Union[OpenStream, str]]] = [(atom(name), name) for name in _STANDARD]
         candidates += [
-            (stream_or_name.itself, stream_or_name) for stream_or_name in list(streams.opened.values())
+            (stream_or_name.stream_term, stream_or_name)
+            for stream_or_name in list(streams.open_streams.values())
         ]
     elif is_stream_term(stream):
         candidates = [(stream, streams.find(stream))]
@@ -626,28 +627,28 @@ def _require_property(property_term: Term) -> None:
 
 def _properties(streams: ProgramStreams, stream: Union[OpenStream, str]) -> Iterator[Term]:
     if stream == "user_input":
-        stream = streams.user
+        stream = streams.user_input
     is_input = isinstance(stream, InputStream)
     mode = "append" if isinstance(stream, str) else stream.mode
     yield atom("input" if is_input else "output")
     yield _of("mode", mode)
     if isinstance(stream, str):
         yield _of("alias", stream)
-    elif stream is streams.user:
+    elif stream is streams.user_input:
         yield _of("alias", stream.name)
     elif not isinstance(stream, OutputCapture):
         yield _of("file_name", stream.name)
         for alias, number in list(streams.aliases.items()):
-            if streams.opened.get(number) is stream:
+            if streams.open_streams.get(number) is stream:
                 yield _of("alias", alias)
     if isinstance(stream, InputStream):
         yield _of("eof_action", stream.eof_action)
         # Whether the user's input has ended is not known before it is read.
-        if stream is not streams.user:
+        if stream is not streams.user_input:
             yield _of("end_of_stream", _end(stream))
         yield (functor("position", 1), _position(stream))
-        yield _of("reposition", "false" if stream is streams.user else "true")
-    yield _of("type", "text" if isinstance(stream, str) else stream.kind)
+        yield _of("reposition", "false" if stream is streams.user_input else "true")
+    yield _of("type", "text" if isinstance(stream, str) else stream.stream_type)
 
 
 def _of(name: str, value: str) -> CompoundTerm:
@@ -655,9 +656,9 @@ def _of(name: str, value: str) -> CompoundTerm:
 
 
 def _end(stream: InputStream) -> str:
-    if stream.at < len(stream.text):
+    if stream.offset < len(stream.text):
         return "not"
-    return "past" if stream.ended else "at"
+    return "past" if stream.has_read_end else "at"
 
 
 def _position(stream: InputStream) -> CompoundTerm:
@@ -675,7 +676,7 @@ def set_stream_position(machine: Machine, stream: Term, position: Term) -> bool:
     characters = deref(position[1]) if isinstance(position, tuple) and position[0] is _POSITION else None
     if not isinstance(characters, int):
         raise domain_error("stream_position", position)
-    if not isinstance(open_stream, InputStream) or not open_stream.go_to(characters):
+    if not isinstance(open_stream, InputStream) or not open_stream.set_position(characters):
         raise permission_error("reposition", "stream", deref(stream))
     return True
 

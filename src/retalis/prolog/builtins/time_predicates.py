@@ -38,7 +38,7 @@ def instant_of(term: Term) -> int:
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
     # Most timestamps come from a memory or a conversion, and hold the instant until the term is needed.
-    if term.__class__ is Lazy and term.make is timestamps.to_term and term.made is None:
+    if term.__class__ is Lazy and term.decoder is timestamps.to_term and term.decoded_term is None:
         return term.source  # type: ignore[no-any-return]
     try:
         return timestamps.from_any(term)

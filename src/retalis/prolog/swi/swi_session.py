@@ -355,7 +355,7 @@ class SwiEngine:
         """Return the error that has ended a goal."""
         terms = self._terms
         # An error term may contain handles such as streams, which are read as text.
-        terms.begin(lenient=True)
+        terms.start_reading(lenient=True)
         ball = terms.read(self._swi.exception(query))
         stored_error, self._stored_error = self._stored_error, None
         if stored_error is not None and (ball is _FAILURE or _is_same_error(stored_error, ball)):
@@ -443,7 +443,7 @@ class SwiEngine:
         swi, terms = self._swi, self._terms
         foreign_frame = swi.open_frame()
         try:
-            terms.begin()
+            terms.start_reading()
             ref = swi.new_refs(1)
             swi.get_argument(1, call_ref, ref)
             return terms.read(ref)

@@ -192,7 +192,7 @@ class SwiTerms:
         self._functors = HandlesByTerm(release_nothing)
         self._atoms = TermsByHandle(swi.unregister_atom)
         self._names = TermsByHandle(release_nothing)
-        self._puts: Dict[type, Callable[[int, Any], int]] = {
+        self._put_functions: Dict[type, Callable[[int, Any], int]] = {
             int: self._put_integer,
             float: swi.unify_float,
             Atom: self._put_atom,
@@ -204,7 +204,7 @@ class SwiTerms:
             kinds["compound"],
             kinds["pair"],
         )
-        self._reads: Dict[int, Callable[[int], Term]] = {
+        self._read_functions: Dict[int, Callable[[int], Term]] = {
             kinds["atom"]: self._read_atom,
             kinds["integer"]: self._read_integer,
             kinds["float"]: self._read_float,
@@ -221,8 +221,8 @@ class SwiTerms:
         self._to_length, self._to_place = byref(self._length), byref(self._place)
         self._to_arity = byref(self._arity)
         self._mark = swi.new_functor(self.handle(atom(_MARK)), 1)
-        self._marked: List[Var] = []
-        self._lenient = False
+        self._marked_variables: List[Var] = []
+        self._is_lenient = False
 
     def release(self) -> None:
         """Release all atoms."""
@@ -243,7 +243,7 @@ class SwiTerms:
             PrologError: if SWI-Prolog has no memory left, or cannot represent the term.
         """
         term = deref(term)
-        put = self._puts.get(term.__class__)
+        put = self._put_functions.get(term.__class__)
         if put is not None:
             require(put(ref, term))
         elif term.__class__ is Var:
@@ -258,7 +258,7 @@ class SwiTerms:
 
     def _put_large(self, ref: int, root: Term, refs: Refs) -> None:
         """Bind a variable to a term that may be compound, from the outside to the inside."""
-        swi, puts = self._swi, self._puts
+        swi, puts = self._swi, self._put_functions
         stack = [(ref, root)]
         steps = 0
         while stack:
@@ -347,21 +347,21 @@ class SwiTerms:
 
     # From SWI-Prolog
 
-    def begin(self, lenient: bool = False) -> None:
-        """Begin to read: terms that are read until the next `begin` share variables.
+    def start_reading(self, lenient: bool = False) -> None:
+        """Begin to read: terms that are read until the next `start_reading` share variables.
 
         Args:
             lenient: whether terms that cannot be represented are read as text.
         """
-        self._marked = []
-        self._lenient = lenient
+        self._marked_variables = []
+        self._is_lenient = lenient
 
     def read_values(self, refs: Refs) -> Bindings:
         """Return the values of variables, without those that are still unbound and differ from the others."""
-        reads, kind_of, variable = self._reads, self._swi.term_type, self._variable
+        reads, kind_of, variable = self._read_functions, self._swi.term_type, self._variable
         # All values of a solution share their variables, so the marks are reset only here.
-        self._marked = []
-        self._lenient = False
+        self._marked_variables = []
+        self._is_lenient = False
         values = []
         for var, ref in refs.items():
             term_type = kind_of(ref)
@@ -383,7 +383,7 @@ class SwiTerms:
             TermTooLarge: if the term is cyclic.
         """
         term_type = self._swi.term_type(ref)
-        read = self._reads.get(term_type)
+        read = self._read_functions.get(term_type)
         if read is not None:
             return read(ref)
         return (
@@ -405,7 +405,7 @@ class SwiTerms:
         swi = self._swi
         # Constraints are goals suspended on a variable, and would be lost.
         if swi.is_attributed(ref):
-            if not self._lenient:
+            if not self._is_lenient:
                 raise representation_error(
                     "constraint",
                     "a variable of the answer has constraints in SWI-Prolog: label it there first",
@@ -414,13 +414,13 @@ class SwiTerms:
         # The mark is a compound term with an integer, which cannot be confused with a term of the program.
         inner = require(swi.new_refs(1))
         require(swi.unify_functor(ref, self._mark) and swi.get_argument(1, ref, inner))
-        require(swi.unify_integer(inner, len(self._marked)))
-        self._marked.append(var)
+        require(swi.unify_integer(inner, len(self._marked_variables)))
+        self._marked_variables.append(var)
         return var
 
     def _read_large(self, ref: int, term_type: int) -> Term:
         stack: List[TermParts] = []
-        top = self._parts(ref, term_type)
+        top = self._make_parts(ref, term_type)
         steps = 0
         while True:
             steps += 1
@@ -437,12 +437,12 @@ class SwiTerms:
                 top.values.append(term)
                 continue
             term_type = self._swi.term_type(part)
-            read = self._reads.get(term_type)
+            read = self._read_functions.get(term_type)
             if read is not None:
                 top.values.append(read(part))
             elif term_type in (self._compound, self._pair):
                 stack.append(top)
-                top = self._parts(part, term_type)
+                top = self._make_parts(part, term_type)
             else:
                 top.values.append(
                     self._mark_variable(part, Var())
@@ -450,7 +450,7 @@ class SwiTerms:
                     else self._read_unsupported(part, term_type)
                 )
 
-    def _parts(self, ref: int, term_type: int) -> "TermParts":
+    def _make_parts(self, ref: int, term_type: int) -> "TermParts":
         """Return the iterator over the parts of a compound term."""
         swi = self._swi
         if term_type == self._pair:
@@ -466,7 +466,7 @@ class SwiTerms:
         if handle == self._mark:
             swi.get_argument(1, ref, argument)
             swi.get_integer(argument, self._to_long)
-            return SeenVariable(self._marked[self._long.value])
+            return SeenVariable(self._marked_variables[self._long.value])
         key = self._names.get(handle)
         if key is None:
             key = self._read_functor(ref)
@@ -475,7 +475,7 @@ class SwiTerms:
 
     def _read_constants(self, item: int, values: List[Term]) -> bool:
         """Read the leading constants of a list; return whether an item follows that is not a constant."""
-        reads, kind_of, get_list = self._reads, self._swi.term_type, self._swi.get_list
+        reads, kind_of, get_list = self._read_functions, self._swi.term_type, self._swi.get_list
         # Lists of constants, the most common ones, need no stack entry per item.
         tail = item + 1
         while len(values) <= MAX_STEPS:
@@ -539,7 +539,7 @@ class SwiTerms:
 
     def _read_unsupported(self, ref: int, term_type: int) -> Term:
         """Return the text of a term that cannot be represented, or raise an error, unless reading is lenient."""
-        if self._lenient:
+        if self._is_lenient:
             return atom(self._text(ref, self._swi.any_term_as_text))
         names = {
             self._swi.term_types["rational"]: "a rational number",

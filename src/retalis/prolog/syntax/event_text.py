@@ -391,11 +391,11 @@ class EventReader:
         self._builders: Cache[str, Optional[Builder]] = Cache(
             _MAX_SKELETONS, _TEMPLATE_COST * 256_000, _TEMPLATE_COST * 60_000
         )
-        self._wholes: Cache[str, Optional[ReadWhole]] = Cache(_MAX_SKELETONS, 8 << 20)
+        self._readers_by_skeleton: Cache[str, Optional[ReadWhole]] = Cache(_MAX_SKELETONS, 8 << 20)
         """Functions for whole texts, by skeleton."""
-        self._whole: Cache[str, Optional[ReadWhole]] = Cache(_MAX_EVENT_NAMES, 1 << 18)
+        self._reader_by_name: Cache[str, Optional[ReadWhole]] = Cache(_MAX_EVENT_NAMES, 1 << 18)
         """Functions for whole texts, by event name; None if the last text did not match."""
-        self._last: Cache[str, str] = Cache(_MAX_EVENT_NAMES, 1 << 20)
+        self._last_skeleton_by_name: Cache[str, str] = Cache(_MAX_EVENT_NAMES, 1 << 20)
         """Skeleton of the last text, by event name."""
         self._spans: Spans = Cache(2048, 1 << 20, 4096)
         self.ground: Optional[bool] = None
@@ -410,13 +410,13 @@ class EventReader:
         self.ground = None
         # The text up to the event's bracket identifies the event name; other texts have no such prefix and are split.
         head = text[: text.find("(", len(_EVENT))] if text.startswith(_EVENT) else ""
-        read_whole = self._whole.get(head)
+        read_whole = self._reader_by_name.get(head)
         if read_whole is not None:
             term = read_whole(text)
             if term is not None:
                 self.ground = True
                 return term
-            self._whole[head] = None
+            self._reader_by_name[head] = None
         # Without escapes and doubled quotes, every quote opens or closes an atom, and splitting at quotes is enough.
         if "\\" in text or "''" in text or "\n" in text:
             parts = _split_escaped(text)
@@ -447,16 +447,18 @@ class EventReader:
 
     def _record_skeleton(self, head: str, skeleton: str, builder: Builder) -> None:
         """Record the skeleton of a text; if the last text had the same one, read the next ones as a whole."""
-        if self._last.get(head) != skeleton:
-            self._last.store(head, skeleton, len(head) + len(skeleton))
+        if self._last_skeleton_by_name.get(head) != skeleton:
+            self._last_skeleton_by_name.store(head, skeleton, len(head) + len(skeleton))
             return
         try:
-            read_whole = self._wholes[skeleton]
+            read_whole = self._readers_by_skeleton[skeleton]
         except KeyError:
             function = builder.whole(_join_marks(skeleton), self._spans)
-            read_whole = self._wholes.store(skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton))
-        if self._whole.get(head) is not read_whole:
-            self._whole.store(head, read_whole, len(head))
+            read_whole = self._readers_by_skeleton.store(
+                skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton)
+            )
+        if self._reader_by_name.get(head) is not read_whole:
+            self._reader_by_name.store(head, read_whole, len(head))
 
     def _read_fully(self, text: str) -> Term:
         return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term

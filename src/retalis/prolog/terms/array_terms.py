@@ -85,7 +85,7 @@ def lazy_array(term: Term) -> Optional[Lazy]:
         if ref is None:
             return None
         term = ref
-    return term if term.__class__ is Lazy and term.make.__class__ is ArrayDecoder else None
+    return term if term.__class__ is Lazy and term.decoder.__class__ is ArrayDecoder else None
 
 
 def list_array(term: Term) -> Optional[Lazy]:
@@ -98,17 +98,17 @@ def view(lazy: Lazy) -> "Array":
     """Return the numbers of an array term as a read-only array of its bytes."""
     import numpy as np  # noqa: PLC0415 - see the module docstring
 
-    return np.frombuffer(lazy.source, lazy.make.dtype)  # type: ignore[attr-defined]
+    return np.frombuffer(lazy.source, lazy.decoder.dtype)  # type: ignore[attr-defined]
 
 
 def element_count(lazy: Lazy) -> int:
     """Return the number of elements of an array term."""
-    return len(lazy.source) // _LAYOUTS[lazy.make.dtype].size  # type: ignore[attr-defined]
+    return len(lazy.source) // _LAYOUTS[lazy.decoder.dtype].size  # type: ignore[attr-defined]
 
 
 def element(lazy: Lazy, position: int) -> Optional[Term]:
     """Return the element of an array term at a position of at least 0; None after the last one."""
-    layout = _LAYOUTS[lazy.make.dtype]  # type: ignore[attr-defined]
+    layout = _LAYOUTS[lazy.decoder.dtype]  # type: ignore[attr-defined]
     offset = position * layout.size
     return layout.unpack_from(lazy.source, offset)[0] if offset < len(lazy.source) else None
 

@@ -212,7 +212,7 @@ def from_term(term: Term) -> int:
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
     # A term from `shown` that nobody has built still holds its instant. `deref` would build it here.
-    if term.__class__ is Lazy and term.make is to_term and term.made is None:
+    if term.__class__ is Lazy and term.decoder is to_term and term.decoded_term is None:
         return term.source  # type: ignore[no-any-return]
     value: Any = deref(term)
     value_class = value.__class__
@@ -268,7 +268,7 @@ def from_any(term: Term) -> int:
         UsageError: if the term is neither.
     """
     # As in `from_term`.
-    if term.__class__ is Lazy and term.make is to_term and term.made is None:
+    if term.__class__ is Lazy and term.decoder is to_term and term.decoded_term is None:
         return term.source  # type: ignore[no-any-return]
     term = deref(term)
     if term.__class__ is tuple and term[0] is CONS:

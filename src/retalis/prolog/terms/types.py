@@ -186,28 +186,29 @@ class Lazy:
     Attributes:
         functor: the `Functor` of the term. It has the empty name and arity 0 if the term will be an atom whose name
             is not known yet.
-        make: builds the term from ``source``.
-        source: None once the term has been built, except in an array term, which keeps its bytes.
+        decoder: function that builds the term from ``source``.
+        source: data of the term; None after the term has been built, except in an array term.
+        decoded_term: the term after it has been built, or None.
     """
 
-    __slots__ = ("functor", "make", "source", "made")
+    __slots__ = ("functor", "decoder", "source", "decoded_term")
 
-    def __init__(self, functor: Functor, make: "Callable[[Any], Term]", source: Any):
+    def __init__(self, functor: Functor, decoder: "Callable[[Any], Term]", source: Any):
         self.functor = functor
-        self.make = make
+        self.decoder = decoder
         self.source = source
-        self.made: Optional[Term] = None
+        self.decoded_term: Optional[Term] = None
 
     def term(self) -> "Term":
         """Return the term, and build it on the first call; its arguments may be lazy as well."""
-        decoded = self.made
+        decoded = self.decoded_term
         if decoded is None:
-            # Read `source` before `made`: another thread may build the term between the two reads, and it stores
-            # `made` before it clears `source`. In the other order this thread could call `make(None)`.
-            source, decoded = self.source, self.made
+            # Read `source` before `decoded_term`: another thread may build the term between the two reads, and it
+            # stores `decoded_term` before it clears `source`. In the other order this thread could call `make(None)`.
+            source, decoded = self.source, self.decoded_term
             if decoded is None:
-                make = self.make
-                decoded = self.made = make(source)
+                make = self.decoder
+                decoded = self.decoded_term = make(source)
                 if make.__class__ is not ArrayDecoder:
                     self.source = None
         return decoded
