@@ -54,25 +54,25 @@ class TypeNotations:
         # `difflib` is slow, so candidates are restricted to names with the same first letter.
         self._by_first_letter: Dict[str, List[str]] = {}
         for name, message_type in names:
-            for letters in dict.fromkeys(map(_normalized, (message_type, message_type.rpartition("/")[2]))):
+            for letters in dict.fromkeys(map(_normalize, (message_type, message_type.rpartition("/")[2]))):
                 self._names.setdefault(letters, []).append(name)
         for letters in self._names:
             self._by_first_letter.setdefault(letters[:1], []).append(letters)
 
     def other_notations(self, name: str) -> List[str]:
         """Return the names of the messages that ``name`` is another notation of."""
-        return self._names.get(_normalized(name.replace("__0__", "/")), [])
+        return self._names.get(_normalize(name.replace("__0__", "/")), [])
 
-    def similar(self, name: str) -> List[str]:
+    def find_similar(self, name: str) -> List[str]:
         """Return the names of the messages that are spelt like ``name`` and begin with the same letter."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
-        letters = _normalized(name)
+        letters = _normalize(name)
         matches = get_close_matches(letters, self._by_first_letter.get(letters[:1], ()), 1, 0.75)
         return self._names[matches[0]] if matches else []
 
 
-def _normalized(name: str) -> str:
+def _normalize(name: str) -> str:
     return "".join(filter(str.isalnum, name)).lower()
 
 
@@ -151,7 +151,7 @@ class SlotNames:
         same_message = [match for notation in notations for match in notation.other_notations(name)]
         if same_message:
             return MessageSuggestions(tuple(dict.fromkeys(same_message)), True)
-        similar_names = [match for notation in notations for match in notation.similar(name)]
+        similar_names = [match for notation in notations for match in notation.find_similar(name)]
         return MessageSuggestions(tuple(dict.fromkeys(similar_names)))
 
     def _slots(self, definition: Definition) -> List[MessageSlot]:
@@ -187,7 +187,7 @@ def format_positional(definition: Definition) -> str:
         FrameId           % frame_id: string, 4 bytes + text
     )
     """
-    return _Template(named=False).text(definition)
+    return _Template(uses_slot_names=False).format_type(definition)
 
 
 def format_with_names(definition: Definition) -> str:
@@ -200,7 +200,7 @@ def format_with_names(definition: Definition) -> str:
         frame_id: FrameId    % string, 4 bytes + text
     }
     """
-    return _Template(named=True).text(definition)
+    return _Template(uses_slot_names=True).format_type(definition)
 
 
 def format_with_zeros(definition: Definition, definitions: Definitions) -> str:
@@ -217,34 +217,36 @@ class _Template:
     """Generator of the lines of a term.
 
     Args:
-        named: if the slots are written with their names.
+        uses_slot_names: whether the slots are written with their names.
     """
 
-    def __init__(self, named: bool):
-        self.named = named
-        self.used: Set[str] = set()
+    def __init__(self, uses_slot_names: bool):
+        self.uses_slot_names = uses_slot_names
+        self.used_variables: Set[str] = set()
 
-    def text(self, definition: Definition) -> str:
+    def format_type(self, definition: Definition) -> str:
         """Return the term of a type, with those of the elements of arrays and the constants as comments."""
-        lines = list(self.message(definition, "", "", [], _size_text(definition.measure)))
-        lines_shown = _align_comments(lines)
+        lines = list(self.format_message(definition, "", "", [], _size_text(definition.measure)))
+        template_lines = _align_comments(lines)
         elements = _element_types(definition)
         for element_type in elements.values():
-            lines_shown += ["", f"% {element_type.name}, an element:"]
+            template_lines += ["", f"% {element_type.name}, an element:"]
             size = _size_text(element_type.measure)
-            element_lines = list(_Template(self.named).message(element_type, "", "", [], size))
-            lines_shown += [f"% {line}" for line in _align_comments(element_lines)]
+            element_lines = list(
+                _Template(self.uses_slot_names).format_message(element_type, "", "", [], size)
+            )
+            template_lines += [f"% {line}" for line in _align_comments(element_lines)]
         for element_type in (definition, *definition.dependencies()):
             if element_type.constants:
-                lines_shown += ["", f"% constants of {element_type.name}:"]
+                template_lines += ["", f"% constants of {element_type.name}:"]
                 texts = [
                     f"{constant.name} = {_one_line(constant.text)} ({constant.type})"
                     for constant in element_type.constants
                 ]
-                lines_shown += [f"%   {text}" for text in texts]
-        return "\n".join(lines_shown + _predicate_lines(definition)) + "\n"
+                template_lines += [f"%   {text}" for text in texts]
+        return "\n".join(template_lines + _predicate_lines(definition)) + "\n"
 
-    def message(
+    def format_message(
         self,
         definition: Definition,
         indent: str,
@@ -267,46 +269,50 @@ class _Template:
         if not definition.fields:
             yield _TemplateLine(f"{indent}{prefix}{name}{suffix}", comment)
             return
-        opening, closing = ("{", "}") if self.named else ("(", ")")
+        opening, closing = ("{", "}") if self.uses_slot_names else ("(", ")")
         # The type of a slot determines the message, so that its name can be omitted.
-        if self.named and prefix:
+        if self.uses_slot_names and prefix:
             name = ""
         yield _TemplateLine(f"{indent}{prefix}{name}{opening}", comment)
         for position, slot in enumerate(definition.fields, 1):
             comma = "," if position < len(definition.fields) else ""
-            yield from self.slot(slot, indent + _INDENT, outer_names, comma)
+            yield from self.format_slot(slot, indent + _INDENT, outer_names, comma)
         yield _TemplateLine(f"{indent}{closing}{suffix}")
 
-    def slot(self, slot: Field, indent: str, outer_names: List[str], comma: str) -> Iterator[_TemplateLine]:
+    def format_slot(
+        self, slot: Field, indent: str, outer_names: List[str], comma: str
+    ) -> Iterator[_TemplateLine]:
         """Yield the lines of a slot; ``comma`` is the text after it."""
-        prefix = f"{_slot_name(slot.name)}: " if self.named else ""
+        prefix = f"{_slot_name(slot.name)}: " if self.uses_slot_names else ""
         comment = f"{slot.describe()}, {_slot_size_text(slot)}"
-        if not self.named:
+        if not self.uses_slot_names:
             comment = f"{slot.name}: {comment}"
         if slot.definition is not None and slot.length is None:
-            yield from self.message(
+            yield from self.format_message(
                 slot.definition, indent, prefix, [*outer_names, slot.name], comment, comma
             )
         elif slot.type in TIMES and slot.length is None:
-            parts = [self.variable(name, [*outer_names, slot.name]) for name in ("sec", "n_sec")]
-            yield _TemplateLine(f"{indent}{prefix}[{', '.join(parts)}]{comma}", comment)
+            variables = [self.create_variable(name, [*outer_names, slot.name]) for name in ("sec", "n_sec")]
+            yield _TemplateLine(f"{indent}{prefix}[{', '.join(variables)}]{comma}", comment)
         else:
-            yield _TemplateLine(f"{indent}{prefix}{self.variable(slot.name, outer_names)}{comma}", comment)
+            yield _TemplateLine(
+                f"{indent}{prefix}{self.create_variable(slot.name, outer_names)}{comma}", comment
+            )
 
-    def variable(self, name: str, outer_names: List[str]) -> str:
+    def create_variable(self, name: str, outer_names: List[str]) -> str:
         """Return a new variable for a slot; it begins with the names of enclosing slots if the name is used."""
         for depth in range(len(outer_names), -1, -1):
-            variable = "".join(map(_capitalised, [*outer_names[depth:], name]))
+            variable = "".join(map(_capitalize, [*outer_names[depth:], name]))
             if not variable[:1].isupper():
                 variable = f"V{variable}"
-            if variable not in self.used:
+            if variable not in self.used_variables:
                 break
         index, stem = 1, variable
         # Several slots can have the same full path of capitalised names, for example `a_b` and `aB`.
-        while variable in self.used:
+        while variable in self.used_variables:
             index += 1
             variable = f"{stem}_{index}"
-        self.used.add(variable)
+        self.used_variables.add(variable)
         return variable
 
 
@@ -327,7 +333,7 @@ def _slot_size_text(slot: Field) -> str:
     return _size_text(measure_of_slots([slot]))
 
 
-def _capitalised(name: str) -> str:
+def _capitalize(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 

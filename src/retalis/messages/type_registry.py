@@ -73,7 +73,7 @@ class GeneratedClass(NamedTuple):
             MessageError: if they differ, so that rospy would read other messages than this package.
         """
         fields = definition.fields
-        slots = [_generated_name(slot, name) for slot, name in zip_longest(fields, self.slots)]
+        slots = [_expected_slot_name(slot, name) for slot, name in zip_longest(fields, self.slots)]
         slot_types = [HEADER if slot_type in HEADER_NAMES else slot_type for slot_type in self.slot_types]
         if self.md5sum != definition.md5sum:
             problem = f"its checksum is {self.md5sum}, that of its definition is {definition.md5sum}"
@@ -87,7 +87,7 @@ class GeneratedClass(NamedTuple):
         )
 
 
-def _generated_name(slot: Optional[Field], generated_name: Optional[str]) -> Optional[str]:
+def _expected_slot_name(slot: Optional[Field], generated_name: Optional[str]) -> Optional[str]:
     """Return the expected name of a slot in a generated class: genpy appends "_" to the keywords of Python."""
     if slot is None:
         return None
@@ -102,7 +102,7 @@ It raises `MessageError` if the class cannot be imported.
 
 
 class InstalledType(NamedTuple):
-    """The definition of an installed type.
+    """Definition of an installed type.
 
     Attributes:
         text: the definition; that of a generated class includes those of nested types.
@@ -146,7 +146,7 @@ class InstalledTypes:
         inspect_class: Optional[InspectClass] = None,
     ):
         self._extra_folders = _PackageFolders(extra_folders)
-        self._folders = _PackageFolders(_standard_folders() if packages is None else packages)
+        self._folders = _PackageFolders(_find_standard_folders() if packages is None else packages)
         self._inspect_class = inspect_class
         # Without a function that imports them, generated modules are of no use.
         module_folders = () if inspect_class is None else sys.path if modules is None else modules
@@ -157,15 +157,15 @@ class InstalledTypes:
         """Return the names of the types of a package in alphabetical order; empty for an unknown package."""
         folders = [*self._extra_folders.message_folders(package), *self._folders.message_folders(package)]
         folders += [os.path.join(folder, package, "msg") for folder in self._module_folders]
-        names = {name for folder in folders for name in _type_names(folder)}
-        return sorted(names.union(_rosbags_types().get(package, ())) if self._include_rosbags else names)
+        names = {name for folder in folders for name in _list_type_names(folder)}
+        return sorted(names.union(_list_rosbags_types().get(package, ())) if self._include_rosbags else names)
 
     def packages(self) -> List[str]:
         """Return the names of the packages that have messages, in alphabetical order."""
         names = {*self._extra_folders.packages(), *self._folders.packages()}
         for folder in self._module_folders:
-            names.update(_packages_with_messages(folder))
-        return sorted(names.union(_rosbags_types()) if self._include_rosbags else names)
+            names.update(_list_packages_with_messages(folder))
+        return sorted(names.union(_list_rosbags_types()) if self._include_rosbags else names)
 
     def text(self, name: str) -> Optional[Tuple[str, str]]:
         """Return the text of a type and its source, or None if the type is not installed.
@@ -196,7 +196,7 @@ class InstalledTypes:
         if installed_type is None:
             installed_type = self._folders.read(package, type_name)
         if installed_type is None and self._include_rosbags:
-            installed_type = _rosbags_type(package, type_name)
+            installed_type = _read_rosbags_type(package, type_name)
         if installed_type is None and import_error is not None:
             raise import_error
         return installed_type
@@ -225,7 +225,7 @@ class _PackageFolders:
         """Return the names of the packages that have messages."""
         names = set(self._find_nested_packages())
         for folder in self._folders:
-            names.update(_packages_with_messages(folder))
+            names.update(_list_packages_with_messages(folder))
         return names
 
     def message_folders(self, package: str) -> Iterator[str]:
@@ -260,30 +260,30 @@ class _PackageFolders:
         return self._nested_packages
 
 
-def _type_names(folder: str) -> Iterator[str]:
+def _list_type_names(folder: str) -> Iterator[str]:
     """Yield the types that a folder defines, as ``Type.msg`` or ``_Type.py``."""
-    for name in _names_in(folder):
+    for name in _list_names(folder):
         if name.endswith(".msg"):
             yield name[:-4]
         elif name.startswith("_") and name.endswith(".py") and not name.startswith("__"):
             yield name[1:-3]
 
 
-def _packages_with_messages(folder: str) -> Iterator[str]:
+def _list_packages_with_messages(folder: str) -> Iterator[str]:
     """Yield the packages in a folder that have messages."""
-    for name in _names_in(folder):
+    for name in _list_names(folder):
         if os.path.isdir(os.path.join(folder, name, "msg")):
             yield name
 
 
-def _names_in(folder: str) -> List[str]:
+def _list_names(folder: str) -> List[str]:
     try:
         return os.listdir(folder)
     except OSError:  # the folder does not exist or is not readable
         return []
 
 
-def _rosbags_types() -> Dict[str, List[str]]:
+def _list_rosbags_types() -> Dict[str, List[str]]:
     """Return the types of the package ``rosbags``, by package."""
     types: Dict[str, List[str]] = {}
     try:
@@ -299,16 +299,16 @@ def _rosbags_types() -> Dict[str, List[str]]:
     return types
 
 
-def _standard_folders() -> List[str]:
+def _find_standard_folders() -> List[str]:
     """Return the folders of packages that the environment names, and those of installations."""
     folders = [path for path in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if path]
     for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             folders.append(os.path.join(prefix, "share"))
-    return [*folders, *_distributions(), *_SHARE_FOLDERS]
+    return [*folders, *_find_distributions(), *_SHARE_FOLDERS]
 
 
-def _distributions() -> List[str]:
+def _find_distributions() -> List[str]:
     """Return the folders of ROS distributions that are installed below ``/opt/ros``."""
     try:
         names = sorted(os.listdir(_ROS_FOLDER))
@@ -334,7 +334,7 @@ def _find_packages(folder: str, depth: int, packages: Dict[str, str]) -> None:
                 _find_packages(entry.path, depth - 1, packages)
 
 
-def _rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
+def _read_rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
     """Return the definition that the package ``rosbags`` has of a type, or None."""
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - slow, and an optional package

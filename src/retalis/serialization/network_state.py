@@ -288,7 +288,7 @@ def check_rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> Rul
     if [type_name for type_name, _ in named_states] != [type(node).__name__ for node in nodes]:
         raise UsageError(f"{rule.name}: its nodes differ from those in the state")
     checked_states = [
-        (type_name, with_name(type_name, _node_check(graph, node))(node_state))
+        (type_name, with_name(type_name, _make_node_check(graph, node))(node_state))
         for node, (type_name, node_state) in zip(nodes, named_states)
     ]
     # Buffers are numbered across all nodes of the rule, and a match names its buffer by that number.
@@ -312,20 +312,20 @@ def check_rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> Rul
     return state
 
 
-def _node_check(graph: GraphReader, node: Any) -> ValueCheck:
+def _make_node_check(graph: GraphReader, node: Any) -> ValueCheck:
     """Return a check of the state of a node; see `NetworkNode.snapshot`."""
     if isinstance(node, JoinNode):
-        return tuple_of(sequence_of(graph.check_token_key), sequence_of(_match_check(graph, node.right)))
+        return tuple_of(sequence_of(graph.check_token_key), sequence_of(_make_match_check(graph, node.right)))
     if isinstance(node, KleeneNode):
-        return sequence_of(_match_check(graph, node.repeated))
+        return sequence_of(_make_match_check(graph, node.repeated))
     if isinstance(node, RepeatNode):
-        return _repeat_node_check(graph, node)
+        return _make_repeat_node_check(graph, node)
     if isinstance(node, StreamNode):
-        return _stream_node_check(graph, node)
+        return _make_stream_node_check(graph, node)
     return none
 
 
-def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
+def _make_match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
     """Return a check of a reference to a match of a node."""
     shape = MatchShape(node)
 
@@ -340,7 +340,7 @@ def _match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
     return check
 
 
-def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
+def _make_repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     # Complete sequences are not stored.
     length = integer(1, node.times - 1)
     read_run_group = graph.reference_to("run group")
@@ -355,7 +355,7 @@ def _repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
     return tuple_of(boolean, sequence_of(length), sequence_of(check_run_group), lengths_by_key)
 
 
-def _stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
+def _make_stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
     keys, values = node.spec.key_and_values((1,) * len(child.vars))
     needs_match = node.spec.match_values is None and not isinstance(
@@ -468,7 +468,7 @@ def snapshot_matches(
     data = {
         "rules": states,
         "occurrences": graph.write(rules.tracker.snapshot()),
-        "alarms": [graph.write(entry) for entry in _alarms(clock, knowledge)],
+        "alarms": [graph.write(entry) for entry in _snapshot_alarms(clock, knowledge)],
         "next_query_order": next_query_order,
         "pending_queries": [graph.write(entry) for entry in pending_queries],
         "state_intervals": [graph.write(entry) for entry in knowledge.states.snapshot()],
@@ -491,7 +491,7 @@ def _write_state(graph: GraphWriter, rule: EventRule) -> Any:
     return tuple(RuleState(*other_fields)._replace(arrivals=arrivals))
 
 
-def _alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
+def _snapshot_alarms(clock: Clock, knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
     """Return the alarms of rules and pending queries; timers and declared states set theirs when restored."""
     alarms: List[Tuple[Any, ...]] = []
     for due_at, order, alarm in sorted(clock.alarms, key=lambda entry: entry[:2]):
@@ -523,7 +523,7 @@ def restore_matches(
     queries.restore(checked.next_query_order, checked.pending_queries)
     queries.timeouts.restore(*checked.timeouts)
     for due_at, order, *arguments in checked.alarms:
-        # The alarm of a rule has five arguments, see `_alarms`.
+        # The alarm of a rule has five arguments, see `_snapshot_alarms`.
         alarm: Any = (
             TimeoutAlarm(queries.timeouts, *arguments)
             if len(arguments) == 1
@@ -567,7 +567,7 @@ class _CheckedState:
         self.occurrences = occurrences(data["occurrences"])
         self.alarms = sequence_of(self._check_alarm)(data["alarms"])
         self.next_query_order = count(data["next_query_order"])
-        self.pending_queries = sequence_of(self._query_check(knowledge))(data["pending_queries"])
+        self.pending_queries = sequence_of(self._make_query_check(knowledge))(data["pending_queries"])
         self.state_intervals = self._check_state_intervals(knowledge, data["state_intervals"])
         self.rate_limiters = self._check_rate_limiters(knowledge, data["rate_limiters"])
         self.timeouts = tuple_of(sequence_of(tuple_of(instant, count)), sequence_of(instant))(
@@ -586,7 +586,7 @@ class _CheckedState:
         rule, token = graph.reference_to("rule"), optional(graph.reference_to("event"))
         return tuple_of(instant, count, rule, callable_term, instant, instant, token)(value)
 
-    def _query_check(self, knowledge: KnowledgeBase) -> ValueCheck:
+    def _make_query_check(self, knowledge: KnowledgeBase) -> ValueCheck:
         """Return a check of a pending query."""
         pair = tuple_of(term, instant)
 
