@@ -59,7 +59,7 @@ def test_receipts_are_all_different_and_start_anew_where_time_goes_back(monkeypa
 def test_time_that_is_not_simulated_has_no_runs(monkeypatch):
     monkeypatch.setattr(ros_time, "is_wallclock", lambda: True)
     simulated = ros_time.SimulatedTime(Reports())
-    simulated.begin([], lambda end: None)
+    simulated.start([], lambda end: None)
     assert (simulated.epochs, simulated.buffers_early_messages()) == (None, False)
     assert abs(simulated.now() - time.time_ns()) < 10**9
 
@@ -81,7 +81,7 @@ def clock(warnings, monkeypatch):
         callbacks[0](ros_time.ClockMessage(rospy.Time(seconds)))
         assert not back or begun.acquire(timeout=60)
 
-    simulated.begin([threading.Lock()], note)
+    simulated.start([threading.Lock()], note)
     simulated.move, simulated.ended = move, ended
     return simulated
 

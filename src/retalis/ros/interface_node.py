@@ -78,7 +78,7 @@ class InterfaceNode:
             clock_epochs=self._time.epochs,
         )
         self._texts.start_identification(self._interface.processing_lock, self._interface.publishers)
-        self._time.begin([self._interface.processing_lock], skew.begin_epoch, self._texts.begin_epoch)
+        self._time.start([self._interface.processing_lock], skew.begin_epoch, self._texts.begin_epoch)
         errors: List[str] = []
         try:
             topics = read_topics(parameters.program / TOPICS)

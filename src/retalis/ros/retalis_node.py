@@ -323,7 +323,7 @@ class RetalisNode:
         )
         ListService(self._interface.input_statuses, self.engine.status)
         text_lock = self._interface.subscribe_texts(INPUT, self.engine.post_text, epochs, self._latched)
-        self._time.begin(
+        self._time.start(
             [self._interface.processing_lock, text_lock],
             skew.begin_epoch,
             lambda end: self._schedule_epoch(clock),

@@ -57,14 +57,14 @@ class SimulatedTime:
         """Return whether messages may be queued for an epoch that has not begun."""
         return self.epochs is not None and self.epochs.buffers_early_messages()
 
-    def begin(self, locks: Sequence[ContextManager[object]], *callbacks: Callable[[int], object]) -> None:
+    def start(self, locks: Sequence[ContextManager[object]], *callbacks: Callable[[int], object]) -> None:
         """Start to follow ``/clock``; see `ClockEpochs.register_callbacks`."""
         epochs = self.epochs
         if epochs is None:
             return
         epochs.register_callbacks(locks, *callbacks)
 
-        def run() -> None:
+        def update_epochs() -> None:
             timeout: Optional[float] = None
             while not rospy.is_shutdown():
                 self._wake_up.wait(timeout)
@@ -75,9 +75,9 @@ class SimulatedTime:
                     # The next step continues the work of this one.
                     self._reports.error(error)
 
-        threading.Thread(target=run, daemon=True, name="runs of /clock").start()
-        # rospy itself subscribes /clock. Its callback is registered earlier and runs in the same thread, so rospy's
-        # time has been updated when this callback runs.
+        threading.Thread(target=update_epochs, daemon=True, name="runs of /clock").start()
+        # rospy itself subscribes to /clock. Its callback is registered earlier and runs in the same thread, so
+        # rospy's time has been updated when this callback runs.
         self._clock = rospy.Subscriber(
             "/clock", ClockMessage, lambda message: epochs.update_clock(message.clock.to_nsec())
         )
@@ -106,7 +106,7 @@ class Receipts:
         return instant
 
     def epoch(self) -> int:
-        """Return the number of times that time has jumped back."""
+        """Return the number of times that time has jumped back until now."""
         if self._clock.went_back():
             self._epoch += 1
         return self._epoch
