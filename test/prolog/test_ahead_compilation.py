@@ -33,7 +33,7 @@ def test_what_a_term_names_is_compiled_with_what_it_calls():
 def test_a_goal_is_ready_at_the_end_of_preparing():
     logic = prolog(PROGRAM, 12)
     x = Var()
-    with logic.preparing(list):
+    with logic.precompiling_goals(list):
         ready = logic.compile_goal((GO, x), [x])
     later = logic.compile_goal((GO, x), [x])
     for goal in (ready, later):
@@ -46,7 +46,7 @@ def test_a_goal_is_ready_at_the_end_of_preparing():
 def test_a_goal_whose_predicates_come_later_is_made_when_it_is_asked():
     logic = PrologSystem()
     x = Var()
-    with logic.preparing(lambda: [(GO, x)]):
+    with logic.precompiling_goals(lambda: [(GO, x)]):
         goal = logic.compile_goal((GO, x), [x])
     for text in ("go(1)", "go(2)"):
         logic.add_clause(read_term(text, logic.operators).term)
@@ -56,7 +56,7 @@ def test_a_goal_whose_predicates_come_later_is_made_when_it_is_asked():
 def test_what_changes_after_it_was_compiled_is_as_it_is_now():
     logic = prolog(PROGRAM, 12)
     x = Var()
-    with logic.preparing(lambda: [(GO, x)]):
+    with logic.precompiling_goals(lambda: [(GO, x)]):
         goal = logic.compile_goal((GO, x), [x])
     assert goal.first_solution((9,)) is None
     logic.add_clause(read_term("facts(10)", logic.operators).term)
@@ -67,7 +67,7 @@ def test_what_changes_after_it_was_compiled_is_as_it_is_now():
 def test_preparing_that_fails_prepares_nothing():
     logic = prolog(PROGRAM, 12)
     try:
-        with logic.preparing(lambda: [(GO, Var())]):
+        with logic.precompiling_goals(lambda: [(GO, Var())]):
             raise KeyError
     except KeyError:
         pass

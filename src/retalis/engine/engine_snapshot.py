@@ -157,7 +157,7 @@ class EngineSnapshot:
         self._load_swi([SwiFile(*item) for item in program["swi_files"]], folder)
         restore_program(logic, ProgramSnapshot(*sections["clauses"]))
         restore_values(logic, ValuesSnapshot(*sections["values"]))
-        with logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+        with logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
             named_rules = restore_rules(rules, program["rules"])
             memories = restore_memories(knowledge, program["memories"])
             restore_subscriptions(knowledge, program["subscriptions"], counters["sent_counts"])

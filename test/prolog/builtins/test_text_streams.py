@@ -12,7 +12,7 @@ from retalis.prolog.machine.errors import existence_error, permission_error
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
-from retalis.prolog.system.prolog_system import repair
+from retalis.prolog.system.prolog_system import repair_after_interrupt
 
 
 class Folder:
@@ -267,7 +267,7 @@ def test_there_are_so_many_at_most(logic):
 
 def test_an_interrupt_closes_all(logic):
     answers(logic, "open(facts, read, _, [alias(in)]), tell(out), write(a)")
-    repair(logic)
+    repair_after_interrupt(logic)
     assert answers(logic, "write(b), stream_property(_, file_name(_))") == []
     assert answers(logic, "read(in, _)") == ["existence_error(stream,in)"]
     assert logic.written == ["b"]

@@ -25,7 +25,12 @@ from ...events.dispatch.dispatcher import Dispatcher
 from ...events.knowledge.knowledge_base import KnowledgeBase
 from ...events.rules.rule_base import RuleBase
 from ...foundation.errors import RetalisError, UsageError
-from ...prolog.system.prolog_system import PrologSystem, go_back, repair, state_of
+from ...prolog.system.prolog_system import (
+    PrologSystem,
+    machine_state,
+    repair_after_interrupt,
+    restore_machine,
+)
 
 
 class Request:
@@ -555,7 +560,7 @@ class EngineRecovery(Recovery):
     def state(self) -> Any:
         """Return the positions of machine, files, dispatcher and compiler."""
         return (
-            state_of(self._logic.machine),
+            machine_state(self._logic.machine),
             self._rules.files.state(),
             self._dispatcher.state(),
             self._logic.new_goals,
@@ -567,13 +572,13 @@ class EngineRecovery(Recovery):
             return  # errors of a program leave a consistent state
         dispatcher = self._dispatcher
         machine, files, served, goals = (None, None, (None, None), None) if state is None else state
-        go_back(self._logic.machine, machine)
+        restore_machine(self._logic.machine, machine)
         if rebuild:
             self._rules.files.restore(files)
         dispatcher.restore(*served)
         self._logic.new_goals = goals
         if rebuild and state is None:
-            repair(self._logic)
+            repair_after_interrupt(self._logic)
             self._logic.is_serving_client = False
             dispatcher.repair()
             self._rules.repair()

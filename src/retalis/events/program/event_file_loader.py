@@ -232,8 +232,8 @@ class EventFileLoader:
         rules = self._rules
         checker = FileChecker(declared=rules.declared.current())
         checker.check_read_term(read_term)
-        # `preparing` compiles goals and predicates now, so that the first events do not wait for it.
-        with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+        # `precompiling_goals` compiles goals and predicates now, so that the first events do not wait for it.
+        with rules.logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
             self._finish(lambda errors: self._check_contents(checker, errors), Errors())
 
     def _load_file(self, path: Path) -> None:
@@ -243,7 +243,7 @@ class EventFileLoader:
 
     def _load(self, text: str, source: str) -> None:
         rules = self._rules
-        with rules.logic.preparing(lambda: [rule.definition.term for rule in rules.rules]):
+        with rules.logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
             self._finish(lambda errors: self._parse_and_check(text, source, errors), Errors())
 
     def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:

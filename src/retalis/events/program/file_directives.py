@@ -62,8 +62,8 @@ class Directives:
         # Saved for nested directives: a goal may load a file.
         outer_state = self._last_index, self._goal_count
         goal, goals = (
-            self._logic.of_file(goal),
-            [(self._logic.of_file(part), position) for part, position in goals],
+            self._logic.resolve_file_goal(goal),
+            [(self._logic.resolve_file_goal(part), position) for part, position in goals],
         )
         invalid = [position for position, (part, _) in enumerate(goals) if not _is_callable(part)]
         # A conjunction with a part that is not callable raises an error that shows all of it; markers would show

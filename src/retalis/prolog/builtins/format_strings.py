@@ -86,13 +86,13 @@ class ColumnLine:
     """
 
     def __init__(self, column: int):
-        self.done: List[str] = []
+        self.finished_parts: List[str] = []
         self._start_segment()
         self.start = column
         self.column = column
         self.size = 0
 
-    def add(self, text: str) -> None:
+    def append(self, text: str) -> None:
         """Add text to the segment between two column stops."""
         if not text:
             return
@@ -103,38 +103,38 @@ class ColumnLine:
         newline = text.rfind("\n")
         # A newline ends the segment without a column stop, so its fill points have no effect.
         if newline >= 0:
-            self.done += self.segment
+            self.finished_parts += self.segment
             self._start_segment()
             self.column = self.start = len(text) - newline - 1
         else:
             self.column += len(text)
 
-    def fill(self, char: str) -> None:
+    def add_fill_point(self, char: str) -> None:
         """Add a fill point: characters that are missing at the next column stop are inserted here."""
-        self.fills.append((self.width, char))
+        self.fill_points.append((self.width, char))
 
-    def stop(self, target: int) -> None:
+    def end_segment(self, target: int) -> None:
         """End the segment at a column, and insert the missing characters at its fill points."""
         text = "".join(self.segment)
         missing = target - self.column
         if missing > 0:
             self.size += missing
             check_text_length(self.size)
-            text = _insert_fill(text, self.fills or [(len(text), " ")], missing)
+            text = _insert_fill(text, self.fill_points or [(len(text), " ")], missing)
             self.column = target
-        self.done.append(text)
+        self.finished_parts.append(text)
         self._start_segment()
         self.start = self.column
 
     def _start_segment(self) -> None:
         """Start a new segment."""
         self.segment: List[str] = []
-        self.fills: List[Tuple[int, str]] = []
+        self.fill_points: List[Tuple[int, str]] = []
         self.width = 0  # of the segment
 
     def text(self) -> str:
         """Return the whole text, with the incomplete segment."""
-        return join_texts(self.done + self.segment)
+        return join_texts(self.finished_parts + self.segment)
 
 
 def _insert_fill(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
@@ -178,9 +178,9 @@ class Formatter:
                 check_limits()
             tilde = text.find("~", position)
             if tilde < 0:
-                line.add(text[position:])
+                line.append(text[position:])
                 break
-            line.add(text[position:tilde])
+            line.append(text[position:tilde])
             position = self._directive(text, tilde + 1)
         if self.arguments:
             raise format_error("too many arguments")
@@ -206,9 +206,9 @@ class Formatter:
             self._next()
         elif letter == "N":
             if self.line.column:
-                self.line.add("\n")
+                self.line.append("\n")
         else:
-            self.line.add(self._text_of_directive(letter, number))
+            self.line.append(self._text_of_directive(letter, number))
         return position + 1
 
     def _number(self, text: str, position: int) -> Tuple[Optional[int], int]:
@@ -232,12 +232,12 @@ class Formatter:
         """Execute a directive for a column stop or a fill point."""
         line = self.line
         if letter == "t":
-            line.fill(chr(32 if number is None else number))
+            line.add_fill_point(chr(32 if number is None else number))
         # Relative to the previous column stop, by default 8 columns.
         elif letter == "+":
-            line.stop(line.start + (8 if number is None else number))
+            line.end_segment(line.start + (8 if number is None else number))
         else:
-            line.stop(line.column if number is None else number)
+            line.end_segment(line.column if number is None else number)
 
     def _text_of_directive(self, letter: str, number: Optional[int]) -> str:
         """Return the text of any other directive."""

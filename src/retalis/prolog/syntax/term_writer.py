@@ -102,20 +102,31 @@ Piece = Union[str, "_PrefixOperator", "_Arguments", "_Cells", Tuple[Term, int], 
 
 
 class _TermWriter:
+    """Writer of one term, with an explicit stack instead of recursion.
+
+    Attributes:
+        check_mask: bit mask of the steps at which the limits and the length are checked.
+        tokens: the written text.
+        last_character: last character of the text, which decides whether the next token needs a space before it.
+        pending_prefix: prefix operator that was written last, if no operand has followed yet.
+        measured_count: number of tokens whose lengths are added up in ``size``.
+        size: number of characters of these tokens.
+    """
+
     check_mask = _MASK
 
     def __init__(self, operators: Operators, options: WriteOptions):
         self.operators = operators
         self.options = options
-        self.out: List[str] = []
-        self.last = ""
-        self.after: Optional[_PrefixOperator] = None
-        self.names = options.variable_names or {}
+        self.tokens: List[str] = []
+        self.last_character = ""
+        self.pending_prefix: Optional[_PrefixOperator] = None
+        self.variable_names = options.variable_names or {}
         self.atom: Callable[[str], str] = atom_text if options.quoted else str
         self.comma = ", " if options.spacing else ","
         self.portray = options.portray
         self.stack: List[Piece] = []
-        self.counted = 0
+        self.measured_count = 0
         self.size = 0
 
     def write(self, term: Term) -> str:
@@ -135,15 +146,15 @@ class _TermWriter:
             entry: Any = stack.pop()
             entry_class = entry.__class__
             if entry_class is str:
-                self._put(entry)
+                self._append_token(entry)
             elif entry_class is _PrefixOperator:
-                entry.has_space_before = self._put(entry.text)
-                self.after = entry
+                entry.has_space_before = self._append_token(entry.text)
+                self.pending_prefix = entry
             elif entry_class is _Cells or entry_class is _Arguments:
                 entry.put_next(stack)
             else:
                 self._term(deref(entry[0]), entry[1], len(entry) == 3)
-        return "".join(self.out)
+        return "".join(self.tokens)
 
     def _is_full(self, term: Term, steps: int) -> bool:
         """Check the limits; return whether no more needs to be written."""
@@ -151,64 +162,65 @@ class _TermWriter:
         # A cyclic term would be written until the text is too long; most terms are finished before this check.
         if steps == _CYCLE_CHECK_STEPS:
             resolve(term)  # raises for a cyclic term
-        self._measure(0)
+        self._check_size(0)
         return False
 
-    def _measure(self, following: int) -> None:
-        """Add up the characters so far, and check that the text has room for them and for ``following`` more."""
-        self.size += sum(map(len, self.out[self.counted :]))
-        self.counted = len(self.out)
+    def _check_size(self, following: int) -> None:
+        """Add up the characters so far; raise an error if ``following`` more characters would be too many."""
+        self.size += sum(map(len, self.tokens[self.measured_count :]))
+        self.measured_count = len(self.tokens)
         if self.size + following > _MAX_TEXT_CHARACTERS:
             raise TermTooLarge
         if self.size + following > _LARGE_TEXT_CHARACTERS:
             check_limits(size=self.size + following)
 
-    def _put(self, token: str) -> bool:
+    def _append_token(self, token: str) -> bool:
         """Append a token, after a space if it would merge with the previous one; return whether there is a space."""
         if not token:
             return False
-        last, first = self.last, token[0]
+        last, first = self.last_character, token[0]
         is_separated = bool(last) and (
-            _would_merge(last, first) or (self.after is not None and self.after.needs_blank(first))
+            _would_merge(last, first)
+            or (self.pending_prefix is not None and self.pending_prefix.needs_blank(first))
         )
         if is_separated:
-            self.out.append(" ")
-        self.after = None
-        self.out.append(token)
-        self.last = token[-1]
+            self.tokens.append(" ")
+        self.pending_prefix = None
+        self.tokens.append(token)
+        self.last_character = token[-1]
         return is_separated
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
         if self.portray is not None and term.__class__ is not Var:
             text = self.portray(term)
             if text is not None:
-                self._put(text)
+                self._append_token(text)
                 return
         if term.__class__ is tuple:
             self._compound(term, limit)
         elif term.__class__ is Atom:
             self._atom_term(term.name, is_operand)
         elif term.__class__ is int:
-            self._put(integer_text(term))
+            self._append_token(integer_text(term))
         elif term.__class__ is float:
-            self._put(float_text(term))
+            self._append_token(float_text(term))
         elif term.__class__ is String:
             if len(term.text) > _LARGE_TEXT_CHARACTERS:
-                self._measure(len(term.text))
-            self._put(quote(term.text, '"') if self.options.quoted else term.text)
+                self._check_size(len(term.text))
+            self._append_token(quote(term.text, '"') if self.options.quoted else term.text)
         elif term.__class__ is Var:
-            self._put(self.names.get(term) or f"_G{serial(term)}")
+            self._append_token(self.variable_names.get(term) or f"_G{serial(term)}")
 
     def _atom_term(self, name: str, is_operand: bool) -> None:
         if len(name) > _LARGE_TEXT_CHARACTERS:
-            self._measure(len(name))
+            self._check_size(len(name))
         # An operator as an operand is put in brackets: `- = x` would be read differently with other operators.
         if is_operand and (name in self.operators or name == "."):
-            self._put("(")
-            self._put(self.atom(name))
-            self._put(")")
+            self._append_token("(")
+            self._append_token(self.atom(name))
+            self._append_token(")")
         else:
-            self._put(self.atom(name))
+            self._append_token(self.atom(name))
 
     def _compound(self, term: CompoundTerm, limit: int) -> None:
         key: Functor = term[0]
@@ -229,7 +241,7 @@ class _TermWriter:
         if number.__class__ is not int or number < 0:
             return False
         letter = chr(ord("A") + number % 26)
-        self._put(letter + (str(number // 26) if number >= 26 else ""))
+        self._append_token(letter + (str(number // 26) if number >= 26 else ""))
         return True
 
     def _canonical(self, term: CompoundTerm, key: Functor) -> None:
@@ -243,14 +255,14 @@ class _TermWriter:
                 stack.append(self.comma)
         if key.arity:
             stack.append((term[1], 999))
-        self._put(self.atom(key.name))
-        self._put("(")
+        self._append_token(self.atom(key.name))
+        self._append_token("(")
 
     def _list(self, term: CompoundTerm) -> None:
         stack = self.stack
         stack.append(_Cells(term[2], self.comma))
         stack.append((term[1], 999))
-        self._put("[")
+        self._append_token("[")
 
     def _operator(self, term: CompoundTerm, key: Functor, limit: int) -> bool:
         """Write a term in operator notation; return false if its functor is no operator."""
@@ -359,9 +371,9 @@ class _Cells:
 
 
 class _BeginningWriter(_TermWriter):
-    """Writes the beginning of a term; omitted parts take no time."""
+    """Writer of the beginning of a term, whose time does not depend on the omitted parts."""
 
-    check_mask = 0  # the length is checked after every piece
+    check_mask = 0  # the length is checked at each step
 
     def write(self, term: Term) -> str:
         text = super().write(term)
@@ -369,7 +381,7 @@ class _BeginningWriter(_TermWriter):
         return text if longest is None or len(text) <= longest else f"{text[:longest]}..."
 
     def _is_full(self, term: Term, steps: int) -> bool:
-        self._measure(0)
+        self._check_size(0)
         return self.size > (self.options.longest or 0)
 
     def _term(self, term: Term, limit: int, is_operand: bool) -> None:
@@ -381,7 +393,7 @@ class _BeginningWriter(_TermWriter):
         elif term.__class__ is String and len(term.text) > longest:
             term = String(term.text[: longest + 1])
         elif term.__class__ is int and term.bit_length() > 4 * longest:
-            self._put(f"an integer of {term.bit_length()} bits")
+            self._append_token(f"an integer of {term.bit_length()} bits")
             return
         super()._term(term, limit, is_operand)
 

@@ -5,8 +5,9 @@ contains three services of a running system:
 
 * `Tracer` runs goals in the box model of Byrd: it interprets clauses and reports each port (call, exit, redo, fail,
   exception) that a goal passes.
-* `undefined` raises the existence error of an unknown procedure, with possible callers and similar names.
-* `state_of`, `go_back` and `repair` return a machine to an earlier state after an interrupt at any point.
+* `handle_undefined_call` raises the existence error of an unknown procedure, with possible callers and similar names.
+* `machine_state`, `restore_machine` and `repair_after_interrupt` return a machine to an earlier state after an
+interrupt at any point.
 """
 
 import sys
@@ -261,7 +262,7 @@ _MAX_COMPARED_CHARACTERS = 200
 """Characters of a name that are compared with other names; the comparison is quadratic."""
 
 
-def undefined(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+def handle_undefined_call(logic: PredicateTable, predicate: Predicate, frame: Frame) -> Optional[Frame]:
     """Handle a call of an undefined procedure as the flag ``unknown`` says.
 
     Returns:
@@ -363,7 +364,7 @@ def similar(logic: PredicateTable, key: Functor) -> List[str]:
 
 
 class MachineState(NamedTuple):
-    """Position of a machine, to which `go_back` returns it.
+    """Position of a machine, to which `restore_machine` returns it.
 
     Attributes:
         height: height of the choice point stack.
@@ -376,12 +377,12 @@ class MachineState(NamedTuple):
     budget: BudgetState
 
 
-def state_of(machine: Machine) -> MachineState:
+def machine_state(machine: Machine) -> MachineState:
     """Return the current position of a machine."""
     return MachineState(len(machine.choices), len(machine.trail), machine.budget.snapshot())
 
 
-def go_back(machine: Machine, state: Optional[MachineState]) -> None:
+def restore_machine(machine: Machine, state: Optional[MachineState]) -> None:
     """Return a machine to an earlier position, or to its idle one if it is None, and unwind the guards above it."""
     height, mark = machine.idle_lengths if state is None else state[:2]
     budget, choices = machine.budget, machine.choices
@@ -396,7 +397,7 @@ def go_back(machine: Machine, state: Optional[MachineState]) -> None:
     budget.restore(None if state is None else state.budget)
 
 
-def repair(logic: Any) -> None:
+def repair_after_interrupt(logic: Any) -> None:
     """Restore the invariants of data that outlives a goal after an interrupt; no goal may be running."""
     end_captures(logic)
     logic.new_goals = None
@@ -466,12 +467,12 @@ class PrologSystem(PredicateTable):
         environment: environment variables of the process; None if the program may not read them.
         is_serving_client: whether the current work is done for a client and not for the program; see `for_others`.
         allow_flags: whether goals of clients, including those that they add to the program, may change flags.
-        new_goals: goals compiled since `preparing` began; None outside of it.
+        new_goals: goals compiled since `precompiling_goals` began; None outside of it.
     """
 
     def __init__(self, operators: Optional[Operators] = None, compile_after: int = COMPILE_AFTER):
         super().__init__(operators, compile_after)
-        self.database.call_undefined = self._undefined
+        self.database.call_undefined = self._call_undefined
         self.globals: Dict[str, Term] = {}
         self.column = 0
         self.output: Callable[[str], None]
@@ -589,7 +590,7 @@ class PrologSystem(PredicateTable):
             return modules.resolve_head_module(term)
         return term
 
-    def of_file(self, goal: Term) -> Term:
+    def resolve_file_goal(self, goal: Term) -> Term:
         """Return a goal of the file that is being loaded, with names resolved in its module."""
         modules = self.database.modules
         return goal if modules.loading_module is None else modules.resolve_body(modules.loading_module, goal)
@@ -630,7 +631,7 @@ class PrologSystem(PredicateTable):
             Whether it succeeded.
         """
         try:
-            if self.once(self.of_file(goal)):
+            if self.once(self.resolve_file_goal(goal)):
                 return True
             problem(f"Goal (directive) failed: {self.show(goal)}", place)
         except PrologError as error:
@@ -672,7 +673,7 @@ class PrologSystem(PredicateTable):
         return compiled
 
     @contextmanager
-    def preparing(self, terms: Callable[[], Iterable[Term]]) -> Iterator[None]:
+    def precompiling_goals(self, terms: Callable[[], Iterable[Term]]) -> Iterator[None]:
         """Return a context at whose end the goals compiled in it are ready, so that the first events do not wait.
 
         Args:
@@ -766,7 +767,7 @@ class PrologSystem(PredicateTable):
 
     # Internals
 
-    def _undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
+    def _call_undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
         """Run a call of an undefined predicate: through the plain name, the library, or the existence error."""
         key = predicate.functor
         if predicate.dynamic:
@@ -779,7 +780,7 @@ class PrologSystem(PredicateTable):
         if library_file is not None:
             self._load_library(library_file)
             return self.database.predicate(key).run(frame)
-        return undefined(self, predicate, frame)
+        return handle_undefined_call(self, predicate, frame)
 
     def similar(self, key: Functor) -> List[str]:
         """Return indicators of predicates with a similar name, for "did you mean" hints."""
