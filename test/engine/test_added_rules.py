@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Engine, ProgramErrors, RetalisError, SyntaxFault, UsageError
-from retalis.engine.external_requests import add_rule, delete_rule
+from retalis.engine.client_requests import add_rule, delete_rule
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Engine, PrologError, Settings, atom
-from retalis.engine.external_requests import add_rule, ask, run_restricted
+from retalis.engine.client_requests import add_rule, ask, run_restricted
 from retalis.prolog.syntax.term_reader import read_term
 
 SET = "set_etalis_flag(event_consumption_policy, unrestricted)"

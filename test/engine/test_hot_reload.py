@@ -16,7 +16,7 @@ from retalis import (
     foreign,
     functor,
 )
-from retalis.engine.external_requests import add_rule, delete_rule
+from retalis.engine.client_requests import add_rule, delete_rule
 
 FIRE = functor("fire", 1)
 

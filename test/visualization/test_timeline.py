@@ -49,8 +49,8 @@ def of(lines):
 
 def test_a_run_has_a_lane_for_each_name():
     run = of(RUN)
-    assert (run.begin, run.length, run.left_out) == (5 * SECOND, 4.0, 0)
-    assert [(lane.kind, lane.name, lane.number) for lane in run.lanes] == [
+    assert (run.begin, run.length, run.omitted_lane_count) == (5 * SECOND, 4.0, 0)
+    assert [(lane.kind, lane.name, lane.total) for lane in run.lanes] == [
         *(("event", "Level", 1), ("event", "a (b", 1), ("wait", "seen waits", 1)),
         *(("memory", "odom", 4), ("output", "y", 1), ("output", "z", 1)),
     ]
@@ -68,9 +68,9 @@ def test_a_long_run_is_thinned_over_its_whole_length():
         builder.add_record({"event": f"e{at}", "start": at, "end": at})
     run = builder.build()
     lane = run.lanes[0]
-    assert lane.number == number and MAX_MARKS / 2 <= len(lane.marks) <= MAX_MARKS
+    assert lane.total == number and MAX_MARKS / 2 <= len(lane.marks) <= MAX_MARKS
     assert round(lane.marks[-1][0] * SECOND) > number - 5
-    assert len(run.lanes) == MAX_LANES and run.left_out == 4
+    assert len(run.lanes) == MAX_LANES and run.omitted_lane_count == 4
 
 
 @pytest.mark.parametrize(

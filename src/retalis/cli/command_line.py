@@ -37,7 +37,10 @@ def version() -> str:
 
 
 class ShowVersion(argparse.Action):
-    """Action that determines and prints the version, which takes too long to do it for each command."""
+    """Action that prints the version.
+
+    argparse's own action needs the version in advance, and reading it takes too long for each command.
+    """
 
     def __init__(self, *names: Any, **options: Any):
         super().__init__(*names, **{**options, "nargs": 0})
@@ -74,7 +77,11 @@ _NEEDS_ALL = "complete"
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run a command; return its exit status: 0 for success, 1 for errors, 2 for wrong usage."""
+    """Run a command; return its exit status: 0 for success, 1 for errors, 130 after ctrl-C.
+
+    Raises:
+        SystemExit: with status 2 for wrong usage, with 0 after ``--help`` and ``--version``.
+    """
     words = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
         prog="retalis",

@@ -18,7 +18,7 @@ from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream, StreamClosedError
 from tornado.web import Application, HTTPError, RequestHandler
 
-from ..engine.external_requests import ask
+from ..engine.client_requests import ask
 from ..explanation.explain import explain, records_origins
 from ..foundation.errors import RetalisError, SyntaxFault, beginning, printable_json
 from ..prolog.machine.resource_limits import Limits

@@ -2,8 +2,8 @@
 
 A deployment (Esper's term for everything that one load has created) is the difference between two states of the
 program: `current_deployment` reads all items, and `Deployment.added_since` subtracts an earlier state. A reload
-replaces exactly the items of the folder's deployment. In a saved state, items are referred to by their positions in
-the program's lists.
+replaces exactly the items of the folder's deployment. In a saved state, rules, clauses, memories, subscriptions and
+states are positions in the program's lists; all other items are saved by value.
 """
 
 from pathlib import Path
@@ -61,7 +61,8 @@ class Deployment(NamedTuple):
 
     def added_since(self, before: "Deployment") -> "Deployment":
         """Return the items that were added after an earlier state."""
-        # Items are compared by identity, not by equality: an item that was deleted and defined again is a new one.
+        # Rules, clauses, memories, subscriptions, timers and states are compared by identity: one that was deleted
+        # and defined again is new. The others are compared by value.
         rules, files = set(before.rules), before.files
         clauses = {
             predicate: _exclude(clause_list, before.clauses.get(predicate, ()))
@@ -144,7 +145,7 @@ def clause_key(clause: Clause) -> Hashable:
 def pair_equal_rules(
     old: Sequence[EventRule], new: Sequence[EventRule], key: Callable[[EventRule], Hashable]
 ) -> Dict[EventRule, EventRule]:
-    """Pair new rules with equal old rules, in order; each old rule is used once."""
+    """Return the equal old rule of each new rule that has one; each old rule is used once."""
     rules_by_key: Dict[Hashable, List[EventRule]] = {}
     # In reverse order, so that `pop` returns the first of several equal rules.
     for rule in reversed(old):

@@ -25,8 +25,8 @@ class ProgramLoader:
         logic: calls goals.
         rules: receives rules.
         executor: executes the goals exclusively and is told which goal runs.
-        dispatcher: dispatches the events of the engine; none is dispatched in the middle of a goal.
-        has_start_limits: whether the limits of later goals apply.
+        dispatcher: its event context is restored if loading raises an exception.
+        has_start_limits: whether the limits of later goals also apply to goals of files.
         once: calls a goal.
     """
 

@@ -17,9 +17,9 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 
 import rospy
 
+from ..engine.client_requests import add_rule, ask, delete_rule, run_restricted, wait_for_memories
 from ..engine.engine import Engine
 from ..engine.engine_status import MemoryStatus, RuleStatus, Status, SubscriptionStatus, WaitingStatus
-from ..engine.external_requests import add_rule, ask, delete_rule, run_restricted, wait_for_memories
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type

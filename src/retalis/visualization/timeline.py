@@ -48,13 +48,14 @@ class TimelineLane(NamedTuple):
         kind: one of `LANE_KINDS`.
         name: name of an event or topic, or id of a memory.
         marks: the marks in order of arrival.
-        number: number of marks including omitted ones.
+        total: number of events, waits or outputs including those without a mark; for a memory, number of records
+            ever stored.
     """
 
     kind: str
     name: str
     marks: List[Mark]
-    number: int
+    total: int
 
 
 class Timeline(NamedTuple):
@@ -64,13 +65,13 @@ class Timeline(NamedTuple):
         begin: time of second 0, in nanoseconds since the epoch.
         length: duration in seconds.
         lanes: lanes in the order of their kinds and first marks; outputs by name.
-        left_out: number of further lanes.
+        omitted_lane_count: number of further lanes.
     """
 
     begin: int
     length: float
     lanes: List[TimelineLane]
-    left_out: int
+    omitted_lane_count: int
 
 
 class _LaneBuilder:
@@ -78,18 +79,18 @@ class _LaneBuilder:
 
     def __init__(self) -> None:
         self.marks: List[Tuple[int, int, str]] = []
-        self.number = 0
+        self.total = 0
         self._step = 1
 
     def add(self, start: int, end: int, text: str) -> None:
-        if self.number % self._step == 0:
+        if self.total % self._step == 0:
             self.marks.append((start, end, beginning(text, MAX_MARK_CHARACTERS)))
             # Dropping every second mark keeps the density even, in constant memory and without knowing the number in
             # advance.
             if len(self.marks) > MAX_MARKS:
                 self.marks = self.marks[::2]
                 self._step *= 2
-        self.number += 1
+        self.total += 1
 
 
 class TimelineBuilder:
@@ -97,7 +98,7 @@ class TimelineBuilder:
 
     def __init__(self) -> None:
         self._lanes: Dict[Tuple[str, str], _LaneBuilder] = {}
-        self._left_out: Dict[Tuple[str, str], None] = {}
+        self._omitted_lanes: Dict[Tuple[str, str], None] = {}
         self._lane_counts = dict.fromkeys(LANE_KINDS, 0)
 
     def add_record(self, record: Dict[str, Any]) -> None:
@@ -120,7 +121,7 @@ class TimelineBuilder:
             # A memory has one mark for all its records.
             if kind == "memory":
                 total = record.get("taken")
-                lane.number = total if isinstance(total, int) else lane.number
+                lane.total = total if isinstance(total, int) else lane.total
 
     def _get_lane(self, kind: str, name: str) -> Optional[_LaneBuilder]:
         key = (kind, beginning(name))
@@ -129,8 +130,8 @@ class TimelineBuilder:
             # Names can contain values, such as ids of objects, so their number is not bounded by the program.
             if self._lane_counts[kind] >= MAX_LANES:
                 # Names are stored to count each lane once, so their number is bounded as well.
-                if len(self._left_out) < MAX_MARKS:
-                    self._left_out[key] = None
+                if len(self._omitted_lanes) < MAX_MARKS:
+                    self._omitted_lanes[key] = None
                 return None
             self._lane_counts[kind] += 1
             lane = self._lanes[key] = _LaneBuilder()
@@ -148,12 +149,12 @@ class TimelineBuilder:
                     ((first - begin) / SECOND, (last - begin) / SECOND, text)
                     for first, last, text in lane.marks
                 ],
-                lane.number,
+                lane.total,
             )
             for (kind, name), lane in self._lanes.items()
         ]
         lanes.sort(key=lambda lane: (LANE_KINDS.index(lane.kind), lane.name if lane.kind == "output" else ""))
-        return Timeline(begin, (end - begin) / SECOND, lanes, len(self._left_out))
+        return Timeline(begin, (end - begin) / SECOND, lanes, len(self._omitted_lanes))
 
 
 def assign_rows(marks: Iterable[Mark]) -> List[Optional[int]]:
@@ -321,7 +322,7 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
     draw_lanes(axes, lanes)
     axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
     axes.set_title(f"{_escape_formulas(title)}\n{_describe_timeline(timeline)}", fontsize=10, loc="left")
-    _label_rows(axes.twinx(), [f"{lane.number:,}" for lane in lanes], fontsize=8, color="#5b6675")
+    _label_rows(axes.twinx(), [f"{lane.total:,}" for lane in lanes], fontsize=8, color="#5b6675")
     kinds = [kind for kind in LANE_KINDS if any(lane.kind == kind for lane in lanes)]
     patches = [Patch(color=_COLOURS[kind], label=_NAMES[kind]) for kind in kinds]
     legend_position = (1.0, -0.3 / height)
@@ -385,10 +386,12 @@ def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
 def _describe_timeline(timeline: Timeline) -> str:
     """Return a summary of the timeline in one line."""
     year, month, day, hour, minute, second, _ = timestamps.fields(timeline.begin)
-    lanes = f"; {timeline.left_out} further lanes are left out" if timeline.left_out else ""
-    incomplete_lanes = sum(lane.kind != "memory" and lane.number > len(lane.marks) for lane in timeline.lanes)
+    lanes = (
+        f"; {timeline.omitted_lane_count} further lanes are left out" if timeline.omitted_lane_count else ""
+    )
+    incomplete_lanes = sum(lane.kind != "memory" and lane.total > len(lane.marks) for lane in timeline.lanes)
     omitted = f"; of {incomplete_lanes} lanes not all marks are shown" if incomplete_lanes else ""
     return (
         f"{timeline.length:.3f} s from {year}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC; "
-        f"numbers are how many of each there were{lanes}{omitted}"
+        f"numbers on the right are counts per lane{lanes}{omitted}"
     )

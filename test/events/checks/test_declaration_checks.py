@@ -3,8 +3,8 @@
 import pytest
 from events.checks.test_reported_mistakes import said_of, write
 
+from retalis.engine.client_requests import add_rule
 from retalis.engine.engine import Engine as Whole
-from retalis.engine.external_requests import add_rule
 
 NEAR = "\n:- event near(thing:atom, distance:number)."
 OUTSIDE = "input_event(near/2).\n"

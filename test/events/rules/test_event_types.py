@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Engine, ProgramErrors, PrologError, UsageError
-from retalis.engine.external_requests import add_rule
+from retalis.engine.client_requests import add_rule
 from retalis.events.rules import event_types
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"

@@ -37,7 +37,8 @@ MIN_FOLLOW_NS = SECOND // 2
 """Minimum duration in ns for deciding whether timestamps follow the node's time."""
 
 FULLY_CHECKED_MESSAGES = 100
-"""Number of messages of a frame that are all checked at the beginning; afterwards one in a second is checked."""
+"""Number of messages of a frame that are all checked, unless its timestamps are known earlier to follow the time of the
+node; afterwards one message per second is checked."""
 
 MAX_FRAMES = 5000
 """Maximum number of frames per topic."""
@@ -278,8 +279,9 @@ class ClockSkewMonitor:
         return iter(list(self._topics.values()))
 
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
-        """Return a decoder that also checks all timestamps of a message, whichever of its two functions is called.
+        """Return a decoder that also checks the timestamps of each message.
 
+        Callers must call both `decode` and `stamp`.
         The check raises `RefusedMessage` for a message to be dropped, and `EarlyMessage` for one to be delayed.
 
         Args:

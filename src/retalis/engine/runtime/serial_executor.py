@@ -143,7 +143,8 @@ class SerialExecutor:
         callback_timeout: seconds for which a call from another thread waits for one callback.
 
     Attributes:
-        callback: the running callback, as a new tuple with its name each time; None if none runs.
+        running_callback: 1-tuple with the name of the running callback, a new object for each call, so that two calls
+            can be told apart by identity; None if none runs.
         entry: identity of the current work: the arguments of a posted event, or the ``entry`` of a call.
         dropped: number of entries that were dropped because the queue was full.
     """
@@ -361,7 +362,10 @@ class SerialExecutor:
             )
 
     def _is_nested(self) -> bool:
-        """Return whether this thread works further down its stack; clear the mark of interrupted work."""
+        """Return whether a caller of this method already runs work of this executor.
+
+        If not, the thread id in `_running` remains from interrupted work, and the executor returns to the idle state.
+        """
         frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
             if frame.f_code in _WORKING_CODE and frame.f_locals.get("self") is self:
@@ -558,7 +562,7 @@ class EngineRecovery(Recovery):
         self._knowledge = knowledge
 
     def state(self) -> Any:
-        """Return the positions of machine, files, dispatcher and compiler."""
+        """Return the states of machine, files, dispatcher and compiler, for `restore`."""
         return (
             machine_state(self._logic.machine),
             self._rules.files.state(),
@@ -569,7 +573,7 @@ class EngineRecovery(Recovery):
     def restore(self, state: Any, rebuild: bool) -> None:
         """Return to a state, or to the idle state if it is None; rebuild derived data if ``rebuild`` is true."""
         if state is not None and not rebuild:
-            return  # errors of a program leave a consistent state
+            return  # a `RetalisError` leaves the engine in a consistent state, so there is nothing to restore
         dispatcher = self._dispatcher
         machine, files, served, goals = (None, None, (None, None), None) if state is None else state
         restore_machine(self._logic.machine, machine)

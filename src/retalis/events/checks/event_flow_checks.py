@@ -94,23 +94,12 @@ class EventProducers:
                 self.places_by_functor[functor(name, len(definition.fields))] = None
 
     def _add_goal_events(self, program: ProgramModel) -> None:
-        has_variable_event = False
-        mentioned_functors: Set[Functor] = set()
         for subterm in program.all_subterms():
             term = subterm.term
-            if subterm.key is not None:
-                mentioned_functors.add(subterm.key)
             if makes_event(term):
-                event: Any = deref(term[1])
-                has_variable_event = has_variable_event or is_variable(event)
-                self._add_event(event, subterm.place)
+                self._add_event(deref(term[1]), subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
                 self._add_topic(program, [deref(argument) for argument in term[1:]])
-        # The event is an argument at run time: it may be any one that the program names.
-        if has_variable_event:
-            self.places_by_functor.update(
-                {key: None for key in mentioned_functors if key not in self.places_by_functor}
-            )
 
     def _add_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
         """Add the events of a topic that a goal subscribes to."""

@@ -34,7 +34,10 @@ MEMORY_READS = frozenset(
         ("memory_size", 2),
         ("memory_counter", 2),
         ("memory_gap", 3),
-        *(("newest_matching", 4), ("prev_matching", 5), ("next_inf_matching", 5), ("next_matching", 6)),
+        ("newest_matching", 4),
+        ("prev_matching", 5),
+        ("next_inf_matching", 5),
+        ("next_matching", 6),
     )
 )
 
@@ -47,12 +50,12 @@ def find_unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
     """Yield memories that are read but not created by any goal."""
     names = [deref(memory.term[4]) for memory in program.memories]
     known_names: Set[str] = {name.name for name in names if isinstance(name, Atom)}
-    # Names that are known at run time only may be any of those that are read.
+    # A memory whose name is computed at run time may be any of those that are read.
     if any(not isinstance(name, Atom) for name in names):
         return
     reported = set(known_names)
     for subterm in program.all_subterms():
-        for name in _memories_in(subterm):
+        for name in _memory_names_in(subterm):
             if name.name not in reported:
                 reported.add(name.name)
                 yield RuleError(
@@ -101,7 +104,7 @@ def _records_by_memory(program: ProgramModel) -> Dict[Optional[str], List[Term]]
 
 
 def _reversed_pairs(subterm: Subterm, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:
-    """Yield the memories of a query that are in the position of their times."""
+    """Yield pairs ``[Time, Memory]`` of a synchronized query, whose order must be ``[Memory, Time]``."""
     for item in list_items(subterm.term[3]) or ():
         pair = list_items(item)
         if pair is not None and len(pair) == 2:
@@ -110,7 +113,7 @@ def _reversed_pairs(subterm: Subterm, records: Dict[Optional[str], List[Term]]) 
                 yield RuleError(f"the memory comes before its time: [{name.name}, T]", subterm.place)
 
 
-def _memories_in(subterm: Subterm) -> Iterator[Atom]:
+def _memory_names_in(subterm: Subterm) -> Iterator[Atom]:
     term: Any = subterm.term
     if term.__class__ is not tuple:
         return
@@ -136,7 +139,7 @@ class _Dependency(NamedTuple):
     dynamic: Optional[Functor] = None
 
 
-class _TableDeclaration(NamedTuple):
+class _Declaration(NamedTuple):
     """Place of a declaration, and the names of its options."""
 
     place: Optional[Place]
@@ -208,16 +211,16 @@ def _is_incremental(program: ProgramModel, key: Functor) -> bool:
     return predicate is not None and predicate.is_incremental
 
 
-def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _TableDeclaration]:
+def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _Declaration]:
     """Return the declarations that directives make by ``table/1`` or ``dynamic/1``."""
-    declarations: Dict[Functor, _TableDeclaration] = {}
+    declarations: Dict[Functor, _Declaration] = {}
     for goal in program.goals:
         for call in calls(goal.parent, goal.number):
             term: Any = deref(call.term)
             if term.__class__ is tuple and term[0] is key:
                 place = Subterm(term, call.parent, call.number, goal.place_of).place
                 for declared_key, options in _declared_items(term[1]):
-                    declaration = declarations.setdefault(declared_key, _TableDeclaration(place, set()))
+                    declaration = declarations.setdefault(declared_key, _Declaration(place, set()))
                     declaration.options.update(options)
     return declarations
 
@@ -245,9 +248,9 @@ def _declared_items(term: Term) -> Iterator[Tuple[Functor, FrozenSet[str]]]:
 
 def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
     """Yield the subterms of goals that may be called after the program has been loaded."""
-    run_time_subterms = _run_time_predicates(program)
+    run_time_predicates = _run_time_predicates(program)
     for clause in program.clauses:
-        if key_of(clause.head) in run_time_subterms:
+        if key_of(clause.head) in run_time_predicates:
             yield from subterms(clause.parent, clause.number, clause.place_of)
     for rule in program.rules:
         yield from subterms(wrap_term(rule.definition.term), 1, rule.place_of)
@@ -355,16 +358,16 @@ def _callers_by_predicate(program: ProgramModel) -> Dict[Functor, List[Functor]]
 
 
 def _propagate_reads(
-    reads: Dict[Functor, _Dependency], callers: Dict[Functor, List[Functor]], ends: Iterable[Functor]
+    reads: Dict[Functor, _Dependency], callers: Dict[Functor, List[Functor]], barriers: Iterable[Functor]
 ) -> Dict[Functor, _Dependency]:
-    """Return the data that each predicate reads directly or by its calls; propagation stops at ``ends``."""
+    """Return the data that each predicate reads directly or by its calls; propagation stops at ``barriers``."""
     readers = dict(reads)
-    boundary = set(ends)
+    barrier_keys = set(barriers)
     pending = deque(readers)
     while pending:
         key = pending.popleft()
         # Breadth first, so that the warning names the data with the shortest chain of calls.
-        if key in boundary:
+        if key in barrier_keys:
             continue
         for caller in callers.get(key, ()):
             if caller not in readers:

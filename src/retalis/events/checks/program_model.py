@@ -157,7 +157,7 @@ def subterms(parent: CompoundTerm, number: int, place_of: PlaceLookup) -> Iterat
 
 
 def wrap_term(term: Term) -> CompoundTerm:
-    """Return a term with the given one as its only argument, which gives that one a parent."""
+    """Wrap a term, so that it can be addressed as argument 1 of a parent."""
     return (_WRAPPER, term)
 
 
@@ -288,7 +288,7 @@ def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> Sourc
 
 
 def clause_at(head: Term, body: Term, place: Optional[Place]) -> SourceTerm:
-    """Return a clause whose starting place only is known."""
+    """Return a clause of which only the place of its start is known."""
     return SourceTerm(head, (NECK, head, body), 2, constant_place(place), place)
 
 
@@ -328,7 +328,7 @@ class EventConsumer(NamedTuple):
 
     @property
     def event(self) -> Subterm:
-        """The same with its position, which may be inside ``P with S``."""
+        """The event pattern and its position; for ``P with S`` the event is P, inside that term."""
         consumed = deref(self.term[1])
         event = subscription_event(consumed) if self.term[0] is SUBSCRIBE else consumed
         return Subterm(event, self.term if event is consumed else _compound(consumed), 1, self.place_of)
@@ -366,7 +366,7 @@ class ProgramModel:
         definitions: the known message types.
         topics: contents of ``pub_sub.xml``.
         directly_subscribed: topics that node retalis subscribes to itself.
-        folder: the folder of the program; None if only the loaded program is checked.
+        folder: the folder of the program, or its only event file; None if only the loaded program is checked.
         has_observer: whether there is an observer of all events.
     """
 
@@ -431,7 +431,10 @@ class ProgramModel:
         return type_name(name) or self._renamed.get(name)
 
     def message_of(self, term: Any) -> Optional[Definition]:
-        """Return the definition of the message that a compound term is, if it has all slots, or None."""
+        """Return the definition of the message type of a term.
+
+        It is None if the term is no message or has another number of slots.
+        """
         definition = self.definition(self.type_of(term[0].name)) if term.__class__ is tuple else None
         return definition if definition is not None and len(definition.fields) == len(term) - 1 else None
 

@@ -27,13 +27,12 @@ from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrap_t
 _NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 _IS = functor("is", 2)
 _EQUALITIES = frozenset(functor(name, 2) for name in ("==", "\\==", "=", "\\="))
-_ARITHMETIC = frozenset(functor(name, 2) for name in ("+", "-", "*", "/", "//", "mod", "min", "max", "**"))
-_SIGNS = frozenset(
+_BINARY_FUNCTIONS = frozenset(
+    functor(name, 2) for name in ("+", "-", "*", "/", "//", "mod", "min", "max", "**")
+)
+_UNARY_FUNCTIONS = frozenset(
     functor(name, 1) for name in ("-", "+", "abs", "sqrt", "round", "truncate", "float", "integer")
 )
-_ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
-
-
 _ARRAY_PREDICATES = frozenset(
     f"array_{name}"
     for name in (
@@ -48,8 +47,9 @@ _ARRAY_PREDICATES = frozenset(
         "percentile",
         "slice",
         "std",
+        "sum",
+        "where",
     )
-    + ("sum", "where")
 )
 """Names of the predicates whose first argument is an array."""
 
@@ -123,7 +123,7 @@ def _check_clause(
     """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
     all_subterms = list(subterms(parent, 1, place_of))
     slots: Dict[Var, SlotType] = {}
-    branches = any(subterm.key in _ALTERNATIVES for subterm in all_subterms)
+    has_alternatives = any(subterm.key in _ALTERNATIVES for subterm in all_subterms)
     created = _created_terms(all_subterms, out)
     event_ids = {id(deref(event.term)) for event in events}
     for subterm in all_subterms:
@@ -135,7 +135,7 @@ def _check_clause(
             occurrence = SlotType(value_type, slot, is_created)
             first_occurrence = slots.setdefault(value, occurrence)
             # In a term with alternatives, the two occurrences may belong to different branches.
-            if first_occurrence.value_type.excludes(value_type) and not branches:
+            if first_occurrence.value_type.excludes(value_type) and not has_alternatives:
                 yield RuleError(
                     _type_clash_text(_variable_name(value, names), first_occurrence, occurrence),
                     place_of(subterm.term, position),
@@ -204,7 +204,7 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotType], names:
         while operands:
             parent, position = operands.pop(0)
             term: Any = deref(parent[position])
-            if term.__class__ is tuple and (term[0] in _ARITHMETIC or term[0] in _SIGNS):
+            if term.__class__ is tuple and (term[0] in _BINARY_FUNCTIONS or term[0] in _UNARY_FUNCTIONS):
                 # The arguments of arithmetic functions are numbers as well.
                 operands += [(term, argument_position) for argument_position in range(1, len(term))]
             occurrence = slots.get(term) if term.__class__ is Var else None
@@ -231,7 +231,7 @@ def _check_array_arguments(
         text = ""
         if occurrence is not None and not occurrence.is_created:
             value = f"{_variable_name(argument, names)} is {occurrence.text} ({occurrence.slot})"
-            if expected is None and occurrence.text in _NO_ARRAYS:
+            if expected is None and occurrence.text in _SCALAR_DESCRIPTIONS:
                 text = f"{value}, not an array: {subterm.key} takes a list of numbers"
             elif expected is not None and occurrence.value_type.message_name != functor_name(expected):
                 text = f"{value}, not a whole message: {subterm.key} takes a {expected}"
@@ -243,7 +243,7 @@ def _check_array_arguments(
             yield RuleError(text, subterm.place_of(subterm.term, 1))
 
 
-_NO_ARRAYS = ("a number", "true or false", "an atom")
+_SCALAR_DESCRIPTIONS = ("a number", "true or false", "an atom")
 
 _ADVICE = {
     "a text": "compare texts with == or \\==",
@@ -344,7 +344,7 @@ _COMPARISONS = {
 }
 """Comparisons of terms, with the corresponding comparisons of numbers."""
 
-_BRANCHES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
+_ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
 _NUMBER_TYPES = {
     **dict.fromkeys(("float32", "float64"), float),
     **dict.fromkeys(
@@ -372,7 +372,7 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
                 if _has_other_type(value, number_type):
                     fault = (
                         f"{slot.name} of {definition.name} is {_numeric_type_name(number_type)} in events: "
-                        f"write {_number_text(number_type, value)}"
+                        f"write {_number_advice(number_type, value)}"
                     )
                     yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
     for rule in program.rules:
@@ -429,7 +429,7 @@ def _check_compared_numbers(
     """Yield comparisons that never hold, given the events that contain their variables."""
     all_subterms = list(subterms(source.parent, source.number, source.place_of))
     # With alternatives, the variable may be bound in another branch.
-    if any(subterm.key in _BRANCHES for subterm in all_subterms):
+    if any(subterm.key in _ALTERNATIVES for subterm in all_subterms):
         return
     slots = _numeric_variables(program, events, created)
     for subterm in all_subterms:
@@ -470,7 +470,7 @@ def _number_type(slot: Field) -> Optional[type]:
 
 
 def _has_other_type(value: Any, number_type: Optional[type]) -> bool:
-    """Return whether a number has the other type."""
+    """Return whether a value is an integer where the slot has floats, or a float where it has integers."""
     return number_type is not None and value.__class__ in (int, float) and value.__class__ is not number_type
 
 
@@ -478,8 +478,8 @@ def _numeric_type_name(number_type: Optional[type]) -> str:
     return "a float" if number_type is float else "an integer"
 
 
-def _number_text(number_type: Optional[type], value: Any) -> str:
-    """Return a number in the notation of a type."""
+def _number_advice(number_type: Optional[type], value: Any) -> str:
+    """Return what to write instead of a number in a slot of another type: the converted number, or words."""
     if number_type is float:
         return f"{value}.0" if abs(value) < _MAX_EXACT_INTEGER else "it with a point"
     return (

@@ -38,7 +38,7 @@ from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import NegationBuffer, RuledOutSweep
 from ..matches.partial_matches import ComputedValues, NetworkOptions, PartialMatch, is_retracted
-from ..matches.revived_matches import RetainedMatches, join_in_order, join_revived_first
+from ..matches.retraction_joins import RetainedMatches, join_in_order, join_revived_first
 from .goal_evaluation import Buffer, Test
 from .pattern_nodes import EventNode, Fuse, IdentityFunction, NetworkNode, computed_values_getter
 from .retention import retention_for_late

@@ -52,7 +52,7 @@ from ..matches.partial_matches import (
     unify_sides,
     unify_values,
 )
-from ..matches.revived_matches import RetainedMatches, earlier_partners, is_revived, is_valid
+from ..matches.retraction_joins import RetainedMatches, earlier_partners, is_revived, is_valid
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 from ..streams.aggregates import SequenceAggregate
 from .deferred_conditions import RepetitionItems, append_item

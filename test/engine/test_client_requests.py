@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from retalis import Engine, Limits, PrologError, Settings, SyntaxFault, UsageError, atom
-from retalis.engine.external_requests import ask, wait_for_memories
+from retalis.engine.client_requests import ask, wait_for_memories
 
 
 def values(answer):
