@@ -20,7 +20,7 @@ def fits(operator, span, one, other):
     """Tell whether a pair fits, and its result is not too long."""
     names = {"s1": one[0], "e1": one[1], "s2": other[0], "e2": other[1]}
     length = eval(f"({operator.end}) - ({operator.start})", {}, names)
-    return eval(operator.fits, {}, names) and (span is None or length <= span)
+    return eval(operator.interval_condition, {}, names) and (span is None or length <= span)
 
 
 @pytest.mark.parametrize("span", [None, 0, 3])

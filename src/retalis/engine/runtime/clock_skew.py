@@ -37,8 +37,8 @@ MIN_FOLLOW_NS = SECOND // 2
 """Minimum duration in ns for deciding whether timestamps follow the node's time."""
 
 FULLY_CHECKED_MESSAGES = 100
-"""Number of messages of a frame that are all checked, unless its timestamps are known earlier to follow the time of the
-node; afterwards one message per second is checked."""
+"""Number of messages of a frame that are all checked, unless its timestamps are known earlier to follow the node's
+time; afterwards one message per second is checked."""
 
 MAX_FRAMES = 5000
 """Maximum number of frames per topic."""
