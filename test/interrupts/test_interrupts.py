@@ -104,7 +104,7 @@ def test_a_side_of_a_pair_that_is_interrupted_anywhere_leaves_its_rule_in_order(
         if last == "a":
             post("b")
             assert len(seen) == waits
-    assert "a" in {key.name for key in engine.dispatcher.fused}
+    assert "a" in {key.name for key in engine.dispatcher.fused_actions}
 
 
 @pytest.mark.slow

@@ -95,8 +95,9 @@ class _FunctorEvents:
 class RecentEvents:
     """Counts events by functor and stores the last ones as text, on request.
 
-    A listener for all events disables fused actions and early filters (`ListenerIndex.fused`, `PushdownFilter`), so
-    it is registered only on request. The work for each event is bounded, and no method waits for the engine.
+    A listener for all events disables fused actions and early filters (`ListenerIndex.fused_actions`,
+    `PushdownFilter`), so it is registered only on request. The work for each event is bounded, and no method waits
+    for the engine.
 
     Args:
         engine: the engine to observe.

@@ -181,4 +181,4 @@ def test_what_only_one_side_of_a_rule_takes_has_a_fused_action():
     for made in ones.values():
         engine.post(made(1), 1)
     engine.post(functor("e", 2)(1, 1), 2)
-    assert {key.name for key in engine.dispatcher.fused} == {"a", "b", "c", "f"}
+    assert {key.name for key in engine.dispatcher.fused_actions} == {"a", "b", "c", "f"}

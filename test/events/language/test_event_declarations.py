@@ -91,13 +91,13 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
 @pytest.mark.parametrize(
     "text, said",
     [
-        ("t(a)", "an argument is declared by its name and kind, as in temperature(motor:atom, value:number)"),
+        ("t(a)", "an argument is declared by its name and type, as in temperature(motor:atom, value:number)"),
         (
             "t(X:atom)",
-            "an argument is declared by its name and kind, as in temperature(motor:atom, value:number)",
+            "an argument is declared by its name and type, as in temperature(motor:atom, value:number)",
         ),
         ("t(a:atom, a:number)", "two arguments of t are called a"),
-        ("t(a:nubmer)", "there is no kind nubmer; did you mean number?"),
+        ("t(a:nubmer)", "there is no type nubmer; did you mean number?"),
         (
             "t, 3",
             "a declaration names an event and its arguments, as in temperature(motor:atom, value:number)",
@@ -105,7 +105,7 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
         ("rev(a:event)", "rev has a fixed meaning in rules: choose another name for the event"),
         (
             "std_msgs__0__Bool(data:atom)",
-            "std_msgs__0__Bool declares itself: the slots of its messages and their types are known",
+            "std_msgs__0__Bool needs no declaration: the slots of its messages and their types are known",
         ),
     ],
 )
@@ -126,11 +126,11 @@ def test_a_name_is_declared_once():
 @pytest.mark.parametrize("strict", [False, True])
 def test_only_where_all_have_to_be_declared_is_an_unknown_event_wrong(strict):
     declared = Declarations(str, read("temperature(a:atom)"), strict, lambda key: key.name == "known")
-    said = [declared.wrong_functor(functor(*key)) for key in (("known", 3), ("temprature", 1), ("other", 2))]
+    said = [declared.functor_error(functor(*key)) for key in (("known", 3), ("temprature", 1), ("other", 2))]
     wrong = [
         "",
         "temprature/1 is not declared; did you mean temperature(a:atom)?",
-        "other/2 is not declared; write :- event other(name:kind, name:kind).",
+        "other/2 is not declared; write :- event other(name:type, name:type).",
     ]
     assert [
         text.replace(str(read("temperature(a:atom)")[0].term), "temperature(a:atom)") for text in said

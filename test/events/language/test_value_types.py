@@ -58,12 +58,12 @@ def test_lists_in_lists():
 @pytest.mark.parametrize(
     "kind, said",
     [
-        ("nubmer", "there is no kind nubmer; did you mean number?"),
-        ("text", "there is no kind text: a kind is any, atom, "),
-        ("list(atm)", "there is no kind atm; did you mean atom?"),
-        ("f(x)", "a kind is any, atom, "),
-        ("_", "a kind is any, atom, "),
-        ("list(" * 20 + "atom" + ")" * 20, "a kind is any, atom, "),
+        ("nubmer", "there is no type nubmer; did you mean number?"),
+        ("text", "there is no type text: a type is any, atom, "),
+        ("list(atm)", "there is no type atm; did you mean atom?"),
+        ("f(x)", "a type is any, atom, "),
+        ("_", "a type is any, atom, "),
+        ("list(" * 20 + "atom" + ")" * 20, "a type is any, atom, "),
     ],
 )
 def test_what_is_no_kind(kind, said):

@@ -94,13 +94,13 @@ def test_a_declaration_may_hold_already_or_stand_in_an_included_file(tmp_path):
 @pytest.mark.parametrize(
     "text, line, column, said",
     [
-        (":- event t(a:nubmer).", 1, 12, "there is no kind nubmer; did you mean number?"),
+        (":- event t(a:nubmer).", 1, 12, "there is no type nubmer; did you mean number?"),
         (":- event t(a:atom).\n:- event t(b:atom).", 2, 10, "t is declared already, as t(a:atom)"),
         (
             ":- event t(a:atom), u(3).",
             1,
             23,
-            "an argument is declared by its name and kind, as in temperature(motor:atom, value:number)",
+            "an argument is declared by its name and type, as in temperature(motor:atom, value:number)",
         ),
         (
             "event t(a:atom).",

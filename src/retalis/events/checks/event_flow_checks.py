@@ -292,7 +292,7 @@ def _find_topic_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
         definition = program.definition(type_name)
         if declaration is None or definition is None:
             continue
-        mismatch = program.declared.wrong_functor(functor(declaration.name, len(definition.fields)))
+        mismatch = program.declared.functor_error(functor(declaration.name, len(definition.fields)))
         for slot, argument in zip(definition.fields, () if mismatch else declaration.arguments):
             slot_type = slot_value_type(slot)
             if slot_type is not None and slot_type.excludes(argument.value_type):

@@ -67,7 +67,7 @@ class Dispatcher(ListenerIndex):
 
     def repair(self) -> None:
         """Clear all plans and reset the context, after an interrupt."""
-        self._changed(None)
+        self._invalidate_plans(None)
         self.restore(None, None)
 
     def dispatch(  # noqa: C901  (on the path of every event)
@@ -149,7 +149,9 @@ class Dispatcher(ListenerIndex):
             # A fused action gets no values, so the event must be ground, and it must be an input event: only then is
             # no other dispatch in progress that the action would have to return to.
             fused = (
-                self.fused.get(term[0]) if ground and current is None and term.__class__ is tuple else None
+                self.fused_actions.get(term[0])
+                if ground and current is None and term.__class__ is tuple
+                else None
             )
             if fused is None:
                 frame = self.dispatch(term, start, end, done, None, ground)

@@ -30,7 +30,7 @@ class ListenerIndex:
     """Listeners of events, with the plans, filters and fused actions that are derived from them.
 
     Attributes:
-        fused: by functor, action that takes an event without its values; see `listen`.
+        fused_actions: by functor, action that takes an event without its values; see `listen`.
         projection: arguments of events that no listener reads.
         on_change: called when listeners are added or removed; it must be fast and must not fail.
     """
@@ -40,11 +40,11 @@ class ListenerIndex:
         self.projection = ArgumentProjection(self._listeners)
         self.on_change: Callable[[], object] = do_nothing
         self._plans: Cache[Functor, Plan] = Cache(10_000, 16 << 20)
-        self.fused: Dict[Functor, EventAction] = {}
+        self.fused_actions: Dict[Functor, EventAction] = {}
         self._filters: Dict[Functor, WeakValueDictionary[Tuple[int, ...], PushdownFilter]] = {}
         self._sweep_threshold = _MIN_FILTERS_TO_SWEEP
         self._matchers: WeakValueDictionary[Hashable, Matcher] = WeakValueDictionary()
-        self._order = count()
+        self._numbers = count()
 
     def listen(
         self,
@@ -83,12 +83,12 @@ class ListenerIndex:
         matcher = self._matchers.get(key)
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
-        order = (int(phase), *(rank or (next(self._order),)), next(self._order))
+        order = (int(phase), *(rank or (next(self._numbers),)), next(self._numbers))
         listener = Listener(order, pattern, functor, matcher, action, fused, unread, accepts_omitted)
         self._listeners.setdefault(functor, {})[listener] = None
         # The listener must be in the table before `reject_incomplete_events` runs; see `ArgumentProjection.announce`.
         self.projection.reject_incomplete_events(listener)
-        self._changed(functor)
+        self._invalidate_plans(functor)
         return listener
 
     def remove(self, listener: Listener) -> None:
@@ -98,7 +98,7 @@ class ListenerIndex:
         if group.pop(listener, 0) is None:
             if not group:
                 del self._listeners[listener.functor]
-            self._changed(listener.functor)
+            self._invalidate_plans(listener.functor)
 
     def remove_all_except(self, phase: ListenerPhase, chosen: Collection[Listener]) -> None:
         """Remove all listeners of a phase except some."""
@@ -130,15 +130,15 @@ class ListenerIndex:
         """Return whether a pattern has this event name; patterns for all events are ignored."""
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
-    def _changed(self, functor: Optional[Functor]) -> None:
+    def _invalidate_plans(self, functor: Optional[Functor]) -> None:
         # A listener for all events takes part in every plan.
         self.on_change()
         if functor is None:
             self._plans.clear()
-            self.fused.clear()
+            self.fused_actions.clear()
         else:
             self._plans.pop(functor, None)
-            self.fused.pop(functor, None)
+            self.fused_actions.pop(functor, None)
         for filters in list(self._filters.values()) if functor is None else self._filters_of(functor):
             for event_filter in list(filters.values()):
                 event_filter.plan = None
@@ -157,7 +157,7 @@ class ListenerIndex:
                 event_filter.plan = plan
         # Without values, an action cannot tell a match from a mismatch, so the pattern must accept all events.
         if len(listeners) == 1 and listeners[0].fused and matches_all_events(listeners[0].pattern):
-            self.fused[functor] = listeners[0].action
+            self.fused_actions[functor] = listeners[0].action
         return plan
 
 

@@ -206,7 +206,7 @@ def parse_value_type(type_term: Term) -> ValueType:
     # The depth is limited, so that a cyclic or generated term cannot loop here.
     while isinstance(term, tuple) and term[0] is _LIST and depth < _MAX_LIST_DEPTH:
         term, depth = deref(term[1]), depth + 1
-    value_type = _simple_value_type(term)
+    value_type = _parse_simple_type(term)
     for _ in range(depth):
         value_type = ValueType((_LIST, value_type.term), "a list", VALUE_TYPES["list"].forms, value_type)
     return value_type
@@ -216,9 +216,9 @@ _MAX_LIST_DEPTH = 10
 """Levels of ``list(list(...))`` that a type may have."""
 
 
-def _simple_value_type(term: Term) -> ValueType:
+def _parse_simple_type(term: Term) -> ValueType:
     if not isinstance(term, Atom):
-        raise UsageError(f"a kind is {_value_type_notations()}")
+        raise UsageError(f"a type is {_value_type_notations()}")
     value_type = VALUE_TYPES.get(term.name)
     if value_type is not None:
         return value_type
@@ -226,11 +226,11 @@ def _simple_value_type(term: Term) -> ValueType:
         return ValueType(term, f"a message {term.name}", frozenset(("compound", "atom")), None, term.name)
     suggestion = get_close_matches(term.name, VALUE_TYPES, 1)
     hint = f"; did you mean {suggestion[0]}?" if suggestion else ""
-    raise UsageError(f"there is no kind {term.name}{hint or f': a kind is {_value_type_notations()}'}")
+    raise UsageError(f"there is no type {term.name}{hint or f': a type is {_value_type_notations()}'}")
 
 
 def _value_type_notations() -> str:
-    return f"{', '.join(VALUE_TYPES)}, list(Kind) or the name of a message's term"
+    return f"{', '.join(VALUE_TYPES)}, list(Type) or the name of a message's term"
 
 
 class ValuePart(NamedTuple):
@@ -331,16 +331,18 @@ def parse_declarations(
             stack += [(term, 2), (term, 1)]
         else:
             place = place_of(term) if isinstance(term, tuple) else place_of(container, number)
-            yield _declaration(term, place, place_of), place
+            yield _parse_declaration(term, place, place_of), place
 
 
-def _declaration(term: Term, place: Optional[Place], place_of: PlaceLookup) -> Declaration:
-    key = _functor(term)
+def _parse_declaration(term: Term, place: Optional[Place], place_of: PlaceLookup) -> Declaration:
+    key = _functor_of(term)
     if key is None:
         raise RuleError(f"a declaration names an event and its arguments, as in {_EXAMPLE}", place)
     name = key.name
     if type_name(name) is not None:
-        raise RuleError(f"{name} declares itself: the slots of its messages and their types are known", place)
+        raise RuleError(
+            f"{name} needs no declaration: the slots of its messages and their types are known", place
+        )
     if has_fixed_meaning(name):
         raise RuleError(f"{name} has a fixed meaning in rules: choose another name for the event", place)
     arguments: Dict[str, Argument] = {}
@@ -349,7 +351,7 @@ def _declaration(term: Term, place: Optional[Place], place_of: PlaceLookup) -> D
         pair = deref(part)
         argument_name = deref(pair[1]) if isinstance(pair, tuple) and pair[0] is COLON else None
         if not isinstance(pair, tuple) or not isinstance(argument_name, Atom):
-            raise RuleError(f"an argument is declared by its name and kind, as in {_EXAMPLE}", argument_place)
+            raise RuleError(f"an argument is declared by its name and type, as in {_EXAMPLE}", argument_place)
         if argument_name.name in arguments:
             raise RuleError(f"two arguments of {name} are called {argument_name.name}", argument_place)
         try:
@@ -400,7 +402,7 @@ class Declarations:
             raise UsageError(f"{declaration.name} is declared already, as {self._term_text(existing.term)}")
         return existing is declaration
 
-    def wrong_functor(self, key: Functor) -> str:
+    def functor_error(self, key: Functor) -> str:
         """Return the error for events with a functor, or "" if the functor is as declared."""
         declaration = self._declarations.get(key.name)
         if declaration is not None:
@@ -442,11 +444,11 @@ class Declarations:
     ) -> Iterator[RuleError]:
         """Yield the errors of one event, and append events that it contains to ``inner_events``."""
         term: Any = deref(event.term)
-        key = _functor(term)
+        key = _functor_of(term)
         if key is None:
             return
         # ``rev(E)`` retracts an event: its argument is checked as an event, not as an argument of an event.
-        error_text = "" if key is _REV else self.wrong_functor(key)
+        error_text = "" if key is _REV else self.functor_error(key)
         if error_text:
             place = place_of(term) if term.__class__ is tuple else place_of(event.parent, event.number)
             yield RuleError(error_text, place)
@@ -460,7 +462,7 @@ class Declarations:
                 subject = f"{argument.name} of {key}"
                 is_var = part.value.__class__ is Var
                 text = (
-                    variable_types.clash(part.value, part.value_type, subject)
+                    variable_types.add_occurrence(part.value, part.value_type, subject)
                     if is_var
                     else self._type_error(part, subject, declaration)
                 )
@@ -496,23 +498,23 @@ class VariableTypes:
     """Types of the variables of one rule or clause, collected from all their occurrences.
 
     Args:
-        names: names of the variables.
-        told: whether types that exclude each other are an error; False if the occurrences can lie in
+        names: names of the variables, for error messages.
+        reports_clashes: whether types that exclude each other are an error; False if the occurrences can lie in
             different branches.
     """
 
     def __init__(self, names: Mapping[Var, str], reports_clashes: bool = True):
         self._names = names
         self._reports_clashes = reports_clashes
-        self._value_type_notations: Dict[Term, Tuple[ValueType, str]] = {}
+        self._types: Dict[Term, Tuple[ValueType, str]] = {}
 
-    def clash(self, var: Term, value_type: ValueType, subject: str) -> str:
+    def add_occurrence(self, var: Term, value_type: ValueType, subject: str) -> str:
         """Record a type of a variable, and return an error if another occurrence excludes it, else ""."""
-        previous_type, previous_subject = self._value_type_notations.setdefault(var, (value_type, subject))
-        # The narrowest type is kept: a variable that is a number in one event and an integer in another one is an
+        previous_type, previous_subject = self._types.setdefault(var, (value_type, subject))
+        # The narrowest type is stored: a variable that is a number in one event and an integer in another one is an
         # integer, and must be compared as such with the next occurrence.
         if value_type.forms < previous_type.forms:
-            self._value_type_notations[var] = (value_type, subject)
+            self._types[var] = (value_type, subject)
         if not self._reports_clashes or not previous_type.excludes(value_type):
             return ""
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
@@ -565,7 +567,7 @@ def events_raised_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
             yield EventTerm(event, term, 1)
 
 
-def _functor(term: Term) -> Optional[Functor]:
+def _functor_of(term: Term) -> Optional[Functor]:
     """Return the functor of an event, or None for a variable and for other terms."""
     if isinstance(term, tuple):
         key: Functor = term[0]
@@ -574,7 +576,7 @@ def _functor(term: Term) -> Optional[Functor]:
 
 
 def _declaration_template(key: Functor) -> str:
-    arguments = ", ".join(["name:kind"] * key.arity)
+    arguments = ", ".join(["name:type"] * key.arity)
     return f"{key.name}({arguments})" if arguments else key.name
 
 

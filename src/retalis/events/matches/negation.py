@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _STALE_TOLERANCE = 1000
 
 MAX_RULED_OUT = 1000
-"""Ruled-out first operands of a sequence that are kept, and negated matches that are kept; see `RuledOutSweep`."""
+"""Maximum number of ruled-out first operands, and of negated matches, that remain stored; see `RuledOutSweep`."""
 
 
 class _Frontier:
@@ -85,10 +85,10 @@ class _Frontier:
         self.ends = [match.end for match in self.matches]
         self.compact_threshold = 2 * len(self.matches) + _STALE_TOLERANCE
 
-    def between(self, after: int, before: int) -> Optional[PartialMatch]:
+    def find_between(self, gap_start: int, gap_end: int) -> Optional[PartialMatch]:
         """Return a match that lies strictly between two instants, or None."""
-        position = bisect_right(self.starts, after)
-        while position < len(self.ends) and self.ends[position] < before:
+        position = bisect_right(self.starts, gap_start)
+        while position < len(self.ends) and self.ends[position] < gap_end:
             if self.matches[position].buffer is not None:
                 return self.matches[position]
             # Expired, or dropped because of the limit.
@@ -195,10 +195,10 @@ class NegationBuffer:
             return False
         if newest_match.older is newest_match:
             return newest_match.start > end
-        return self._frontier(key).between(end, MAX_VALUE) is not None
+        return self._frontier(key).find_between(end, MAX_VALUE) is not None
 
-    def min_first_end(self, before: int) -> int:
-        """Return the smallest end that a first operand can have if the second operand starts at ``before``.
+    def min_first_end(self, second_start: int) -> int:
+        """Return the smallest end that a first operand can have if the second operand starts at ``second_start``.
 
         This bound lets the join skip all first operands that are ruled out. It holds only if the negated pattern
         shares no variables and `uses_frontiers` is true.
@@ -207,11 +207,11 @@ class NegationBuffer:
         if newest_match is None:
             return MIN_VALUE
         if newest_match.older is newest_match:
-            return newest_match.start if newest_match.end < before else MIN_VALUE
+            return newest_match.start if newest_match.end < second_start else MIN_VALUE
         frontier = self._frontier(())
         # The last match that ends before the second operand also has the largest start of those; a first operand
         # that ends before that start is ruled out.
-        position = bisect_left(frontier.ends, before) - 1
+        position = bisect_left(frontier.ends, second_start) - 1
         while position >= 0 and frontier.matches[position].buffer is None:
             position -= 1
         return frontier.starts[position] if position >= 0 else MIN_VALUE
@@ -222,7 +222,7 @@ class NegationBuffer:
         if len(self.frontiers) > 2 * len(newest) + _STALE_TOLERANCE:
             self.frontiers = {key: frontier for key, frontier in self.frontiers.items() if key in newest}
 
-    def forbids_pair(self, values: Values, after: int, before: int) -> bool:
+    def forbids_pair(self, values: Values, gap_start: int, gap_end: int) -> bool:
         """Return whether a negated match lies between two instants."""
         buffer = self.buffer
         if not buffer.newest:
@@ -239,22 +239,22 @@ class NegationBuffer:
                 return False
             # A key with one match is the usual case and needs no frontier.
             if newest_match.older is newest_match:
-                return after < newest_match.start and newest_match.end < before
+                return gap_start < newest_match.start and newest_match.end < gap_end
             frontier = self.frontiers.get(key)
             if frontier is not None:
-                return frontier.between(after, before) is not None
-        return self._search(key, values, after, before)
+                return frontier.find_between(gap_start, gap_end) is not None
+        return self._search_buffer(key, values, gap_start, gap_end)
 
-    def _search(self, key: Hashable, values: Values, after: int, before: int) -> bool:
+    def _search_buffer(self, key: Hashable, values: Values, gap_start: int, gap_end: int) -> bool:
         """Test the stored matches that may share the values, one by one."""
-        pair = PartialMatch(values, after, before, None, None, ())
+        pair = PartialMatch(values, gap_start, gap_end, None, None, ())
         condition = self.condition
         meter = self.rule.meter
-        for match in self.buffer.partners(key, after, before, False):
+        for match in self.buffer.partners(key, gap_start, gap_end, False):
             if meter is not None and meter(1):
                 # Pattern work is stopped: a pair that may be ruled out must not produce a result.
                 return True
-            if match.end < before and (self.ever or after < match.start):
+            if match.end < gap_end and (self.ever or gap_start < match.start):
                 negated_match, pair_values = match, values
                 if not has_equal_key(key, match):
                     sides = unify_sides(match, pair, self.shared)
@@ -274,9 +274,9 @@ class RuledOutSweep:
 
     A negated match R rules out each first operand P that ended before R started, for all second operands that start
     after R ended. If events arrive in order and no second operand overlaps R, P can never complete. For the other
-    cases, the newest `MAX_RULED_OUT` of such P and as many R are kept. R leaves together with every stored P that it
-    rules out, so no sequence is reported that R prevents. Only a P that arrives later, and ended before R started,
-    is not prevented any more.
+    cases, the newest `MAX_RULED_OUT` of such P and as many R remain stored. R leaves together with every stored P
+    that it rules out, so no sequence is reported that R prevents. Only a P that arrives later, and ended before R
+    started, is not prevented any more.
 
     A pass over all stored matches is made in slices, so no event waits for a complete pass.
 
@@ -289,13 +289,13 @@ class RuledOutSweep:
     def __init__(self, first_buffer: MatchBuffer, absence: NegationBuffer, positions: Sequence[int]):
         self.first_buffer = first_buffer
         self.absence = absence
-        self._key = key_function(tuple(positions))
+        self._compute_key = key_function(tuple(positions))
         self._ruled_out: Deque[PartialMatch] = deque()
         self._negated: Deque[PartialMatch] = deque()
-        self._first_open_end = MAX_VALUE
+        self._min_unkeyed_end = MAX_VALUE
         self._last_order = MIN_VALUE
 
-    def begin(self, last_order: int) -> None:
+    def begin_pass(self, last_order: int) -> None:
         """Begin a pass.
 
         Negated matches that arrive during the pass are left to the next one, because the pass may already have
@@ -307,9 +307,9 @@ class RuledOutSweep:
         self._last_order = last_order
         self._ruled_out.clear()
         self._negated.clear()
-        self._first_open_end = MAX_VALUE
+        self._min_unkeyed_end = MAX_VALUE
 
-    def visit(self, match: PartialMatch) -> None:
+    def visit_match(self, match: PartialMatch) -> None:
         """Process the next match of the rule, in order of arrival."""
         if match.buffer is self.absence.buffer:
             if match.key is not None and match.order <= self._last_order:
@@ -321,11 +321,11 @@ class RuledOutSweep:
 
     def _is_ruled_out(self, match: PartialMatch) -> bool:
         try:
-            return self.absence.rules_out(self._key(match.values), match.end)
+            return self.absence.rules_out(self._compute_key(match.values), match.end)
         except ValueError:
             # A first operand with variables in shared values would need unification to find what rules it out. It is
             # kept, and so are all negated matches that start after its end.
-            self._first_open_end = min(self._first_open_end, match.end)
+            self._min_unkeyed_end = min(self._min_unkeyed_end, match.end)
             return False
 
     def drop_negated(self, max_count: int) -> bool:
@@ -334,7 +334,7 @@ class RuledOutSweep:
         surplus: List[PartialMatch] = []
         while len(negated) > MAX_RULED_OUT and len(surplus) < max_count:
             match = negated.popleft()
-            if match.buffer is not None and match.start <= self._first_open_end:
+            if match.buffer is not None and match.start <= self._min_unkeyed_end:
                 surplus.append(match)
         latest_end: Dict[Hashable, int] = {}
         for match in surplus:
@@ -345,7 +345,7 @@ class RuledOutSweep:
             for match in self._ruled_out:
                 if (
                     match.buffer is not None
-                    and latest_end.get(self._key(match.values), match.end) > match.end
+                    and latest_end.get(self._compute_key(match.values), match.end) > match.end
                 ):
                     match.discard()
         for match in surplus:

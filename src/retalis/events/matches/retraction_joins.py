@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 MAX_RETAINED_MATCHES = 10_000
-"""Second operands that are kept in one buffer."""
+"""Maximum number of second operands that are retained in one buffer."""
 
 
 def is_valid(match: Optional[PartialMatch]) -> bool:
@@ -35,22 +35,22 @@ def is_valid(match: Optional[PartialMatch]) -> bool:
 
 
 class RetainedMatches:
-    """Second operands that are kept in a buffer; if there are too many, the oldest is removed."""
+    """Second operands that are retained in a buffer; if there are too many, the oldest is removed."""
 
     def __init__(self, buffer: MatchBuffer):
         self.buffer = buffer
         self._retained: Deque[PartialMatch] = deque()
 
     def snapshot(self) -> List[PartialMatch]:
-        """Return the matches that are kept, oldest first; see `restore`."""
+        """Return the retained matches, oldest first; see `restore`."""
         return [match for match in self._retained if match.buffer is not None]
 
     def restore(self, saved: List[PartialMatch]) -> None:
-        """Set the matches that are kept; they are stored in the buffer already."""
+        """Set the retained matches; they are stored in the buffer already."""
         self._retained = deque(saved)
 
     def add(self, match: PartialMatch, key: Hashable) -> None:
-        """Keep a match; see `MatchBuffer.add`."""
+        """Store and retain a match; see `MatchBuffer.add`."""
         self.buffer.add(match, key)
         self._retained.append(match)
         if len(self._retained) > min(MAX_RETAINED_MATCHES, self.buffer.rule.network.max_stored // 2):

@@ -535,7 +535,7 @@ class EventRule:
             self._sweeping = self._visits_remain = True
             self._visited = 0
             for sweep in self._sweeps:
-                sweep.begin(self.order)
+                sweep.begin_pass(self.order)
         # First operands are visited completely before any negated match is removed; see `RuledOutSweep.begin`.
         if self._visits_remain:
             next_start = remove_stale_entries(self.arrivals, self._visited, self._visit)
@@ -550,13 +550,13 @@ class EventRule:
 
     def _visit(self, match: PartialMatch) -> None:
         for sweep in self._sweeps:
-            sweep.visit(match)
+            sweep.visit_match(match)
 
     def _end_sweep(self) -> None:
         """End the current pass, if any, and set the number of matches at which the next one begins."""
         self._sweeping = self._visits_remain = False
         for sweep in self._sweeps:
-            sweep.begin(self.order)
+            sweep.begin_pass(self.order)
         self.sweep_threshold = 2 * (self.stored_match_count + SPARE) if self._sweeps else _NO_SWEEP
 
     def _track_stored(self, match: PartialMatch, span: Optional[int]) -> None:
