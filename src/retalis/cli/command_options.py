@@ -45,7 +45,7 @@ _LIMIT_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str
 
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
-    """Add the options for resource limits."""
+    """Add the options for resource limits, and ``--allow-swi``."""
     add_swi(parser)
     group = parser.add_argument_group(
         "limits",

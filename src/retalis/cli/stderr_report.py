@@ -85,7 +85,7 @@ def detach_reporters() -> None:
 
 
 UPDATE_INTERVAL_SECONDS = 0.1
-"""Seconds between two updates of the bar."""
+"""Minimum time in seconds between two updates of the bar."""
 
 BAR_WIDTH = 30
 """Width of the bar in characters, without text."""

@@ -174,10 +174,10 @@ def save_deployments(
     deployments: Dict[str, Deployment],
     logic: PrologSystem,
     knowledge: KnowledgeBase,
-    named_rules: List[EventRule],
+    numbered_rules: List[EventRule],
 ) -> Dict[str, Any]:
     """Return the deployments as data for a saved state."""
-    rules = {id(rule): position for position, rule in enumerate(named_rules)}
+    rules = {id(rule): position for position, rule in enumerate(numbered_rules)}
     predicates = program_predicates(logic)
     clauses = {
         id(clause): position
@@ -235,7 +235,7 @@ def restore_deployments(
     logic: PrologSystem,
     knowledge: KnowledgeBase,
     timers: Timers,
-    named_rules: List[EventRule],
+    numbered_rules: List[EventRule],
 ) -> Dict[str, Deployment]:
     """Return the deployments from a saved state.
 
@@ -251,7 +251,7 @@ def restore_deployments(
         for item in saved["properties"]:
             properties.setdefault(term_key(item.label), []).append(item)
         deployments[folder] = Deployment(
-            [named_rules[position] for position in saved["rules"]],
+            [numbered_rules[position] for position in saved["rules"]],
             _restore_clauses(logic, saved),
             dict(memories[position] for position in saved["memories"]),
             dict(subscriptions[position] for position in saved["subscriptions"]),

@@ -69,7 +69,7 @@ class EventInput:
     def dispatch_event(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
-        """Dispatch an event; an event without a start gets the clock's present time.
+        """Dispatch an event; an event without a complete interval gets the clock's present time.
 
         Raises:
             UsageError: if the event ends before it starts, or if it has no start and the clock is not set.
@@ -139,7 +139,7 @@ class EventInput:
         self._process_clock()
 
     def _process_clock(self) -> int:
-        """Read the clock, run the alarms that are due, and return the time."""
+        """Read the clock, reset the state if time went back, run the alarms that are due, and return the time."""
         clock = self._clock
         now = clock.now()
         if clock.behind or clock.alarms:

@@ -65,7 +65,7 @@ def check_program(
     direct: DirectTopics = AUTO,
     settings: Optional[Settings] = None,
 ) -> List[Finding]:
-    """Return the errors and likely mistakes of a program, in the order of its files.
+    """Return the errors and likely mistakes of a program, grouped by file, and in each file by position.
 
     The goals of the program are called, as a node calls them at its start.
 

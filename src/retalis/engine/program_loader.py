@@ -1,4 +1,4 @@
-"""Loading of a program's own files: its goals have other permissions and limits than goals that run later."""
+"""Loading of a program's own files: their goals may read files, and have other limits than goals that run later."""
 
 from pathlib import Path
 from typing import Callable, Optional, TypeVar

@@ -43,7 +43,7 @@ _MAX_NAME_CHARACTERS = 200
 
 
 class TypeNotations:
-    """Index of message names by their letters, so that other notations of a name are found.
+    """Index of message names by their lower-case letters and digits, which are equal for all spellings of a name.
 
     Args:
         names: pairs of a message's name in programs and its type (or the name again).
@@ -64,7 +64,7 @@ class TypeNotations:
         return self._names.get(_normalize(name.replace("__0__", "/")), [])
 
     def find_similar(self, name: str) -> List[str]:
-        """Return the names of the messages that are spelt like ``name`` and begin with the same letter."""
+        """Return the names of the message whose spelling is closest to ``name`` and begins with the same letter."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
         letters = _normalize(name)
@@ -77,7 +77,7 @@ def _normalize(name: str) -> str:
 
 
 MAX_ZERO_BYTES = 1 << 20
-"""Maximum size of the smallest message of a type whose slots are written by name.
+"""Maximum size in bytes of a message with default values, for types whose slots are written by name.
 
 Each omitted slot is filled with a default value.
 """
@@ -90,7 +90,7 @@ class SlotNames:
         definitions: the known message types; the installed types by default.
 
     Attributes:
-        events: message types of the events that the program gives another name.
+        events: message types by the event names that the program has given them.
         notations: the slots that messages were written with.
     """
 
@@ -191,7 +191,7 @@ def format_positional(definition: Definition) -> str:
 
 
 def format_with_names(definition: Definition) -> str:
-    """Return the same term with named slots; slots that do not matter can be deleted from it.
+    """Return the term of a type with named slots; slots that do not matter can be deleted from it.
 
     >>> print(format_with_names(Definitions().find("std_msgs/Header")), end="")
     std_msgs__0__Header{     % 16 bytes or more

@@ -25,7 +25,7 @@ from .clock import JUMP
 from .problem_reports import Reports
 
 MAX_UNREPORTED_SKEW_NS = 10 * SECOND
-"""Maximum distance in ns of a timestamp from a prediction without a warning."""
+"""Maximum distance in ns of a timestamp from a prediction without a warning; ``max_distance_seconds`` may be less."""
 
 AGREEING_STAMPS = 10
 """Number of consecutive distant timestamps in agreement after which the clock counts as set."""
@@ -121,7 +121,8 @@ class FrameClock:
 
         Predictions are the last timestamp, and the last one advanced by the time that has passed by one of the clocks
         or on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed
-        real time times the highest measured pace fits; times `MAX_UNKNOWN_PACE` if a pause may have hidden the pace.
+        real time times the highest measured pace fits; times `MAX_UNKNOWN_PACE` if the pace is
+        unknown, or if a pause of the bag may have hidden it.
         """
         step, elapsed = stamp - self.stamp, wall - self.wall
         if 0 <= step <= elapsed * (MAX_UNKNOWN_PACE if elapsed >= SECOND or self.pace is None else self.pace):
@@ -173,7 +174,10 @@ class FrameClock:
             self.follows_clock = ahead >= self.ahead - elapsed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
-        """Return whether a timestamp goes back so far that it fits an earlier time only."""
+        """Return whether a timestamp goes back, and is further behind the node's time than any before.
+
+        It may belong to the next epoch then.
+        """
         return stamp < self.stamp - JUMP and stamp - now < self.min_ahead - JUMP and self.follows_clock
 
     def continues_epoch(self, stamp: int, end: int, now: int) -> bool:

@@ -1,8 +1,8 @@
 """Checks of producers and consumers of events: events that never occur, are never used, or do not fit declarations.
 
-Producers are topics, rule heads, timers, declared states and goals; consumers are rules, memories, subscriptions and
-states. If a goal creates events that cannot be determined statically, every event that the program names counts as
-produced.
+Producers are topics, rule heads, timers, declared states, goals, facts ``input_event/1`` and the package itself;
+consumers are rules, memories, subscriptions, states, facts such as ``external_trigger/1``, and flags that log or
+store all events. If a goal creates events that cannot be determined statically, every event counts as produced.
 """
 
 from typing import Any, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set
@@ -286,7 +286,7 @@ def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def _find_topic_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield topics whose events have a declared name but slots of other types."""
+    """Yield topics whose events have a declared name, but another number of slots or slots of other types."""
     for topic, type_name in program.topics.subscribed:
         declaration = program.declared.get(program.event_of(topic))
         definition = program.definition(type_name)

@@ -155,7 +155,7 @@ def _check_clause(
 def _typed_arguments(
     program: ProgramModel, term: Any, is_created: bool, event_ids: Set[int]
 ) -> Iterator[Tuple[int, ValueType, str]]:
-    """Yield the arguments of a message or declared event: position, type, and name for messages."""
+    """Yield the arguments of a message or declared event: position, type, name of the slot for error texts."""
     definition = program.message_of(term)
     if definition is not None:
         for position, slot in enumerate(definition.fields, 1):
@@ -170,7 +170,10 @@ def _typed_arguments(
 
 
 def _created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[int]:
-    """Return the ids of the terms that are created: rule heads, forms of subscriptions, and events of goals."""
+    """Return the ids of the terms that are created.
+
+    These are rule heads, forms of memories and subscriptions, and events of goals.
+    """
     makers = [] if output is None else [wrap_term(deref(output))]
     makers += [subterm.term for subterm in all_subterms if makes_event(subterm.term)]
     # By identity: an equal term may occur as a pattern as well. The ids stay unique, because the terms are alive.

@@ -64,8 +64,8 @@ class ListenerIndex:
             pattern: an atom, a compound term, or a variable for all events. It is copied.
             action: processes a match and returns the next frame, which is its argument ``frame`` if it is finished.
             rank: position within the phase; by default after all others.
-            fused: whether ``action`` accepts None for the values, which are then the arguments of the event. This is
-                done for ground input events, if the functor has no other listener and the pattern matches all its
+            fused: whether ``action`` may be called with None for the values, and then takes them from the event. This
+                is done for ground input events, if the functor has no other listener and the pattern matches all its
                 events.
             unused: variables of the pattern whose values are not read, so that they may be `NOT_READ`. If the pattern
                 itself is such a variable, the listener gets events that contain `NOT_READ`.
@@ -116,7 +116,7 @@ class ListenerIndex:
         """
         filters = self._filters.get(functor)
         if filters is None:
-            # Rules and clauses come and go, and the entries of their functors stay behind empty.
+            # Removed rules and clauses free their filters, but leave empty entries for their functors.
             if len(self._filters) >= self._sweep_threshold:
                 self._filters = {key: filters for key, filters in self._filters.items() if len(filters)}
                 self._sweep_threshold = 2 * len(self._filters) + _MIN_FILTERS_TO_SWEEP
@@ -131,8 +131,8 @@ class ListenerIndex:
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
     def _invalidate_plans(self, functor: Optional[Functor]) -> None:
-        # A listener for all events takes part in every plan.
         self.on_change()
+        # A listener for all events takes part in every plan.
         if functor is None:
             self._plans.clear()
             self.fused_actions.clear()
