@@ -53,7 +53,7 @@ def run(kind: str, events: int, capped: bool) -> List[str]:
         " ".join(f"{one:.1f}" for one in resident),
         f"{growth:+.1f} %",
         f"{seconds / events * 1e6:.2f}",
-        f"{rule.stored_match_count}",
+        f"{rule.waiting}",
         f"{rule.keys}",
         f"{rule.bytes / 1e6:.2f}",
     ]

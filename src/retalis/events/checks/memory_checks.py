@@ -139,7 +139,7 @@ class _Dependency(NamedTuple):
     dynamic: Optional[Functor] = None
 
 
-class _Declaration(NamedTuple):
+class _PredicateDeclaration(NamedTuple):
     """Place of a declaration, and the names of its options."""
 
     place: Optional[Place]
@@ -211,16 +211,16 @@ def _is_incremental(program: ProgramModel, key: Functor) -> bool:
     return predicate is not None and predicate.is_incremental
 
 
-def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _Declaration]:
+def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _PredicateDeclaration]:
     """Return the declarations that directives make by ``table/1`` or ``dynamic/1``."""
-    declarations: Dict[Functor, _Declaration] = {}
+    declarations: Dict[Functor, _PredicateDeclaration] = {}
     for goal in program.goals:
         for call in calls(goal.parent, goal.number):
             term: Any = deref(call.term)
             if term.__class__ is tuple and term[0] is key:
                 place = Subterm(term, call.parent, call.number, goal.place_of).place
                 for declared_key, options in _declared_items(term[1]):
-                    declaration = declarations.setdefault(declared_key, _Declaration(place, set()))
+                    declaration = declarations.setdefault(declared_key, _PredicateDeclaration(place, set()))
                     declaration.options.update(options)
     return declarations
 

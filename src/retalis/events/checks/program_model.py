@@ -288,7 +288,7 @@ def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> Sourc
 
 
 def clause_at(head: Term, body: Term, place: Optional[Place]) -> SourceTerm:
-    """Return a clause of which only the place of its start is known."""
+    """Return a clause with the place of its start; the places of its subterms are unknown."""
     return SourceTerm(head, (NECK, head, body), 2, constant_place(place), place)
 
 
