@@ -32,7 +32,7 @@ MAX_EVENT_CHARACTERS = 800
 """Limit for the characters of an event's text."""
 
 MAX_EVENT_PARTS = 60
-"""Limit for the subterms of an event that are written, and for its arguments."""
+"""Limit for the number of subterms of an event that are written, and for the size of each, its functor included."""
 
 MAX_EVENT_DEPTH = 8
 """Limit for the nesting of written subterms."""
@@ -51,7 +51,7 @@ MAX_SHOWN_EVENTS = 60
 
 _ELLIPSIS = atom("...")
 _MEMORY_UPDATED_FUNCTOR = functor("memory_updated", 2)
-"""Functor of events about other events, which are shown themselves."""
+"""Functor of events that report changes of a memory; only counted, because the stored events are shown themselves."""
 _NO_EVENT = atom("null_event")
 """Head of rules that only execute an action."""
 _EVENT_FUNCTOR = functor("event", 2)
@@ -142,7 +142,7 @@ class RecentEvents:
         functor_events = self._events_by_functor.get(key)
         if functor_events is None:
             if len(self._events_by_functor) >= MAX_FUNCTORS:
-                # All others.
+                # Further functors are counted together, under the key None.
                 key = None
             functor_events = self._events_by_functor.setdefault(key, _FunctorEvents())
         functor_events.number += 1
@@ -249,7 +249,7 @@ def _exhaust_budget(budget: List[int]) -> Term:
 
 
 RATE_SNAPSHOTS = 5
-"""Number of snapshots over which rates are averaged."""
+"""Number of intervals between snapshots over which rates are averaged."""
 
 MAX_SHOWN_TOPICS = 100
 """Limit for the topics in a snapshot."""
@@ -334,14 +334,14 @@ class Snapshots:
         # No lock of the engine is held: the parts may be a few events apart, and the engine is not slowed down.
         topics = list(self._source.topics())[:MAX_SHOWN_TOPICS]
         counts = self.events.counts()
-        numbers = {"taken": status.taken, "fired": status.fired}
-        numbers.update({f"rule:{index}": rule.fired for index, rule in enumerate(status.rules)})
-        numbers.update({f"memory:{memory.id}": memory.added for memory in status.memories})
+        counters = {"taken": status.taken, "fired": status.fired}
+        counters.update({f"rule:{index}": rule.fired for index, rule in enumerate(status.rules)})
+        counters.update({f"memory:{memory.id}": memory.added for memory in status.memories})
         for subscription in status.subscriptions:
             name = f"output:{beginning(subscription.topic)}"
-            numbers[name] = numbers.get(name, 0) + subscription.sent
-        numbers.update({f"event:{key}": event_count.number for key, event_count in counts.items()})
-        rows = [self._create_topic_row(topic, counts, status.now, numbers) for topic in topics]
+            counters[name] = counters.get(name, 0) + subscription.sent
+        counters.update({f"event:{key}": event_count.number for key, event_count in counts.items()})
+        rows = [self._create_topic_row(topic, counts, status.now, counters) for topic in topics]
         self._update_graph([GraphTopic(topic.name, topic.event_name) for topic in topics])
         return {
             "title": self._source.title,
@@ -349,7 +349,7 @@ class Snapshots:
             "explains": records_origins(self._engine),
             "watching": self.events.is_observing,
             "memory": resident_bytes(),
-            "rates": self._compute_rates(numbers),
+            "rates": self._compute_rates(counters),
             "topics": rows,
             "events": [
                 {**event._asdict(), "start": event.start / SECOND, "end": event.end / SECOND}
@@ -358,7 +358,7 @@ class Snapshots:
             **_status_to_json(status),
         }
 
-    def _create_topic_row(self, topic: TopicRow, counts: Any, now: int, numbers: Dict[str, int]) -> Json:
+    def _create_topic_row(self, topic: TopicRow, counts: Any, now: int, counters: Dict[str, int]) -> Json:
         """Return the row of a topic; if the counters of its receiver are unknown, its events are counted instead."""
         row = topic._asdict()
         name = topic.event_name
@@ -368,22 +368,22 @@ class Snapshots:
             number = sum(count.number for count in matching)
             row["age"] = (now - max(count.end for count in matching)) / SECOND
         if number is not None:
-            numbers[f"topic:{topic.name}"] = number
+            counters[f"topic:{topic.name}"] = number
         row["messages"] = number
         return row
 
-    def _compute_rates(self, numbers: Dict[str, int]) -> Dict[str, float]:
+    def _compute_rates(self, counters: Dict[str, int]) -> Dict[str, float]:
         """Return the growth per second of each counter, since the oldest stored snapshot."""
         now = self._clock()
-        self._history.append((now, numbers))
-        oldest_time, oldest_numbers = self._history[0]
+        self._history.append((now, counters))
+        oldest_time, oldest_counters = self._history[0]
         # The first snapshot after a pause has no predecessor, and gives no rates.
         if now <= oldest_time:
             return {}
         return {
-            name: max(0.0, round((number - oldest_numbers[name]) / (now - oldest_time), 2))
-            for name, number in numbers.items()
-            if name in oldest_numbers
+            name: max(0.0, round((number - oldest_counters[name]) / (now - oldest_time), 2))
+            for name, number in counters.items()
+            if name in oldest_counters
         }
 
     def _update_graph(self, topics: List[GraphTopic]) -> None:

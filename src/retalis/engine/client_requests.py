@@ -103,7 +103,10 @@ def ask(
 
 
 def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term = REQUEST) -> Result:
-    """Execute a function as `Engine.do`; its goals, and those of rules that it adds, may not change flags."""
+    """Execute a function as `Engine.do`.
+
+    Its goals, and those of rules that it adds, may not change flags unless the settings allow it.
+    """
 
     def restricted_work() -> Result:
         with engine.logic.for_others():
@@ -138,14 +141,14 @@ def _minimum(first: Optional[_Number], second: Optional[_Number]) -> Optional[_N
     return first if second is None else second if first is None else min(first, second)
 
 
-def wait_for_memories(engine: Engine, names: Sequence[Term], instant: int, seconds: float) -> None:
-    """Wait until each of several memories has stored an event that ends at or after a time.
+def wait_for_memories(engine: Engine, memory_ids: Sequence[Term], instant: int, seconds: float) -> None:
+    """Wait until each of several memories or transforms has received data that ends at or after a time.
 
     The engine continues with other work meanwhile.
 
     Args:
         engine: the engine with the memories.
-        names: ids of the memories.
+        memory_ids: ids of the memories, or ``tf(Target, Source)`` for transforms.
         instant: the time to reach, in nanoseconds of the engine's clock.
         seconds: maximum waiting time in real time; the engine's clock may stand still.
 
@@ -156,8 +159,8 @@ def wait_for_memories(engine: Engine, names: Sequence[Term], instant: int, secon
     all_reached = Event()
 
     def register() -> Optional[int]:
-        missing = knowledge.find_missing_memories(names, instant)
-        waiting_goal = _WAIT_FUNCTOR(make_list(names))
+        missing = knowledge.find_missing_memories(memory_ids, instant)
+        waiting_goal = _WAIT_FUNCTOR(make_list(memory_ids))
         now = engine.clock.now()
         return (
             knowledge.pending_queries.notify_when_reached(missing, waiting_goal, now, all_reached.set)
@@ -175,17 +178,17 @@ def wait_for_memories(engine: Engine, names: Sequence[Term], instant: int, secon
             if not knowledge.pending_queries.is_waiting(request_number) and not all_reached.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
             if monotonic() >= deadline:
-                raise UsageError(f"{_describe_missing(engine, names, instant)} after {seconds:g} s")
+                raise UsageError(f"{_describe_missing(engine, memory_ids, instant)} after {seconds:g} s")
     finally:
-        # This includes interrupts: requests that are never withdrawn would accumulate in the index of the memory.
+        # Withdrawn also after an interrupt: otherwise requests would accumulate in the index of the memory.
         engine.do(lambda: knowledge.pending_queries.withdraw(request_number))
 
 
-def _describe_missing(engine: Engine, names: Sequence[Term], instant: int) -> str:
+def _describe_missing(engine: Engine, memory_ids: Sequence[Term], instant: int) -> str:
     """Return a description of the memories that have not reached a time, with the missing time."""
-    behind_memories = engine.do(lambda: engine.knowledge.find_missing_memories(names, instant))
+    missing_memories = engine.do(lambda: engine.knowledge.find_missing_memories(memory_ids, instant))
     descriptions = []
-    for instance, required_time in behind_memories:
+    for instance, required_time in missing_memories:
         latest = instance.latest_end
         delay = "nothing yet" if latest is None else f"{(required_time - latest) / 1e9:g} s too early"
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")

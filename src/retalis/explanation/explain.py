@@ -55,7 +55,10 @@ class WhyNotSent:
         self._show = show
 
     def explain_rejections(self, event: Term) -> Iterator[str]:
-        """Yield the reason for each subscription to events with this functor that does not select the event."""
+        """Yield a reason for each subscription that has the functor of an event and does not select it.
+
+        At most `_MAX_SUBSCRIPTIONS` reasons are yielded.
+        """
         count = 0
         for name, definition in self._copy_definitions():
             if _get_functor(definition[1]) != _get_functor(event):
@@ -91,6 +94,10 @@ class WhyNotSent:
                 yield occurrence, self._explain_rejection(definition, occurrence.term)
 
     def _copy_definitions(self) -> Iterator[Tuple[str, Any]]:
+        """Yield a description of each subscription, and a copy of its definition.
+
+        The items of a definition are its functor, the event, the conditions, the template, the topic and the id.
+        """
         for (topic, _), subscription in self._subscriptions:
             definition: Any = copy(subscription.definition)
             event = subscription_event(definition[1])
@@ -122,7 +129,10 @@ class WhyNotSent:
     def _test_conditions(
         self, goals: Sequence[Term], others: Sequence[Term], shown: List[str]
     ) -> Optional[str]:
-        """Return None if the goals have a solution, and show the other goals with its values; otherwise a reason."""
+        """Return None if the goals have a solution, otherwise the reason why not.
+
+        With a solution, the texts of ``others`` in ``shown`` are replaced by texts with its values.
+        """
         conjunction = goals[-1]
         for goal in reversed(goals[:-1]):
             conjunction = (_COMMA_FUNCTOR, goal, conjunction)
@@ -182,7 +192,7 @@ class Explanation(NamedTuple):
     True
 
     Attributes:
-        happened: if the event happened.
+        happened: whether the event happened.
         lines: a tree for each occurrence if it did, otherwise a tree for each rule that could have fired it.
     """
 
@@ -294,7 +304,7 @@ class _Explainer:
         term, interval = _parse_request(request)
         occurrences = [occurrence for occurrence in self._occurrences if _is_instance(occurrence.term, term)]
         if interval is not None:
-            occurrences = [occurrence for occurrence in occurrences if _is_interval(occurrence, interval)]
+            occurrences = [occurrence for occurrence in occurrences if _has_interval(occurrence, interval)]
         if not occurrences:
             return Explanation(False, self._explain_missing(term, interval, ()))
         lines = [
@@ -312,7 +322,10 @@ class _Explainer:
         return Explanation(True, lines)
 
     def _explain_occurrence(self, occurrence: Occurrence, depth: int) -> ExplanationLine:
-        """Return the explanation of an occurrence; a subtree that was shown before is referred to."""
+        """Return the explanation of an occurrence.
+
+        A subtree that was shown before is replaced by "see above", one that is too deep by "...".
+        """
         text = self._format_event(occurrence)
         if occurrence.retracts is not None:
             return ExplanationLine(
@@ -364,7 +377,7 @@ class _Explainer:
         if not lines and not above:
             lines.append(ExplanationLine("no rule has such a head, and no such event came from outside", []))
         if not above:
-            lines += self._find_retracted(term) + self._find_same_name(term)
+            lines += self._find_retracted(term) + self._find_events_with_name(term)
         return lines
 
     def _explain_missing_messages(self, term: Term) -> List[ExplanationLine]:
@@ -400,7 +413,7 @@ class _Explainer:
             for occurrence in retracted[-_MAX_SHOWN_OCCURRENCES:]
         ]
 
-    def _find_same_name(self, term: Term) -> List[ExplanationLine]:
+    def _find_events_with_name(self, term: Term) -> List[ExplanationLine]:
         """Return events of the same name that happened."""
         name = functor_name(deref(term))
         texts: Dict[str, None] = {}
@@ -461,17 +474,17 @@ def _explain_no_firing(rule: EventRule, part: PartResult, interval: Optional[Tup
 def _describe_likely_reasons(rule: EventRule) -> str:
     """Return possible reasons why a rule did not fire, depending on the operators in its pattern."""
     aggregate_results: List[Term] = []
-    shapes: List[str] = []
+    rate_operators: List[str] = []
     for part in walk(rule.definition.pattern):
         if isinstance(part, AggregatePattern):
             aggregate_results.append(part.result)
         elif isinstance(part, RatePattern):
-            shapes.append(part.operator)
+            rate_operators.append(part.operator)
     # The explained event fixes the result of an aggregate, and the rule has computed other ones.
     if any(deref(result).__class__ is not Var for result in aggregate_results):
         return "with other results, or other matches consumed all of it"
-    if shapes:
-        return f"{shapes[0]} did not let it through after others, or other matches consumed all of it"
+    if rate_operators:
+        return f"{rate_operators[0]} did not let it through after others, or other matches consumed all of it"
     strategy = rule.options.after_match
     skipped = (
         ""
@@ -502,5 +515,5 @@ def _is_instance(term: Term, pattern: Term) -> bool:
     return fits
 
 
-def _is_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:
+def _has_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:
     return bool((occurrence.start, occurrence.end) == interval)

@@ -26,12 +26,13 @@ ReadStamp = Callable[[bytes], Optional[int]]
 """Function from the bytes of a message to the time of its own header, as `Decoder.stamp`."""
 
 StampObserver = Callable[[List[FrameStamp]], object]
-"""Observer of a message's stamps, called if at least one stamp has a second that was not observed yet."""
+"""Observer of a message's stamps, called if the second of at least one stamp differs from the last observed second
+of that frame."""
 
 _CHILD_FRAME_SLOT = "child_frame_id"
 
-_header = Struct("<4xIII").unpack_from
-_number = Struct("<I").unpack_from
+_unpack_header = Struct("<4xIII").unpack_from
+_unpack_uint32 = Struct("<I").unpack_from
 
 
 def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
@@ -63,9 +64,10 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify:
     Args:
         decoder: decoder of the messages' type.
         states: states of frames by their bytes, with the attribute ``second``: the second that was observed last.
-        notify: observer; receives all stamps of a message with a new second. Its exceptions propagate.
+        notify: observer; receives all stamps of a message if the second of any of these differs. Its exceptions
+            propagate.
     """
-    definition, stamp, get = decoder.definition, decoder.stamp, states.get
+    definition, stamp, get_state = decoder.definition, decoder.stamp, states.get
     # Types without stamps keep their decoder, so that monitoring costs nothing for them.
     read_stamps = stamp_reader(definition)
     if read_stamps is None:
@@ -75,7 +77,7 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify:
     def observe(data: bytes) -> None:
         stamps = all_stamps(data)
         for key, instant in stamps:
-            state = get(key)
+            state = get_state(key)
             # A comparison of seconds is enough: the observer looks for deviations of seconds, and is too slow for
             # every message.
             if state is None or state.second != instant // SECOND:
@@ -87,7 +89,7 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify:
             notify([(key, instant)])
 
     try:
-        watch = StampWatch(_frame_string_count(definition), get, observe, observe_single)
+        watch = StampWatch(_frame_string_count(definition), get_state, observe, observe_single)
         return watching_decoder(decoder, watch)
     except UnsupportedLayout:
         pass
@@ -101,7 +103,7 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify:
     # The fast reader assumes that the header's frame is the only one.
     is_single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
     watching.stamp = (
-        _header_stamp_reader(get, observe_and_read_stamp) if is_single else observe_and_read_stamp
+        _header_stamp_reader(get_state, observe_and_read_stamp) if is_single else observe_and_read_stamp
     )
     return watching
 
@@ -118,15 +120,15 @@ def _frame_string_count(definition: Definition) -> int:
     return 2 if slots[0].has_child else 1
 
 
-def _header_stamp_reader(get: Callable[[bytes], Any], fallback: ReadStamp) -> ReadStamp:
+def _header_stamp_reader(get_state: Callable[[bytes], Any], fallback: ReadStamp) -> ReadStamp:
     """Return a fast reader for messages whose only stamp is that of their header."""
 
     def header_stamp(data: bytes) -> Optional[int]:
         try:
-            second, nanosecond, size = _header(data)
+            second, nanosecond, size = _unpack_header(data)
         except StructError:
             return fallback(data)
-        state = get(data[12 : 16 + size])
+        state = get_state(data[12 : 16 + size])
         if state is not None and state.second == second:
             return second * SECOND + nanosecond or None
         return fallback(data)
@@ -141,7 +143,7 @@ def frame_text(key: bytes) -> str:
     try:
         # A last byte may follow, which distinguishes slots with the same frame.
         while offset + 4 <= len(key):
-            (size,) = _number(key, offset)
+            (size,) = _unpack_uint32(key, offset)
             names.append(key[offset + 4 : offset + 4 + size].decode("utf-8", "replace"))
             offset += 4 + size
     except StructError:
@@ -155,7 +157,7 @@ class _StampedSlot(NamedTuple):
     Attributes:
         slot: the slot.
         suffix: byte that distinguishes the slot's frames from those of other slots.
-        has_child: if a child frame follows the header; None if the slot has no stamp.
+        has_child: whether a child frame follows the header; None if the slot has no stamp.
         trailing_bytes: number of bytes after the frames; None if elements differ in it.
     """
 
@@ -186,7 +188,7 @@ def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
             stamped_count = len(slots)
         else:
             slots.append(_StampedSlot(slot, b"", None, None))
-        # The suffix is one byte. No real message has so many stamped arrays.
+        # The suffix is one byte, so slots after the first 256 are ignored. No real message has so many.
         if len(slots) > 255:
             break
     return slots[:stamped_count]
@@ -197,12 +199,12 @@ def _is_header(slot: Field) -> bool:
 
 
 def _has_child(definition: Definition) -> bool:
-    second = definition.fields[1] if len(definition.fields) > 1 else None
+    second_field = definition.fields[1] if len(definition.fields) > 1 else None
     return (
-        second is not None
-        and second.name == _CHILD_FRAME_SLOT
-        and second.type == "string"
-        and second.length is None
+        second_field is not None
+        and second_field.name == _CHILD_FRAME_SLOT
+        and second_field.type == "string"
+        and second_field.length is None
     )
 
 
@@ -222,14 +224,14 @@ def _collect_stamps(data: bytes, slots: List[_StampedSlot], stamps: List[FrameSt
             continue
         count = 1 if slot.length is None else slot.length
         if count == VARIABLE_LENGTH:
-            (count,) = _number(data, offset)
+            (count,) = _unpack_uint32(data, offset)
             offset += 4
         for _ in range(count):
-            second, nanosecond, size = _header(data, offset)
+            second, nanosecond, size = _unpack_header(data, offset)
             end = offset + 16 + size
             next_slot = end
             if has_child:
-                end += 4 + _number(data, end)[0]
+                end += 4 + _unpack_uint32(data, end)[0]
             if second or nanosecond:
                 stamps.append((data[offset + 12 : end] + suffix, second * SECOND + nanosecond))
             # The child frame is a slot of the message itself, so that the loop reaches it next.

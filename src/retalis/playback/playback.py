@@ -155,7 +155,8 @@ class Playback:
         topics = tuple(TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics)
         self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
         self._direct = direct_topics(direct, self._topics, strip_slashes)
-        # If a topic has several types, the last one counts: direct topics precede pub_sub.xml, as in a node.
+        # If a topic has several types, the last one counts: direct topics override pub_sub.xml, as in a node, and the
+        # argument `topics` overrides both.
         self._subscriptions = [*topic_file.subscribed, *self._direct, *topics]
         direct_is_listed = isinstance(direct, tuple)
         named_topics = {strip_slashes(topic) for topic, _ in self._topics.subscribed}
@@ -166,14 +167,14 @@ class Playback:
         self._published_types = {strip_slashes(topic): type_name for topic, type_name in topic_file.published}
         self._event_names = {strip_slashes(topic): event for topic, event in topic_file.events}
         self._new_topics: Set[str] = set()
-        self._read_names: Set[str] = set()
+        self._topics_being_read: Set[str] = set()
         """Names of the bag's topics that are being read."""
         self._transform_readers: Dict[str, TransformReader] = {}
         self._latched_topics = {strip_slashes(topic) for topic in topic_file.latched}
         # Registered before the program is loaded, because its goals may publish.
         self.engine.on_output(self._collect_output)
         self.engine.input_topics.set_subscriber(self._subscribe, self._topics, self._direct)
-        self.engine.knowledge.transforms.set_feed(self._read_transforms)
+        self.engine.knowledge.transforms.set_feed(self._start_reading_transforms)
         # A restored engine contains its program; loading it again would duplicate the rules.
         if state is None:
             self._load_program()
@@ -185,7 +186,7 @@ class Playback:
             for error in errors.errors:
                 self._on_error(error)
 
-    def _read_transforms(self) -> None:
+    def _start_reading_transforms(self) -> None:
         """Read transforms, from the current time on, or from the start of the next bag."""
         for topic in TRANSFORM_TOPICS:
             name = strip_slashes(topic)
@@ -221,7 +222,7 @@ class Playback:
             or strip_slashes(topic.name) in self._transform_readers
         }
         self._new_topics.clear()
-        self._read_names = set(topic_names)
+        self._topics_being_read = set(topic_names)
         if self._transform_readers:
             self._warn_without_transforms(bag)
         # By identity, because hashing a topic would hash all its fields for every message.
@@ -299,6 +300,7 @@ class Playback:
             alarm = self.clock.next_alarm()
             if alarm is not None and not self._new_topics:
                 limit = bag.end if record is None else record.time
+                # At time 0 the clock has not been set: timers that were started before count from the first message.
                 if alarm <= limit or not self.clock.reached():
                     yield None
                     self._fire_alarms_until(bag.start, limit)
@@ -315,8 +317,8 @@ class Playback:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
         new_names = {topic.name for topic in bag.topics if strip_slashes(topic.name) in self._new_topics}
         # A topic may be read already: for its transforms, or for its events.
-        joining_topics = new_names - self._read_names
-        self._read_names |= new_names
+        joining_topics = new_names - self._topics_being_read
+        self._topics_being_read |= new_names
         names = [topic for topic, _ in self._subscriptions if strip_slashes(topic) in self._new_topics]
         self._new_topics.clear()
         self._prepare_topics(bag, names)
@@ -383,6 +385,7 @@ class Playback:
         """Register the unknown types of a bag; errors are reported when the bag is played."""
         for topic in topics:
             try:
+                # Adds the type if it is unknown; the definition is not needed here.
                 self.definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
             except MessageError as error:
                 log.debug("%s", error)
@@ -450,7 +453,7 @@ class Playback:
         self._decoders[topic] = self._skew_monitor.watch(learned.decoder, topic.name, topic.caller)
         return None
 
-    def _collect_output(self, term: Term, topic: str, name: Term) -> None:
+    def _collect_output(self, term: Term, topic: str, subscription_id: Term) -> None:
         type_name = self._published_types.get(strip_slashes(topic))
         definition = data = None
         try:
@@ -467,7 +470,7 @@ class Playback:
                 data = self.definitions.encoder(definition).encode(term, topic)
         except MessageError as error:
             self._reports.error(error, ("out", topic))
-        self._outputs.append(Output(topic, term, self.clock.now(), definition, data, name))
+        self._outputs.append(Output(topic, term, self.clock.now(), definition, data, subscription_id))
 
     def _find_published_type(self, type_name: str, topic: str) -> Definition:
         try:

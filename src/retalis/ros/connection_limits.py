@@ -2,9 +2,9 @@
 
 rospy reads the header of a new TCPROS connection in the thread that accepts connections, so one idle client holds up
 all others, and its XML-RPC server starts a thread for each connection, without a limit. `limit_connections` replaces
-both servers of rospy by subclasses. A `ConnectionTable` stores the unfinished connections of a server in the order of
-their deadlines, with a limit per address and in total. A connection beyond a limit closes the oldest one, so a client
-that sends its header at once is served, whatever other clients do.
+both servers of rospy by subclasses. A `ConnectionTable` stores the connections of a server that may be closed in the
+order of their deadlines, with a limit per address and in total. A connection beyond a limit closes the oldest one, so
+a client that sends its header at once is served, whatever other clients do.
 
 A connection is closed by shutting down its socket: its owner, the loop or a thread, then reads the end of the stream
 and closes it. A socket that another thread uses must not be closed, because its number may be reused at once.
@@ -42,7 +42,7 @@ MAX_HEADER_BYTES = 1 << 18
 """Limit for a connection's header, which may contain the definition of a message type."""
 
 REQUEST_TIMEOUT_SECONDS = 30.0
-"""Seconds after which an XML-RPC connection without a further request is closed."""
+"""Seconds from waiting for a request until its XML-RPC connection is closed, including the time to answer it."""
 
 MAX_REQUEST_CONNECTIONS = 128
 MAX_REQUEST_CONNECTIONS_PER_ADDRESS = 96
@@ -131,10 +131,10 @@ class _OpenConnection(NamedTuple):
 
 
 class ConnectionTable:
-    """The unfinished connections of a server, the one with the earliest deadline first.
+    """The connections of a server that may be closed, the one with the earliest deadline first.
 
     Args:
-        timeout: time until the deadline of a connection.
+        timeout: seconds until the deadline of a connection.
         max_connections: limit for all connections.
         max_per_address: limit for the connections of one address.
         closed: counts the closed connections.
@@ -311,6 +311,8 @@ class EstablishedConnections:
             return True
 
 
+# The bases of the following classes are `object` if this rospy has no such classes; `limit_connections` then leaves
+# rospy unchanged.
 class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignore[misc]
     """rospy's server of the TCPROS port, with concurrent handshakes.
 
@@ -362,7 +364,10 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             self.closed.report()
 
     def _is_logged(self, record: logging.LogRecord) -> bool:
-        """Count connections of service clients that ended without a request, in place of rospy's error for each."""
+        """Return whether a record is logged.
+
+        rospy's error for a service client that ended without a request is counted instead.
+        """
         if not str(record.msg).startswith("incoming connection failed"):
             return True
         self.closed.count("ended before the request of a service", "a service's client")
@@ -406,7 +411,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
     def _answer(self, sock: socket.socket, address: Address, data: bytes) -> None:
         """Pass a connection to rospy's handler of topics or services; close it if the handler refuses it."""
         try:
-            refusal = self._refusal(sock, address, rosgraph.network.decode_ros_handshake_header(data))
+            refusal = self._pass_to_rospy(sock, address, rosgraph.network.decode_ros_handshake_header(data))
             if refusal:
                 rosgraph.network.write_ros_handshake_header(sock, {"error": refusal})
         except Exception as error:
@@ -418,8 +423,8 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         if refusal:
             sock.close()
 
-    def _refusal(self, sock: socket.socket, address: Address, header: Dict[str, str]) -> str:
-        """Return the reason why rospy or a limit refuses a connection, or "" if rospy has accepted it."""
+    def _pass_to_rospy(self, sock: socket.socket, address: Address, header: Dict[str, str]) -> str:
+        """Pass a connection to rospy's handler; return the reason if rospy or a limit refuses it, else ""."""
         if rospy.core.is_shutdown_requested():
             return "node shutting down"
         if not self._established.add(sock, address[0]):
@@ -461,7 +466,10 @@ class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler",
         self.send_error(413)
 
     def decode_request_content(self, data: bytes) -> Optional[bytes]:
-        """Return the text of a request; refuse a document type, whose entities expand without limit in old ones."""
+        """Return the text of a request; refuse one with a document type declaration.
+
+        Old versions of Expat expand the entities of a declaration without limit.
+        """
         decoded: Optional[bytes] = super().decode_request_content(data)
         if decoded is None:
             # Refused already because of its encoding.

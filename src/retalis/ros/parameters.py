@@ -97,7 +97,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         UsageError: if a value is invalid; the message names the parameter.
     """
     argv = rospy.myargv(sys.argv if arguments is None else arguments)
-    _warn_about_unknown()
+    _warn_about_unknown_parameters()
     limits = Limits(
         _read_limit("~max_seconds", float, DEFAULT_LIMITS.seconds),
         _read_limit("~max_inferences", int, DEFAULT_LIMITS.inferences),
@@ -108,6 +108,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     queue = _read_positive_number("~queue", int)
     settings = Settings(
         limits=limits,
+        # The limits of an event do not apply to the goals of goalPredicates.txt.
         limit_start=False,
         watchdog=_read_limit("~watchdog", float, DEFAULT_WATCHDOG_SECONDS),
         allow_goals=_read_flag("~allow_goals"),
@@ -119,9 +120,9 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         max_gap=_read_limit("~max_gap", float, None),
         tf_cache=_read_positive_number("~tf_cache", float) or DEFAULT_CACHE_SECONDS,
     )
-    file_size = _read_positive_number("~max_file_megabytes", int)
-    if file_size is not None:
-        settings = settings._replace(max_file_megabytes=file_size)
+    max_file_megabytes = _read_positive_number("~max_file_megabytes", int)
+    if max_file_megabytes is not None:
+        settings = settings._replace(max_file_megabytes=max_file_megabytes)
     if depth is not None:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
@@ -146,7 +147,7 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
     )
 
 
-def _warn_about_unknown() -> None:
+def _warn_about_unknown_parameters() -> None:
     for name in rospy.get_param("~", {}):
         # A misspelt parameter would otherwise be ignored without notice.
         if name not in PARAMETER_NAMES:
@@ -240,7 +241,7 @@ def _read_port(name: str) -> Optional[int]:
 
 
 def _read_limit(name: str, number_type: Type[Number], default: Optional[Number]) -> Optional[Number]:
-    """Return a number of 0 or more; None for 0, which means no limit."""
+    """Return the limit in a parameter; None for 0, which means no limit."""
     return (
         validate_limit(
             f"parameter {name} (0 means no limit)", rospy.get_param(name, default or 0), number_type

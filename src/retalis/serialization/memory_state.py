@@ -18,6 +18,9 @@ EncodedRecords = Tuple[int, int, bool, Any, Any, Any]
 """Number of earlier records, number of late records, whether terms may contain variables; then the encoded terms and
 ends, and the encoded starts or None if they equal the ends."""
 
+DecodedRecords = Tuple[int, int, bool, List[Term], List[int], List[int]]
+"""As `EncodedRecords`, with the decoded terms, ends and starts."""
+
 
 def snapshot_memories(knowledge: KnowledgeBase) -> List[Tuple[Any, ...]]:
     """Return the definition of each memory, and whether it is active, in their order."""
@@ -42,7 +45,7 @@ class MemoryRecords(NamedTuple):
     records: List[Tuple[Term, int, int]]
 
     def slice(self, begin: int, end: int) -> "MemoryRecords":
-        """Return the records between two indexes."""
+        """Return the records from index ``begin`` up to, not including, ``end``; index 0 is the first record here."""
         return self._replace(first_position=self.first_position + begin, records=self.records[begin:end])
 
     def empty_end(self) -> "MemoryRecords":
@@ -59,15 +62,15 @@ def records_since(instance: MemoryInstance, position: int = 0) -> MemoryRecords:
     )
 
 
-def encode_records(unencoded: MemoryRecords) -> EncodedRecords:
+def encode_records(batch: MemoryRecords) -> EncodedRecords:
     """Return the encoding of records."""
     # One flat list of all items, sliced by column, is faster than a loop over the records.
-    flat_items = list(chain.from_iterable(unencoded.records))
+    flat_items = list(chain.from_iterable(batch.records))
     terms, starts, ends = flat_items[0::3], flat_items[1::3], flat_items[2::3]
     return (
-        unencoded.first_position,
-        unencoded.late_count,
-        unencoded.has_variables,
+        batch.first_position,
+        batch.late_count,
+        batch.has_variables,
         encode_terms(terms),
         encode_instants(ends),
         # Most events have no duration.
@@ -78,8 +81,8 @@ def encode_records(unencoded: MemoryRecords) -> EncodedRecords:
 _check_records = tuple_of(count, count, boolean, any_value, any_value, any_value)
 
 
-def decode_records(value: Decoded) -> Decoded:
-    """Return consecutive records of a memory: as `EncodedRecords`, with checked and decoded columns.
+def decode_records(value: Decoded) -> DecodedRecords:
+    """Check and decode `EncodedRecords`, and return them.
 
     Raises:
         UsageError: if they are invalid.
@@ -101,7 +104,7 @@ def restore_memories(
     return [knowledge.memories.create_unreported(definition, active) for definition, active in definitions]
 
 
-def restore_records(instance: MemoryInstance, batches: Sequence[EncodedRecords]) -> None:
+def restore_records(instance: MemoryInstance, batches: Sequence[DecodedRecords]) -> None:
     """Restore the records of a memory from consecutive batches, see `decode_records`."""
     records: List[Tuple[Term, int, int]] = []
     dropped_count = late_count = 0
@@ -109,6 +112,7 @@ def restore_records(instance: MemoryInstance, batches: Sequence[EncodedRecords])
         late_count = late_count_of_batch
         instance.has_variables = instance.has_variables or has_variables
         if not records:
+            # The memory had dropped the records before the first batch.
             dropped_count = first_position
         elif first_position > dropped_count + len(records):
             raise UsageError("records of a memory are missing")

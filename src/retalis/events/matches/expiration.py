@@ -16,8 +16,8 @@ from typing import Callable, Deque, Dict, List, Optional, Tuple, TypeVar
 
 from .partial_matches import PartialMatch
 
-# Stale entries that are tolerated in addition to the number of stored matches.
 _STALE_TOLERANCE = 1000
+"""Stale entries that are tolerated in addition to the number of stored matches."""
 
 SLICE_ENTRIES = 5000
 """Entries of a queue that are visited at a time: about half a millisecond."""
@@ -83,11 +83,11 @@ class ExpirationQueue:
     Matches that are added in the order of their instants form a queue; the others form a heap.
     """
 
-    __slots__ = ("_late", "_queue", "_visited")
+    __slots__ = ("_late", "_queue", "_next_slice_start")
 
     def __init__(self) -> None:
         self._queue: Deque[Tuple[int, PartialMatch]] = deque()
-        self._visited = 0
+        self._next_slice_start = 0
         self._late = _LateHeap()
 
     def __len__(self) -> int:
@@ -99,7 +99,8 @@ class ExpirationQueue:
         Args:
             instant: the last instant, in ns, at which the match is stored.
             match: the match, which is in a buffer.
-            stored_count: number of stored matches in total; stale entries are removed if they outnumber these.
+            stored_count: number of stored matches in total; stale entries are removed if they outnumber these by
+                more than `_STALE_TOLERANCE`.
         """
         queue = self._queue
         if not queue or queue[-1][0] <= instant:
@@ -107,9 +108,9 @@ class ExpirationQueue:
         else:
             self._late.add(instant, match)
         if len(self) > 2 * stored_count + _STALE_TOLERANCE:
-            start, entries = _remove_slice(queue, self._visited, SLICE_ENTRIES)
+            start, entries = _remove_slice(queue, self._next_slice_start, SLICE_ENTRIES)
             stored = [entry for entry in entries if entry[1].buffer is not None]
-            self._visited = _insert_slice(queue, start, stored) or 0
+            self._next_slice_start = _insert_slice(queue, start, stored) or 0
             self._late.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
@@ -121,7 +122,7 @@ class ExpirationQueue:
             match.discard()
 
     def pop_expired(self, clock: int) -> List[PartialMatch]:
-        """Remove and return the entries whose instant is before ``clock`` and whose matches are still stored."""
+        """Remove the entries whose instant is before ``clock``; return those matches that are still stored."""
         expired = []
         queue = self._queue
         while queue and queue[0][0] < clock:
@@ -146,15 +147,15 @@ class StartExpirationQueue:
         late: the matches that were added out of order.
     """
 
-    __slots__ = ("span", "queue", "others", "late", "_visited")
+    __slots__ = ("span", "queue", "others", "late", "_next_slice_start")
 
     def __init__(self, span: Optional[int]) -> None:
         self.span = span
         self.queue: Deque[PartialMatch] = deque()
         self.others: Dict[int, Deque[PartialMatch]] = {}
         self.late = _LateHeap()
-        self._visited: Dict[Optional[int], int] = {}
-        """By retention time: the number of matches of a queue that `remove_stale` has visited."""
+        self._next_slice_start: Dict[Optional[int], int] = {}
+        """By retention time: the position in the queue at which the next slice begins."""
 
     def __len__(self) -> int:
         return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.late)
@@ -165,7 +166,7 @@ class StartExpirationQueue:
         self.queue.clear()
         self.others.clear()
         self.late.clear()
-        self._visited.clear()
+        self._next_slice_start.clear()
 
     def queue_for(self, span: int) -> Deque[PartialMatch]:
         """Return the queue of a retention time."""
@@ -195,7 +196,9 @@ class StartExpirationQueue:
     def remove_stale(self, stored_count: int) -> None:
         """Remove some stale entries; ``stored_count`` is the number of stored matches in total."""
         for span, queue in [(self.span, self.queue), *self.others.items()]:
-            self._visited[span] = remove_stale_entries(queue, self._visited.get(span, 0)) or 0
+            self._next_slice_start[span] = (
+                remove_stale_entries(queue, self._next_slice_start.get(span, 0)) or 0
+            )
         self.late.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
@@ -215,7 +218,8 @@ def remove_stale_entries(
     Args:
         matches: the queue; its order does not change.
         start: position at which the slice begins.
-        visit: called with each stored match of the slice, which is smaller then; None for no call.
+        visit: called with each stored match of the slice; the slice then has `VISITED_SLICE_ENTRIES` entries instead
+            of `SLICE_ENTRIES`.
 
     Returns:
         The position at which the next slice begins; None after the last slice.

@@ -105,7 +105,7 @@ class RepetitionItems:
 
     Attributes:
         var: variable that is bound to the list, newest repetition first.
-        value_vars: variables that have separate values in each repetition.
+        names: variables that have separate values in each repetition.
         same: variables with one value in the whole match, because they are used elsewhere in the rule.
     """
 
@@ -170,7 +170,8 @@ class DeferredConditions(NamedTuple):
         needs: variables that it requires.
         goal: the goal; None for a negation.
         timed: whether the goal uses ``t1/1`` and ``t2/1``.
-        absent: for a negation the negated pattern, and whether any time before the match counts.
+        absent: for a negation the negated pattern, and whether its matches at any earlier time count, not only those
+            in the gap.
         start: variable that is bound to the start of its pattern's interval.
         end: variable that is bound to the end of its pattern's interval.
         items: for a condition on each repetition of a run, the layout of their values.
@@ -198,9 +199,14 @@ class DeferredConditions(NamedTuple):
 def split_ready(
     deferred: List[DeferredConditions], always_bound: Set[Var], context: AbstractSet[Var]
 ) -> Tuple[List[DeferredConditions], List[DeferredConditions]]:
-    """Divide conditions into those that can be tested where some variables are bound, and the others.
+    """Divide conditions into those that can be tested at a node, and those that stay deferred.
 
     Variables that no pattern further left could bind are not required.
+
+    Args:
+        deferred: the conditions.
+        always_bound: variables that every match of the node binds.
+        context: variables that patterns further left may bind.
     """
     ready: List[DeferredConditions] = []
     later: List[DeferredConditions] = []
@@ -316,9 +322,10 @@ def negation_buffer_for(
 
     Args:
         rule: the rule that owns it.
-        negated: result of building the negated pattern; deferred conditions in it use the variables of the pair.
-        value_vars: variables of the pair.
-        ever: whether any time before counts.
+        negated: result of building the negated pattern.
+        value_vars: variables of the match that the negation may suppress; deferred conditions of the negated pattern
+            use them.
+        ever: whether a match of the negated pattern at any earlier time counts, not only one in the gap.
     """
     conditions = negated.deferred
     own_vars = negated.node.vars

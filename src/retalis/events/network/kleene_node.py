@@ -11,8 +11,8 @@ Conditions are divided by the data that they need:
 * *step tests* use one repetition and the start; they decide whether the repetition extends the run;
 * *tests* use the run as a whole and are part of the match: a repetition that fails one does not extend the run;
 * *late tests* use the result of an aggregate: the repetition extends the run, but the result is not emitted;
-* conditions that need patterns further left are tested above. Their values are passed on as a list of items, one for
-  each repetition (see `RepetitionItems`).
+* conditions that need patterns further left are tested by nodes further up (see `deferred_conditions`). Their values
+  are passed on as a list of items, one for each repetition (see `RepetitionItems`).
 
 If an event is retracted, the repetitions that contain it are removed and the run is computed again
 (`KleeneNode.recompute_results`).
@@ -123,14 +123,15 @@ class KleeneValues(NetworkNode):
         self.fixed_vars = [var for var in self.step_vars if var in outside_vars and var not in first_var_set]
         self.fixed_positions = [position_in_step[var] for var in self.fixed_vars]
         self.items = items
-        self._received_count = len(first_vars)
+        # The values before this position are not computed here, see `computed_values_getter`.
+        self._first_computed_position = len(first_vars)
         result_vars = [*first_vars, *self.fixed_vars]
         if items is not None:
             known_vars = set(result_vars)
             items.names = [var for var in self.step_vars if var not in known_vars]
             self._item_positions = [position_in_step[var] for var in items.names]
-            result_vars.insert(self._received_count, items.var)
-            self._received_count += 1
+            result_vars.insert(self._first_computed_position, items.var)
+            self._first_computed_position += 1
         position_by_var = positions(result_vars)
         self._open_positions = [position_by_var[var] for var in self.open_vars]
         if aggregate is not None and result is not None:
@@ -155,7 +156,7 @@ class KleeneValues(NetworkNode):
         (self.late_tests if late else self.tests).append(test)
         self.vars = list(value_vars)
 
-    def _result_without(self, run: Run) -> Optional[PartialMatch]:
+    def _result_without_repetitions(self, run: Run) -> Optional[PartialMatch]:
         """Return the result of a run that has no repetitions yet."""
         span = self.span
         if span is not None and run.end - run.start > span:
@@ -200,8 +201,8 @@ class KleeneValues(NetworkNode):
                 return None
         computed_values = ComputedValues(self._computed_values(result_values))
         event = run.event if run.fixed_values is None else None
-        # The `RepetitionChain` is needed even if it is empty: with one part, the match would look like a condition
-        # around its start.
+        # The `RepetitionChain` is needed even if it is empty: without it, `explanation_terms` would take the parts
+        # for those of a condition around the start.
         return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, computed_values))
 
     def _bind_open_vars(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
@@ -239,7 +240,7 @@ class KleeneNode(KleeneValues):
         repeated: node of Q.
         shares_events: whether one event may be in both.
         identity_functions: functions that return the identity of the matches of P and of Q.
-        shared_vars: variables that are used elsewhere in the rule.
+        outside_vars: variables that are used elsewhere in the rule.
 
     Attributes:
         can_be_revived: whether a match of P and of Q can be revived by a retraction.
@@ -254,12 +255,12 @@ class KleeneNode(KleeneValues):
         repeated: NetworkNode,
         shares_events: bool,
         identity_functions: Tuple[IdentityFunction, IdentityFunction],
-        shared_vars: AbstractSet[Var],
+        outside_vars: AbstractSet[Var],
     ):
         super().__init__(first, repeated)
         self.rule = rule
         self._identify_first, self._identify_repeated = identity_functions
-        self._shared_vars = shared_vars
+        self._outside_vars = outside_vars
         self.shares_events = shares_events
         position_in_first, position_in_repeated = positions(first.vars), positions(repeated.vars)
         self.shared_positions = tuple(
@@ -321,7 +322,9 @@ class KleeneNode(KleeneValues):
         self.repetition_buffer.set_identity_function(
             self._identify_repeated if policy.replaces_identical and not self.retains_repetitions else None
         )
-        self._computed_values = computed_values_getter(self.vars, self._received_count, self._shared_vars)
+        self._computed_values = computed_values_getter(
+            self.vars, self._first_computed_position, self._outside_vars
+        )
         self.emit = emit
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
         # ones.
@@ -336,7 +339,7 @@ class KleeneNode(KleeneValues):
     def _start_action(self, emit: Emit) -> Emit:
         buffer = self.buffer
         aggregate = self.aggregate
-        fires = aggregate is None or aggregate.empty_result is not None
+        emits_empty_result = aggregate is None or aggregate.empty_result is not None
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
             run = Run(match, self.initial_state, len(self.open_vars))
@@ -347,7 +350,7 @@ class KleeneNode(KleeneValues):
             if older is not None and older.start == run.start and older.end == run.end:
                 return frame
             buffer.add(run, key)
-            result = self._result_without(run) if fires else None
+            result = self._result_without_repetitions(run) if emits_empty_result else None
             if self.accepts_late_starts or (
                 self.retains_repetitions and is_revived(self.rule.network.tracker, arrival_number_of(run))
             ):
@@ -529,7 +532,7 @@ class KleeneNode(KleeneValues):
         return True, self.result_of(run, tested_values)
 
     def remove_retracted(self, run: Run, match: PartialMatch) -> bool:
-        """Return True: `recompute_results` removes repetitions whose events were retracted."""
+        """Return True, so that the caller calls `recompute_results`, which removes the repetition."""
         return True
 
     def recompute_results(self, run: Run) -> List[PartialMatch]:
@@ -554,7 +557,7 @@ class KleeneNode(KleeneValues):
         return results if self.rule.active else []
 
     def invalid_results(self) -> List[RepetitionChain]:
-        """Return the results that become invalid without containing the forgotten matches: none."""
+        """Return an empty list: a result becomes invalid only with a repetition that it contains."""
         return []
 
     def retry(self, retried: Union[PartialMatch, Tuple[Run, PartialMatch]], frame: Frame) -> Frame:

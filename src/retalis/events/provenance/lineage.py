@@ -51,7 +51,10 @@ if TYPE_CHECKING:
 
 
 MAX_REMEMBERED_EVENTS = 100_000
-"""Maximum number of remembered events."""
+"""Maximum number of remembered events.
+
+When it is exceeded, the oldest event is unlinked and can no longer be retracted or explained.
+"""
 
 REV = functor("rev", 1)
 _SYNCHRONIZED = frozenset(
@@ -151,7 +154,8 @@ class LineageTracker:
     def _create_token(self, context: Context) -> Occurrence:
         """Return the token of an event without one: an input event, or one that a goal created."""
         term, start, end, cause = context[TERM], context[START], context[END], context[CAUSE]
-        # The event of a synchronized query that was answered later.
+        # A query in ``synchronized(...)`` may be answered later. The cause of its event is then the occurrence that
+        # was dispatched when the query was registered, not a rule.
         if cause.__class__ is Occurrence:
             released_event = Occurrence(term, start, end, None, None)
             released_event.derive_from([cause])
@@ -224,7 +228,10 @@ class LineageTracker:
                 occurrence.suppressed.append(entry)
 
     def _retract(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-        """Retract the events of ``rev(E)``: all occurrences of E, or those that a derived ``rev`` is for."""
+        """Retract the events of ``rev(E)``: all occurrences of E.
+
+        For a ``rev`` event that another retraction dispatched, only the occurrence that it names is retracted.
+        """
         token = self._rules.dispatcher.token()
         retracted = token.retracts
         retries: List[Tuple[RetryNode, MatchOrPair]] = []
@@ -238,6 +245,8 @@ class LineageTracker:
             if not retracted:
                 self._rules.report_nothing_retracted(values[0], token.rule)
                 return frame
+            # The work is charged to the rule that sent ``rev``, else to one that derived an event from the retracted
+            # ones.
             meter = self._meter(token.rule or _deriving_rule(retracted))
             removal = self._remove_derived(retracted, meter)
             if removal is None:
@@ -306,12 +315,14 @@ class LineageTracker:
         runs: Dict[Any, _RunNode] = {}
         for node in marked:
             dependents, node.dependents = node.dependents, []
-            for match in dependents:
-                if isinstance(match, PartialMatch):
-                    match.discard()
-                elif match[0].remove_retracted(*match[1:]):
+            for dependent in dependents:
+                if isinstance(dependent, PartialMatch):
+                    dependent.discard()
+                    continue
+                run_node, run, repetition = dependent
+                if run_node.remove_retracted(run, repetition):
                     # A run may have lost several repetitions; its results are computed once, after all are removed.
-                    runs[match[1]] = match[0]
+                    runs[run] = run_node
             released_matches += node.suppressed
             node.suppressed = []
         return runs
@@ -387,7 +398,7 @@ def _deriving_rule(retracted: Sequence[Occurrence]) -> Optional["EventRule"]:
 
 
 def _unlink(oldest: Occurrence) -> None:
-    """Remove a dropped occurrence from the repetitions it came from, which live as long as their run."""
+    """Remove a dropped occurrence from the ``derived`` lists of its repetitions, which live as long as their run."""
     repetition: Any
     if oldest.match is not None:
         for repetition in lineage_sources(oldest.match):

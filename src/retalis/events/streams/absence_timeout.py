@@ -5,9 +5,10 @@ This operator implements ``P seq absent(Q, Seconds)``. Each match of P becomes a
 deadline passes first, the pending element is emitted.
 
 Events may arrive out of order, so forbidden elements are stored as well: one that arrived before the pending element
-may still lie after it in time. They are dropped when their start lies more than ``span`` ns before the clock. For the
-common case of complete correlation by a key, a forbidden element is dropped earlier if its neighbours in time cancel
-every pending element that it would cancel (see `_ForbiddenElements`).
+may still lie after it in time. They are dropped when their start lies ``span`` ns or more before the latest
+``now`` of `AbsenceTimeout.process`. For the common case of complete correlation by a key, a forbidden element is
+dropped earlier if its neighbours in time cancel every pending element that it would cancel (see
+`_ForbiddenElements`).
 """
 
 import heapq
@@ -15,7 +16,7 @@ from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Op
 
 from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
 
-_SMALL_QUEUE = 32
+_MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
 
 
@@ -48,12 +49,12 @@ class _ForbiddenElements:
         self.element_count = 0
         self.newest = NEVER
 
-    def add(self, element: StreamElement, span: int, may_thin: bool) -> List[StreamElement]:
+    def add(self, element: StreamElement, span: int, drops_redundant: bool) -> List[StreamElement]:
         """Add an element, and return the elements that it makes redundant."""
         elements = self.elements
         # A bound for quick rejection; it need not shrink when elements are dropped.
         self.newest = max(self.newest, element.start)
-        if may_thin and len(elements) > 1:
+        if drops_redundant and len(elements) > 1:
             first, middle = elements[-2], elements[-1]
             rising = first.start <= middle.start <= element.start and first.end <= middle.end <= element.end
             # Three elements with rising starts and ends, within one span: every pending element that the middle one
@@ -68,20 +69,23 @@ class _ForbiddenElements:
     def count_removal(self) -> None:
         """Count an element that was dropped; long lists are compacted only if half of them was dropped."""
         self.element_count -= 1
-        if self.element_count < _SMALL_QUEUE or len(self.elements) > 2 * self.element_count:
+        if self.element_count < _MAX_ALWAYS_COMPACTED or len(self.elements) > 2 * self.element_count:
             self.elements = [element for element in self.elements if not element.is_removed]
 
 
 class AbsenceTimeout(KeyedOperator):
     """Operator that emits an element ``span`` ns after its end unless a forbidden element lies wholly in between.
 
-    The `StreamElement.key` of a pending element is a pair: its correlation key, and its name among the pending
-    elements of that key. For a forbidden element it is the correlation key alone.
+    The `StreamElement.key` of a pending element is a pair: its correlation key, and its replacement key or arrival
+    number. For a forbidden element it is the correlation key alone.
 
     Args:
         span: time in ns without a forbidden element.
         correlation: correlation of pending and forbidden elements.
     """
+
+    # Measured as in `KeyedOperator`.
+    KEY_BYTES, ELEMENT_BYTES = 300, 1100
 
     def __init__(self, span: int, correlation: Correlation):
         super().__init__()
@@ -94,8 +98,6 @@ class AbsenceTimeout(KeyedOperator):
         self._deadlines: List[Tuple[int, int, StreamElement]] = []
         self._by_start: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
-
-    KEY_BYTES, ELEMENT_BYTES = 300, 1100
 
     def __len__(self) -> int:
         return self._stored_count
@@ -122,8 +124,8 @@ class AbsenceTimeout(KeyedOperator):
         if now > self._latest_now:
             # The maximum, because an alarm may raise an event in the past, after elements of that time were dropped.
             self._latest_now = now
-        # A pending element ends after ``reached - span``, or its deadline has passed. A forbidden element must start
-        # after that end, so older ones are useless.
+        # A pending element ends after `_latest_now - span`; otherwise its deadline has passed. A forbidden element
+        # must start after that end, so older ones are useless.
         self._drop_forbidden_before(self._latest_now - self.span)
         self._order += 1
         element.order = self._order
@@ -135,7 +137,7 @@ class AbsenceTimeout(KeyedOperator):
         elif element.end + self.span <= self._latest_now:
             self.late_count += 1
         else:
-            self._replace(element, key)
+            self._set_pending_key(element, key)
             if not self._is_cancelled(element, key):
                 self._add_pending(element)
         self._update_deadline()
@@ -171,13 +173,13 @@ class AbsenceTimeout(KeyedOperator):
             # Keys are not part of the saved state: they follow from the values.
             element.restore_key()
         for element in pending:
-            self._replace(element, self.correlation.key(element.match, 0))
+            self._set_pending_key(element, self.correlation.key(element.match, 0))
             self._add_pending(element)
         for element in forbidden:
             self._store_forbidden(element, self.correlation.key(element.match, 1))
         self._update_deadline()
 
-    def _replace(self, element: StreamElement, key: Hashable) -> None:
+    def _set_pending_key(self, element: StreamElement, key: Hashable) -> None:
         """Set the key of an element, and drop the pending element that it replaces."""
         make_key = self.correlation.replacement_key
         replacement_key = element.order if make_key is None else make_key(element.match)
@@ -214,7 +216,7 @@ class AbsenceTimeout(KeyedOperator):
             # The work is counted before the loop: an interrupt within it would leave cancelled elements pending.
             self.meter(len(pending))
         for element in pending:
-            if self._lies_after(forbidden, element):
+            if self._cancels(forbidden, element):
                 self._drop_pending(element)
 
     def _candidates(self, key: Hashable) -> Iterator[StreamElement]:
@@ -231,14 +233,14 @@ class AbsenceTimeout(KeyedOperator):
         if self.meter is not None:
             self.meter(sum(len(forbidden_elements.elements) for forbidden_elements in forbidden_groups))
         return any(
-            self._lies_after(forbidden, element)
+            self._cancels(forbidden, element)
             for forbidden_elements in forbidden_groups
             if forbidden_elements.newest > element.end
             for forbidden in forbidden_elements.elements
             if not forbidden.is_removed
         )
 
-    def _lies_after(self, forbidden: StreamElement, element: StreamElement) -> bool:
+    def _cancels(self, forbidden: StreamElement, element: StreamElement) -> bool:
         if not (element.end < forbidden.start and forbidden.end < element.end + self.span):
             return False
         correlation = self.correlation
@@ -251,9 +253,9 @@ class AbsenceTimeout(KeyedOperator):
     def _store_forbidden(self, element: StreamElement, key: Hashable) -> None:
         element.key = key
         forbidden_elements = self._forbidden.setdefault(key, _ForbiddenElements())
-        may_thin = self.correlation.key_is_sufficient and key is not None
+        drops_redundant = self.correlation.key_is_sufficient and key is not None
         self._stored_count += 1
-        for redundant in forbidden_elements.add(element, self.span, may_thin):
+        for redundant in forbidden_elements.add(element, self.span, drops_redundant):
             redundant.is_removed = True
             self._stored_count -= 1
         _push(self._by_start, element.start, element, self._stored_count)

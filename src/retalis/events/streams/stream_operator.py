@@ -1,8 +1,8 @@
 """Elements, outputs and the common protocol of stream operators, and the keyed state that they share.
 
 An operator partitions its elements by key and holds one state per key. `KeyedOperator` bounds these states by time
-and by number. Keys are ordered by their last use, so idle keys are at the front of the order and each event pays for
-at most one key that is dropped later.
+and by number. Keys are ordered by their last use, so idle keys are found at the front. Dropping them takes
+constant time per event on average, because each key is dropped once.
 """
 
 from collections import OrderedDict
@@ -46,7 +46,7 @@ class StreamElement:
             self.key = tuple([term_key(value) for value in by])
 
     def restore_key(self) -> None:
-        """Mark the element as present, and compute its key from its values."""
+        """Mark the element as present, and compute its key from ``by``."""
         self.is_removed = False
         by = self.by
         self.key = term_key(by[0]) if len(by) == 1 else tuple([term_key(value) for value in by])
@@ -99,11 +99,12 @@ class StreamOperator(Protocol):
     Attributes:
         next_deadline: instant at which `advance_to` has an output; None if only elements cause outputs.
         late_count: number of elements that arrived too late.
-        pruned_count: number of alternatives that were not followed because one start had too many.
+        pruned_count: number of partial matches of a row pattern that were discarded because too many had the same
+            start.
         evicted_count: number of keys that were dropped because there were too many.
         bounds: bounds for the states of keys.
         keys: number of keys with a state.
-        bytes: estimated memory of the states: numbers of keys and elements times measured constants.
+        bytes: estimated memory of the states, in bytes: numbers of keys and elements times measured constants.
         tracked: whether outputs contain up to 100 of the elements that they are made of, not only the newest one.
         meter: counts visited elements as pattern work; None if nothing is counted.
         compute_max_timestamp: returns the latest end that may advance the time of the stream.
@@ -120,11 +121,11 @@ class StreamOperator(Protocol):
 
     @property
     def keys(self) -> int:
-        """See the attributes."""
+        """Number of keys with a state."""
 
     @property
     def bytes(self) -> int:
-        """See the attributes."""
+        """Estimated memory of the states, in bytes."""
 
     def set_bounds(self, bounds: KeyBounds, /) -> None:
         """Set the bounds for the states of keys from the next element on."""
@@ -163,7 +164,7 @@ class KeyedOperator:
     See `StreamOperator`.
 
     Attributes:
-        clock: the newest end of the elements so far, without ends that are too far in the future.
+        clock: the newest end of the elements so far, without ends that are too far in the future, in ns.
         max_timestamp: last result of ``compute_max_timestamp``, in ns.
         states: state of each key. In operators that drop idle keys, the order is that of the last use, and the
             attribute ``reference_time`` of a state is the clock at that use.

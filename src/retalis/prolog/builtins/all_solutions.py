@@ -40,15 +40,15 @@ _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 
 def _strip_quantifiers(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
     """Return the goal inside ``Var^Goal``, and the terms on the left of each ``^``."""
-    bound = []
+    quantified = []
     goal = deref(goal)
     while goal.__class__ is tuple and (goal[0] is _HAT or goal[0] is COLON):
         if goal[0] is _HAT:
-            bound.append(goal[1])
+            quantified.append(goal[1])
             goal = deref(goal[2])
         else:
             goal = deref(machine.logic.database.modules.resolve_quantified_goal(goal))
-    return goal, bound
+    return goal, quantified
 
 
 def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
@@ -60,11 +60,11 @@ def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optiona
         if is_iso(machine):
             partial_items(result)
         # Variables of the template and those quantified by `^` are local: they do not distinguish groups.
-        inner_goal, bound = _strip_quantifiers(machine, goal)
+        inner_goal, quantified = _strip_quantifiers(machine, goal)
         # Checked before the free variables are collected: an unbound goal would be its own free variable.
         if inner_goal.__class__ is Var:
             raise instantiation_error()
-        local = set(variables((COMMA, template, *bound)))
+        local = set(variables((COMMA, template, *quantified)))
         free = [var for var in variables(inner_goal) if var not in local]
         witness = make_list(free)
 
@@ -92,7 +92,7 @@ def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optiona
 
 def _group_by_witness(pairs: List[Any]) -> List[Tuple[Term, List[Term]]]:
     """Group ``Witness-Template`` pairs by variants of the witness, in the standard order of witnesses."""
-    # Numbers variables by age before sorting, so that variant witnesses keep the order in which they were found.
+    # Variables are numbered before the sort, so that variant witnesses keep the order in which they were found.
     for pair in pairs:
         for var in variables(pair[1]):
             serial(var)
@@ -195,7 +195,8 @@ Finish = Callable[[List[Term]], Optional[Term]]
 """Function that computes an aggregate from the collected terms; it returns None if the aggregate has no value."""
 
 _COUNT = atom("count")
-_WITH_WITNESS = {functor("max", 2): 1, functor("min", 2): -1}
+_WITNESS_SIGNS = {functor("max", 2): 1, functor("min", 2): -1}
+# Any functor: the pair is only taken apart by `_extremum_with_witness`.
 _WITNESS_PAIR = functor("r", 2)
 
 
@@ -224,7 +225,11 @@ def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) 
 
 @control("aggregate_all/3", is_locked=False)
 def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
-    """Aggregate over all solutions: count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T)."""
+    """Aggregate over all solutions.
+
+    The aggregates are count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T), or a compound of
+    these such as r(count, max(X)).
+    """
     spec, goal, result = deref(args[0]), args[1], args[2]
     finish, template = _aggregate(spec)
 
@@ -248,11 +253,11 @@ def _aggregate(term: Term) -> Tuple[Finish, Term]:
     if spec.__class__ is not tuple:
         raise type_error("aggregate_template", spec)
     key = spec[0]
-    finish = _FINISHES.get(key)
+    finish = _AGGREGATES.get(key)
     if finish is not None:
         return finish, spec[1]
-    if key in _WITH_WITNESS:
-        return _extremum_with_witness(key, _WITH_WITNESS[key]), (_WITNESS_PAIR, spec[1], spec[2])
+    if key in _WITNESS_SIGNS:
+        return _extremum_with_witness(key, _WITNESS_SIGNS[key]), (_WITNESS_PAIR, spec[1], spec[2])
     return _compound_aggregate(key, [_aggregate(part_spec) for part_spec in spec[1:]])
 
 
@@ -297,7 +302,7 @@ def _extremum_with_witness(key: Functor, sign: int) -> Finish:
     return finish
 
 
-_FINISHES: Dict[Functor, Finish] = {
+_AGGREGATES: Dict[Functor, Finish] = {
     functor("count", 1): len,
     functor("sum", 1): _sum,
     functor("bag", 1): make_list,

@@ -90,7 +90,7 @@ def _text_converter(
     return run
 
 
-def _atom(machine: Machine, text: str) -> Term:
+def _parse_as_atom(machine: Machine, text: str) -> Term:
     return atom(text)
 
 
@@ -98,14 +98,14 @@ def _number(machine: Machine, text: str) -> Term:
     return number_or_error(text, machine.logic.operators)
 
 
-def _any_constant(machine: Machine, text: str) -> Term:
+def _parse_as_constant(machine: Machine, text: str) -> Term:
     number = parse_number(text, machine.logic.operators)
     return atom(text) if number is None else number
 
 
-deterministic("atom_codes/2")(_text_converter(codes, _atom, "atom"))
-deterministic("atom_chars/2")(_text_converter(chars, _atom, "atom"))
-deterministic("name/2")(_text_converter(codes, _any_constant, "atomic"))
+deterministic("atom_codes/2")(_text_converter(codes, _parse_as_atom, "atom"))
+deterministic("atom_chars/2")(_text_converter(chars, _parse_as_atom, "atom"))
+deterministic("name/2")(_text_converter(codes, _parse_as_constant, "atomic"))
 
 
 def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
@@ -181,13 +181,10 @@ def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
     """Convert between a term and its text as an atom."""
     # A given text is parsed even if the term is known: equal terms may be written differently.
     text_term = deref(text)
-    if deref(term).__class__ is Var and text_term.__class__ is not Var:
+    if text_term.__class__ is not Var:
         return unify(term, parse(machine, text_of(text_term)), machine.trail)
-    if text_term.__class__ is Var or deref(term).__class__ is not Var:
-        if text_term.__class__ is not Var:
-            return unify(term, parse(machine, text_of(text_term)), machine.trail)
-        if deref(term).__class__ is Var:
-            raise instantiation_error()
+    if deref(term).__class__ is Var:
+        raise instantiation_error()
     return unify(text, atom(machine.logic.show(term)), machine.trail)
 
 
@@ -257,8 +254,12 @@ def sub_text(
     kind = "atom" if make is atom else "string"
     source_text = atomic_text(text, kind)
     size = len(source_text)
-    b, count, a = integer_or_var(before), integer_or_var(length), integer_or_var(after)
-    for value in (b, count, a):
+    before_count, length_count, after_count = (
+        integer_or_var(before),
+        integer_or_var(length),
+        integer_or_var(after),
+    )
+    for value in (before_count, length_count, after_count):
         if value is not None and value < 0:
             raise domain_error("not_less_than_zero", value)
     part_term = deref(part)
@@ -267,17 +268,33 @@ def sub_text(
     if part_term.__class__ is not Var:
         if is_iso(machine):
             atom_of(part_term)
-        return _occurrences(machine, source_text, atomic_text(part_term, kind), before, length, after, b, a)
+        return _find_known_substring(
+            machine,
+            source_text,
+            atomic_text(part_term, kind),
+            before,
+            length,
+            after,
+            before_count,
+            after_count,
+        )
     # Two known numbers determine the third and the substring.
-    if b is not None and count is not None:
-        start, end = b, b + count
-    elif b is not None and a is not None:
-        start, end = b, size - a
-    elif count is not None and a is not None:
-        start, end = size - a - count, size - a
+    if before_count is not None and length_count is not None:
+        start, end = before_count, before_count + length_count
+    elif before_count is not None and after_count is not None:
+        start, end = before_count, size - after_count
+    elif length_count is not None and after_count is not None:
+        start, end = size - after_count - length_count, size - after_count
     else:
         return _enumerate_substrings(
-            machine, source_text, _spans(size, b, count, a), before, length, after, part, make
+            machine,
+            source_text,
+            _spans(size, before_count, length_count, after_count),
+            before,
+            length,
+            after,
+            part,
+            make,
         )
     return bool(
         0 <= start <= end <= size
@@ -309,32 +326,34 @@ def _enumerate_substrings(
             yield None
 
 
-def _spans(size: int, b: Optional[int], count: Optional[int], a: Optional[int]) -> Iterator[Tuple[int, int]]:
-    if b is not None:
-        return ((b, end) for end in range(b, size + 1))
-    if count is not None:
-        return ((start, start + count) for start in range(size - count + 1))
-    if a is not None:
-        return ((start, size - a) for start in range(size - a + 1))
+def _spans(
+    size: int, before_count: Optional[int], length_count: Optional[int], after_count: Optional[int]
+) -> Iterator[Tuple[int, int]]:
+    if before_count is not None:
+        return ((before_count, end) for end in range(before_count, size + 1))
+    if length_count is not None:
+        return ((start, start + length_count) for start in range(size - length_count + 1))
+    if after_count is not None:
+        return ((start, size - after_count) for start in range(size - after_count + 1))
     return ((start, end) for start in range(size + 1) for end in range(start, size + 1))
 
 
-def _occurrences(
+def _find_known_substring(
     machine: Machine,
     source_text: str,
     substring: str,
     before: Term,
     length: Term,
     after: Term,
-    b: Optional[int],
-    a: Optional[int],
+    before_count: Optional[int],
+    after_count: Optional[int],
 ) -> Outcome:
-    size, count = len(source_text), len(substring)
-    if b is not None:
-        start = b
+    size, length_count = len(source_text), len(substring)
+    if before_count is not None:
+        start = before_count
         matches = source_text.startswith(substring, start)
-    elif a is not None:
-        start = size - a - count
+    elif after_count is not None:
+        start = size - after_count - length_count
         matches = start >= 0 and source_text.startswith(substring, start)
     else:
         # One occurrence is determinate; a generator is only needed for several.
@@ -343,7 +362,8 @@ def _occurrences(
         if matches and source_text.find(substring, start + 1) >= 0:
             return _all_occurrences(machine, source_text, substring, before, length, after)
     return bool(
-        matches and machine.unify_all((before, start), (length, count), (after, size - start - count))
+        matches
+        and machine.unify_all((before, start), (length, length_count), (after, size - start - length_count))
     )
 
 
@@ -374,23 +394,23 @@ def atomic_list_concat(machine: Machine, parts: Term, joined: Term) -> bool:
 @deterministic("atomic_list_concat/3")
 def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, joined: Term) -> bool:
     """Join texts with a separator, or split an atom at the separator."""
-    between = atomic_text(separator, "text")
-    text = _join(parts, between)
+    separator_text = atomic_text(separator, "text")
+    text = _join(parts, separator_text)
     if text is not None:
         result = constant_text(deref(joined))
         return result == text if result is not None else unify(joined, atom(text), machine.trail)
     if deref(joined).__class__ is Var:
         raise instantiation_error()
     # An empty separator would divide a text at every position, or nowhere.
-    if not between:
+    if not separator_text:
         raise domain_error("non_empty_atom", separator)
     text = atomic_text(joined)
     # Charges the memory of all parts before they are created.
-    check_limits(size=_ATOM_BYTES * text.count(between))
-    return unify(parts, make_list(convert_each(atom, text.split(between))), machine.trail)
+    check_limits(size=_ATOM_BYTES * text.count(separator_text))
+    return unify(parts, make_list(convert_each(atom, text.split(separator_text))), machine.trail)
 
 
-def _join(parts: Term, between: str) -> Optional[str]:
+def _join(parts: Term, separator_text: str) -> Optional[str]:
     """Return the joined text, or None if the list is partial or an item is unbound."""
     texts: List[str] = []
     if list_items(parts) is None:
@@ -404,10 +424,12 @@ def _join(parts: Term, between: str) -> Optional[str]:
                 return None
             raise type_error("text", item)
         texts.append(text)
-    return join_texts(texts, between)
+    return join_texts(texts, separator_text)
 
 
-def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Machine, Term, Term], bool]:
+def _case_converter(
+    change: Callable[[str], str], make: Make, kind: str
+) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, result: Term) -> bool:
         source_text = atomic_text(text)
         check_text_length(len(source_text), source_text)
@@ -423,10 +445,10 @@ def _case(change: Callable[[str], str], make: Make, kind: str) -> Callable[[Mach
     return run
 
 
-deterministic("upcase_atom/2")(_case(str.upper, atom, "atom"))
-deterministic("downcase_atom/2")(_case(str.lower, atom, "atom"))
-deterministic("string_upper/2")(_case(str.upper, String, "string"))
-deterministic("string_lower/2")(_case(str.lower, String, "string"))
+deterministic("upcase_atom/2")(_case_converter(str.upper, atom, "atom"))
+deterministic("downcase_atom/2")(_case_converter(str.lower, atom, "atom"))
+deterministic("string_upper/2")(_case_converter(str.upper, String, "string"))
+deterministic("string_lower/2")(_case_converter(str.lower, String, "string"))
 
 
 _CHECK_INTERVAL_MASK = len(STEPS_PER_ROUND) - 1
@@ -557,12 +579,16 @@ def text_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outc
 @deterministic("split_string/4")
 def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
-    text_value, between, strip = (text_of(argument, numbers=False) for argument in (text, separators, pad))
-    between, strip = _distinct_characters(between), _distinct_characters(strip)
+    text_value, separator_chars, pad_chars = (
+        text_of(argument, numbers=False) for argument in (text, separators, pad)
+    )
+    separator_chars, pad_chars = _distinct_characters(separator_chars), _distinct_characters(pad_chars)
     check_text_length(len(text_value), text_value)
     partial_items(parts)
     return unify(
-        parts, make_list(convert_each(String, list(_split(text_value, between, strip)))), machine.trail
+        parts,
+        make_list(convert_each(String, list(_split(text_value, separator_chars, pad_chars)))),
+        machine.trail,
     )
 
 
@@ -596,7 +622,7 @@ def _strip(text: str, pad: str) -> str:
 
 @deterministic("normalize_space/2")
 def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
-    """Unify with a text in which each sequence of white space is one space."""
+    """Write a text to a sink, with one space for each sequence of white space and none at the ends."""
     sink = deref(sink)
     if sink.__class__ is Var:
         raise instantiation_error()
@@ -621,7 +647,7 @@ def _words(text: str) -> List[str]:
 
 # Characters
 
-_CLASSES: Dict[str, Callable[[str], bool]] = {
+_CHAR_TYPE_TESTS: Dict[str, Callable[[str], bool]] = {
     "alnum": str.isalnum,
     "alpha": str.isalpha,
     "csym": lambda char: char.isalnum() or char == "_",
@@ -648,7 +674,7 @@ _CLASSES: Dict[str, Callable[[str], bool]] = {
 }
 
 
-_PARAMETRIC = ("digit", "xdigit", "to_lower", "to_upper", "upper", "lower")
+_COMPOUND_CHAR_TYPES = ("digit", "xdigit", "to_lower", "to_upper", "upper", "lower")
 
 
 def _character(term: Term) -> Optional[str]:
@@ -677,11 +703,11 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
         if character is None and char_type.__class__ is Var:
             raise instantiation_error()
         if character is None or char_type.__class__ is Var:
-            return enumerate_(machine, char, char_type, character)
+            return enumerate_types(machine, char, char_type, character)
         type_term = next(_types(character, char_type, wrap), None)
         return type_term is not None and unify(char_type, type_term, machine.trail)
 
-    def enumerate_(
+    def enumerate_types(
         machine: Machine, char: Term, char_type: Term, known_character: Optional[str]
     ) -> Solutions:
         # Without a character only Latin-1 is enumerated, since the types of all of Unicode take seconds.
@@ -703,9 +729,11 @@ def _single_case(char: str, changed: str) -> str:
 
 def _check_type(char_type: Term) -> None:
     """Raise a type error for a term that is not a character type."""
-    if char_type.__class__ is tuple and len(char_type) == 2 and char_type[0].name in _PARAMETRIC:
+    if char_type.__class__ is tuple and len(char_type) == 2 and char_type[0].name in _COMPOUND_CHAR_TYPES:
         return
-    if char_type.__class__ is not Var and (char_type.__class__ is not Atom or char_type.name not in _CLASSES):
+    if char_type.__class__ is not Var and (
+        char_type.__class__ is not Atom or char_type.name not in _CHAR_TYPE_TESTS
+    ):
         raise type_error("char_type", char_type)
 
 
@@ -719,7 +747,7 @@ def _types(char: str, char_type: Term, wrap: Callable[[str], Term]) -> Iterator[
         else None
     )
     # With a known type only its own test runs; with an unbound one, all types are yielded in the order of the table.
-    for plain, test in _CLASSES.items():
+    for plain, test in _CHAR_TYPE_TESTS.items():
         if (name is None or (plain == name and char_type.__class__ is Atom)) and test(char):
             yield atom(plain)
     if char_type.__class__ is Atom:
@@ -728,6 +756,8 @@ def _types(char: str, char_type: Term, wrap: Callable[[str], Term]) -> Iterator[
         yield (functor("digit", 1), ord(char) - 48)
     if name in (None, "xdigit") and char in "0123456789abcdefABCDEF":
         yield (functor("xdigit", 1), int(char, 16))
+    # As in SWI-Prolog, the argument of `to_lower` is the upper case of the character, and that of `to_upper` its
+    # lower case.
     if name in (None, "to_lower"):
         yield (functor("to_lower", 1), wrap(_single_case(char, char.upper())))
     if name in (None, "to_upper"):

@@ -48,7 +48,7 @@ class FunctionCode:
     """Functions of one predicate, generated when they are first called or when a caller is compiled.
 
     Attributes:
-        first: returns whether there is a solution, and keeps the bindings of the first one.
+        first: returns whether there is a solution, and keeps the bindings of the first one; None if it cannot decide.
         only: returns whether there is exactly one solution, and keeps its bindings; None if it cannot decide.
     """
 
@@ -175,7 +175,7 @@ def body_cost(
 
 
 def is_pure(database: PredicateResolver, key: Functor) -> bool:
-    """Return whether a deterministic built-in has no effect."""
+    """Return whether a deterministic built-in has no effect and its result depends on its arguments alone."""
     return key in _PURE or database.predicate(key).functional_modes is not None
 
 
@@ -201,7 +201,9 @@ def function_parser(database: PredicateResolver, entry: Height, path: Tuple[Func
 
 
 def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
-    """Mark the calls for which the first solution is enough: before a cut, or last in a test or in a goal.
+    """Mark the calls for which the first solution is enough.
+
+    These are calls directly before a cut, and the last call of a condition or, if ``once``, of the sequence.
 
     Args:
         nodes: the goals.

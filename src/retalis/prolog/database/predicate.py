@@ -73,7 +73,7 @@ class Predicate:
         multifile: whether its clauses may be in several files.
         is_locked: whether programs may not redefine it, if it is a library predicate.
         is_library_predicate: whether it belongs to the system.
-        is_protected: whether goals may not read its clauses or add some, if it is a library predicate.
+        is_protected: whether goals may neither read its clauses nor add clauses, if it is a library predicate.
         warned_undefined: whether a warning about calls of the undefined predicate has been issued.
         is_compiled: whether `run` is compiled code.
         hidden_predicate: predicate that owns the clauses, if calls are answered by tables.
@@ -82,7 +82,7 @@ class Predicate:
         has_only_ground_facts: whether all clauses are ground facts.
         clauses: clauses in order, including retracted ones.
         retracted_count: number of retracted clauses in `clauses`.
-        call_count: calls since the last change.
+        call_count: calls since the last change, attempt to compile, or discarding of compiled code.
         compile_after: number of calls after which compilation is tried.
         indexes: indexes of the clauses.
     """
@@ -201,7 +201,7 @@ class Predicate:
         return True
 
     def _sweep(self) -> None:
-        """Drop retracted clauses from the list; indexes keep them."""
+        """Drop retracted clauses from the list. The indexes are not updated; the caller clears or rebuilds them."""
         self.clauses = list(self.active_clauses())
         self.retracted_count = 0
 
@@ -267,9 +267,10 @@ class Predicate:
     # Reads by incremental tables
 
     def observe(self, on_read: "Callable[[Predicate], None]") -> None:
-        """Call ``on_read`` before each call and each access to the clauses from then on.
+        """Call ``on_read`` before each call and each access that is reported by `report_read` from then on.
 
-        Calls from functions of compiled goals (see `FunctionCode`) are excluded, because these evaluate no tables.
+        Only the first observer is registered. Calls from functions of compiled goals (see `FunctionCode`) are
+        excluded, because these evaluate no tables.
         """
         if self._on_read is not None:
             return
@@ -284,7 +285,10 @@ class Predicate:
             self._on_read(self)
 
     def version(self, part: Hashable = None) -> int:
-        """Return a number that differs after each change of the clauses."""
+        """Return a number that differs after each change of the clauses.
+
+        ``part`` is ignored, because all clauses have one version.
+        """
         return self._revision
 
     def _set_run(self, step: Step) -> None:
@@ -381,7 +385,8 @@ class Predicate:
             position: position of the first clause to try.
             end: number of clauses when the call began; later ones are invisible to it.
             generation: generation when the call began; clauses retracted since then are visible to it.
-            keys: first-level keys of the arguments; None if an index has compared all of them.
+            keys: first-level keys of the arguments; None if no argument has a key, except the one that an index
+                has compared.
         """
         machine = self.database.machine
         trail = machine.trail

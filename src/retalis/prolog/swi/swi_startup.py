@@ -78,11 +78,12 @@ class Callbacks(List[Callable[[int], int]]):
     def _run_callback(self, generators: List[_CallbackGenerator]) -> _CallbackGenerator:
         """Wait for a term reference, run its callback, yield the result, and wait to be closed.
 
-        The generator does not return after it has yielded the result, because its end would execute Python code when
-        C has continued.
+        The generator stays suspended after it has yielded the result, because the code after the last ``yield`` could
+        run, and raise, while the result is passed to C.
 
         Args:
-            generators: a list with this generator.
+            generators: list that receives this generator after it has been created. A generator has no reference to
+                itself, and needs one to enter `_finished`.
         """
         engine: Any = None
         result, has_returned = 0, False
@@ -113,9 +114,12 @@ class Callbacks(List[Callable[[int], int]]):
 
 
 BRIDGE = "retalis_bridge"
-_FILE = Path(__file__).resolve().parent / "bridge.pl"
+"""Module of the bridge in SWI-Prolog."""
+
+_BRIDGE_FILE = Path(__file__).resolve().parent / "bridge.pl"
 """Prolog file that is loaded into SWI-Prolog at its start."""
 
+# `lru_cache` alone would let two threads start SWI-Prolog at once.
 _LOCK = Lock()
 
 
@@ -136,7 +140,7 @@ class SwiRuntime(NamedTuple):
 
 
 def start() -> SwiRuntime:
-    """Return SWI-Prolog, which is started by the first call.
+    """Start SWI-Prolog at the first call, and return it.
 
     Raises:
         UsageError: if it is not installed or does not start.
@@ -158,9 +162,9 @@ def _start_runtime() -> SwiRuntime:
         # Registered before the bridge is loaded, which refers to these predicates.
         swi.register(BRIDGE.encode(), name.encode(), arity, callback, 0)
     ref = swi.new_refs(1)
-    SwiTerms(swi).put(ref, atom(str(_FILE)), {})
+    SwiTerms(swi).put(ref, atom(str(_BRIDGE_FILE)), {})
     if not swi.call_predicate(None, 0, swi.predicate(b"consult", 1, b"user"), ref):
-        raise UsageError(f"SWI-Prolog does not load {_FILE}")
+        raise UsageError(f"SWI-Prolog does not load {_BRIDGE_FILE}")
     swi.detach_thread()
     return SwiRuntime(swi, Interrupter(swi), engines, callbacks)
 

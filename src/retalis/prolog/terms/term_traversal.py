@@ -24,7 +24,8 @@ MAX_STEPS = 5_000_000
 """Steps after which a walk over a term raises `TermTooLarge`."""
 
 WALK_ROUNDS = range(MAX_STEPS // len(STEPS_PER_ROUND))
-"""Rounds of a walk. After each round, the walk checks the limits of the goal that runs it."""
+"""Rounds of a walk, each of ``len(STEPS_PER_ROUND)`` steps. After each round, the walk checks the limits of the goal
+that runs it."""
 
 STEP_MASK = len(STEPS_PER_ROUND) - 1
 """Bit mask of step counts: a round ends at each step whose masked count is zero."""
@@ -57,7 +58,8 @@ def contains_itself(term: Term) -> bool:
     while stack:
         part = stack.pop()
         # An int on the stack is the identity of a term whose parts have all been visited: the depth-first search
-        # leaves it. `path` holds the ancestors of the current part only; `seen` alone would report shared subterms.
+        # leaves it. `path` holds the ancestors of the current part only; `visited_ids` alone would report
+        # shared subterms.
         if part.__class__ is int:
             path.discard(part)
             continue
@@ -94,12 +96,12 @@ def require_acyclic(term: Term) -> None:
 class VisitedPairs:
     """Pairs of compound terms that a walk over two cyclic terms has visited; a pair is not compared twice."""
 
-    __slots__ = ("_met", "_steps")
+    __slots__ = ("_visited", "_steps")
 
     def __init__(self) -> None:
         # Keys are object identities. The values keep the terms alive: the identity of a deleted term may be reused
         # by another one, which would then count as visited.
-        self._met: Dict[Tuple[int, int], Tuple[Term, Term]] = {}
+        self._visited: Dict[Tuple[int, int], Tuple[Term, Term]] = {}
         self._steps = 0
 
     def is_new(self, left: Term, right: Term) -> bool:
@@ -108,10 +110,10 @@ class VisitedPairs:
         if not self._steps & STEP_MASK:
             check_steps(self._steps)
         key = (id(left), id(right))
-        if key in self._met:
+        if key in self._visited:
             return False
-        if len(self._met) < CYCLE_CHECK_STEP:
-            self._met[key] = (left, right)
+        if len(self._visited) < CYCLE_CHECK_STEP:
+            self._visited[key] = (left, right)
         return True
 
 
@@ -143,12 +145,12 @@ def variables(term: Term) -> List[Var]:
 
 def _variables_of_cyclic_term(stack: List[Term], seen: Dict[Var, None]) -> List[Var]:
     """Continue the search for variables in a cyclic term: visit each part once."""
-    met = VisitedPairs()
+    visited = VisitedPairs()
     while stack:
         item = _follow(stack.pop())
         if item.__class__ is Var:
             seen.setdefault(item)
-        elif item.__class__ is tuple and met.is_new(item, item):
+        elif item.__class__ is tuple and visited.is_new(item, item):
             stack.extend(item[:0:-1])
     return list(seen)
 
@@ -159,7 +161,7 @@ def positions(sequence: Sequence[Var]) -> Dict[Var, int]:
 
 
 def is_larger(term: Term, limit: int) -> bool:
-    """Return whether the compound terms within a term have more than ``most`` arguments in total."""
+    """Return whether the compound terms within a term have more than ``limit`` arguments in total."""
     size = 0
     stack = [term]
     while stack:
@@ -173,7 +175,10 @@ def is_larger(term: Term, limit: int) -> bool:
 
 
 def is_ground(term: Term) -> bool:
-    """Return whether a term has no unbound variable. A lazy term is ground by definition and is not built."""
+    """Return whether a term has no unbound variable. A lazy term is ground by definition and is not built.
+
+    Bound variables are followed; see `has_no_variables` for a test that rejects them.
+    """
     stack = [term]
     for round_number in WALK_ROUNDS:
         for _ in STEPS_PER_ROUND:
