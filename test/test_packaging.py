@@ -169,7 +169,7 @@ def test_an_installation_is_a_command_with_the_example_and_completion(installed,
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)
     site = installed / "share" / "retalis" / "docs" / "html" / "index.html"
     assert run(command, "docs", "--print-path", cwd=tmp_path) == f"{site}\n" and site.exists()
-    assert "lists one after the other" in run(command, "console", "--goal", "help(append)", cwd=tmp_path)
+    assert "followed by the list" in run(command, "console", "--goal", "help(append)", cwd=tmp_path)
     script = (
         "source <(retalis complete bash);"
         'COMP_WORDS=(retalis ev); COMP_CWORD=1; _retalis_complete; echo "${COMPREPLY[@]}";'

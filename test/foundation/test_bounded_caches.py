@@ -16,7 +16,7 @@ DECORATED = {
     ("prolog/builtins/message_printing.py", "_layout_operators"): "one entry",
     ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",
-    ("prolog/swi/swi_startup.py", "_started"): "one entry",
+    ("prolog/swi/swi_startup.py", "_start_runtime"): "one entry",
     ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
     ("prolog/syntax/operators.py", "standard_operators"): "one entry",
     ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",
@@ -30,7 +30,7 @@ HELD = {
     ("ros/ros_interface.py", "self._cached_handlers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
     ("ros/internal_topics.py", "self._checked"): (1000, 1 << 20),
-    ("ros/text_topics.py", "self._names"): (1000, 1 << 20),
+    ("ros/text_topics.py", "self._full_names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/listener_index.py", "self._plans"): (10_000, 16 << 20),
     ("prolog/syntax/event_text.py", "self._builders"): (512, 8_192_000),

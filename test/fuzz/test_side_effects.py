@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(PYPY, reason="an input is watched by audit event
 def found():
     """What was found, by the inputs of ``kinds/forbidden_acts.py``."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "STILL", 1.5)
+        patch.setattr(module, "MAX_INPUT_CPU_SECONDS", 1.5)
         campaign = Campaign("forbidden_acts")
         campaign.run(len(ACTS))
     acts = list(ACTS)
