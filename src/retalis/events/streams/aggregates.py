@@ -230,12 +230,23 @@ class _ElementwiseAccumulator(Accumulator):
     Attributes:
         array_count: number of elements of the window whose value is an array.
         array_length: length of these arrays.
+        check_number: raises an error if a number is not suitable; takes the number and the name of the aggregate.
     """
+
+    accepts_arrays = True
+    check_number = staticmethod(check_finite)
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.array_count = 0
         self.array_length = 0
+
+    def check(self, item: StreamElement) -> Optional[bool]:
+        value = item.values[self.index]
+        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
+            return self.check_array(value)
+        self.check_number(value, self.name)
+        return None
 
     def check_array(self, value: Term) -> bool:
         """Return True if the value of an element is an array like those of the window, if any; else reject it.
@@ -243,7 +254,7 @@ class _ElementwiseAccumulator(Accumulator):
         Raises:
             RuleError: if the aggregate cannot process the value.
         """
-        length = array_length(value) if self.accepts_arrays else None
+        length = array_length(value)
         if self.array_count and length != self.array_length:
             raise value_error(self.name, value, f"an array of {counted(self.array_length, 'element')}")
         if length is None:
@@ -304,19 +315,11 @@ def _sum_of_arrays(arrays: "List[Array]") -> "Array":
 
 class _SumAccumulator(_ElementwiseAccumulator):
     value_rule = SUMMAND
-    accepts_arrays = True
     accepts_empty = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.sum = ExactSum()
-
-    def check(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
-        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
-            return self.check_array(value)
-        check_finite(value, self.name)
-        return None
 
     def add(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
@@ -386,19 +389,12 @@ class _DeviationAccumulator(_SumAccumulator):
 
 class _MinimumAccumulator(_ElementwiseAccumulator):
     value_rule = COMPARABLE_NUMBER
-    accepts_arrays = True
+    check_number = staticmethod(check_ordered)
     sign = 1
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.heap = LazyMinHeap()
-
-    def check(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
-        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
-            return self.check_array(value)
-        check_ordered(value, self.name)
-        return None
 
     def add(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
@@ -436,18 +432,10 @@ class _MaximumAccumulator(_MinimumAccumulator):
 
 class _QuantileAccumulator(_ElementwiseAccumulator):
     value_rule = FINITE_NUMBER
-    accepts_arrays = True
 
     def __init__(self, index: int, name: str, setting: Setting):
         super().__init__(index, name, setting)
         self.heaps = QuantileHeaps(setting)
-
-    def check(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
-        if self.array_count or value.__class__ not in _NUMBER_CLASSES:
-            return self.check_array(value)
-        check_finite(value, self.name)
-        return None
 
     def add(self, item: StreamElement) -> Optional[bool]:
         value = item.values[self.index]
