@@ -94,10 +94,6 @@ def _parse_as_atom(machine: Machine, text: str) -> Term:
     return atom(text)
 
 
-def _number(machine: Machine, text: str) -> Term:
-    return number_or_error(text, machine.logic.operators)
-
-
 def _parse_as_constant(machine: Machine, text: str) -> Term:
     number = parse_number(text, machine.logic.operators)
     return atom(text) if number is None else number

@@ -391,7 +391,7 @@ class Budget:
         self._max_memory: Optional[int] = None
         self.allowance_count = 1
         self.refused_count = 0
-        self._refusal_limit: Optional[str] = None  # the exceeded limit because of which goals are refused
+        self._refusal_limit: Optional[str] = None  # the exceeded limit, if goals are refused
         self.needs_check = False
         self.pattern_stop: Optional[Tuple[object, str]] = None
         self.skipped_pattern_steps = 0
