@@ -20,7 +20,7 @@ from retalis.prolog.database.database import Database  # noqa: E402
 FIRST, LAST = 60, 460
 
 SEEN_TO_AT = (
-    ("events.dispatch.listener_index", "_MIN_FILTERS_TO_SWEEP"),
+    ("events.dispatch.dispatcher", "_MIN_FILTERS_TO_SWEEP"),
     ("events.fused.fused_join", "SPARE"),
     ("events.network.event_rule", "SPARE"),
     ("events.matches.expiration", "_STALE_TOLERANCE"),

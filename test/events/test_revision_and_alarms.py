@@ -4,7 +4,7 @@ import pytest
 from events.stream_programs import Program, fired, show
 
 from retalis import StreamClock
-from retalis.events.matches import retraction_joins
+from retalis.events.matches import consumption_policy
 from retalis.events.matches.partial_matches import RepetitionChain
 from retalis.events.provenance import lineage
 from retalis.prolog.terms.timestamps import SECOND
@@ -200,7 +200,7 @@ def test_what_a_run_results_in_again_takes_the_place_of_its_old_results():
 
 
 def test_second_sides_are_kept_for_revision_only_where_one_may_need_them(monkeypatch):
-    monkeypatch.setattr(retraction_joins, "MAX_RETAINED_MATCHES", 20)
+    monkeypatch.setattr(consumption_policy, "MAX_RETAINED_MATCHES", 20)
     for rules, most in [
         ("o <- a seq d.", 0),
         ("o <- a seq (d fnot c).", 0),

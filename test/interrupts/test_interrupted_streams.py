@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from events.streams.stream_feeder import Came, item_of, listing
 
-from retalis.events.streams import stream_operator
-from retalis.events.streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
+from retalis.events.streams import stream_operators
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternVariable, RowPatternWindow, StepTest
+from retalis.events.streams.stream_operators import Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.windows import (
     AlignedTumblingWindow,
     AnchoredTumblingWindow,
@@ -19,7 +19,7 @@ from retalis.events.streams.windows import (
 
 from .injection import Interrupt, Traced
 
-_SOURCE = str(Path(stream_operator.__file__).parent)
+_SOURCE = str(Path(stream_operators.__file__).parent)
 
 
 class AtLine(Traced):

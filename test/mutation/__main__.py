@@ -36,8 +36,6 @@ GROUPS = {
     "memories": ("events/knowledge/*.py",),
     "limits": (
         "prolog/machine/resource_limits.py",
-        "prolog/machine/resource_limits.py",
-        "events/network/retention.py",
         "engine/runtime/watchdog.py",
     ),
     "files": ("events/program/file_sandbox.py", "events/program/source_files.py"),

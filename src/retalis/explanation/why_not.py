@@ -52,7 +52,7 @@ from ..events.network.stream_compiler import rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
 from ..events.streams.aggregates import SequenceAggregate
-from ..events.streams.stream_operator import StreamElement, StreamOutput
+from ..events.streams.stream_operators import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import check_limits
 from ..foundation.errors import RetalisError, RuleError

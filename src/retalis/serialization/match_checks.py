@@ -134,20 +134,21 @@ def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, cursor: RunCu
 
 def _negation_shapes(absence: NegationBuffer, node: NetworkNode) -> List[Any]:
     """Return the shapes for `NegationBuffer.buffers`."""
-    return [MatchShape(node), *_carried_shapes(absence.carried)]
+    return [MatchShape(node), *_shapes_of_negations(absence.deferred_negations)]
 
 
-def _carried_shapes(carried: Iterable[Tuple[NegationBuffer, NetworkNode]]) -> List[Any]:
-    return [shape for absence, node in carried for shape in _negation_shapes(absence, node)]
+def _shapes_of_negations(negations: Iterable[Tuple[NegationBuffer, NetworkNode]]) -> List[Any]:
+    return [shape for absence, node in negations for shape in _negation_shapes(absence, node)]
 
 
 def buffer_shapes(node: Any, saved: Any) -> List[Any]:
     """Return the shape of the matches for each buffer that a node has after it has restored its state ``saved``."""
     if isinstance(node, JoinNode):
-        negated = list(zip(node.absences, node.negated))
-        return [MatchShape(node.left), MatchShape(node.right), *_carried_shapes([*negated, *node.carried])]
+        negations = [*zip(node.absences, node.negated), *node.deferred_negations]
+        return [MatchShape(node.left), MatchShape(node.right), *_shapes_of_negations(negations)]
     if isinstance(node, KleeneNode):
-        return [MatchShape(node, Run), MatchShape(node.repeated), *_carried_shapes(node.carried)]
+        negations = _shapes_of_negations(node.deferred_negations)
+        return [MatchShape(node, Run), MatchShape(node.repeated), *negations]
     if isinstance(node, RepeatNode):
         # Group members are not stored in a buffer: they belong to the node's own state.
         return [
@@ -157,7 +158,7 @@ def buffer_shapes(node: Any, saved: Any) -> List[Any]:
     if isinstance(node, NotNode):
         return _negation_shapes(node.absence, node.negated)
     if isinstance(node, (EarlyTestNode, StreamNode)):
-        return _carried_shapes(node.carried)
+        return _shapes_of_negations(node.deferred_negations)
     return [_NoMatches() for _ in node.buffers()]
 
 

@@ -3,7 +3,7 @@
 Everything is then served by the plain way. Tests marked ``fused`` are about the fused paths themselves.
 """
 
-from retalis.events.dispatch import discrimination_tree, listener_index
+from retalis.events.dispatch import discrimination_tree, dispatcher
 from retalis.events.dispatch.dispatcher import Dispatcher
 from retalis.events.knowledge import pending_queries
 from retalis.events.network import goal_evaluation, join_node, stream_node
@@ -30,7 +30,7 @@ def listening_unfused(listen):
 
 PATHS = {
     "incoming": (Dispatcher, "listen", listening_unfused(Dispatcher.listen)),
-    "gates": (listener_index, "PushdownFilter", OpenGate),
+    "gates": (dispatcher, "PushdownFilter", OpenGate),
     "goals": (
         goal_evaluation,
         "goal_action",

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from hypothesis import strategies as st
 
 from retalis.events.streams.aggregates import AGGREGATES
-from retalis.events.streams.stream_operator import StreamElement
+from retalis.events.streams.stream_operators import StreamElement
 
 
 class Came(NamedTuple):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from retalis import RuleError, atom, list_items
 from retalis.events.streams.aggregates import AGGREGATES
-from retalis.events.streams.stream_operator import StreamElement
+from retalis.events.streams.stream_operators import StreamElement
 from retalis.events.streams.windows import SlidingTimeWindow
 from retalis.prolog.terms.term_traversal import term_key
 

@@ -11,7 +11,7 @@ from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
 from retalis.events.streams.running_statistics import ExactSum, LazyMinHeap, QuantileHeaps, standard_deviation
-from retalis.events.streams.stream_operator import StreamElement
+from retalis.events.streams.stream_operators import StreamElement
 
 FINITE = st.one_of(st.integers(-(10**30), 10**30), st.floats(allow_nan=False, allow_infinity=False, width=32))
 STEPS = st.lists(st.tuples(FINITE, st.booleans(), st.integers(0, 100)), max_size=40)

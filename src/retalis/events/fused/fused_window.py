@@ -13,7 +13,7 @@ from ...foundation.codegen import Block, Statement, shared_function, source_of, 
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from ...prolog.terms.types import EventAction
 from ..streams.running_statistics import LazyMinHeap
-from ..streams.stream_operator import StreamElement
+from ..streams.stream_operators import StreamElement
 from ..streams.windows import KeyedWindow
 
 _GENERAL_PATH = "return general_path(term, values, start, end, frame)"

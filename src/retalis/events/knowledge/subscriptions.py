@@ -33,7 +33,7 @@ from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.partial_matches import NetworkOptions
 from ..network.stream_compiler import rate_node_spec
-from ..streams.stream_operator import StreamElement, StreamOperator, StreamOutput
+from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
 from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables
 
 if TYPE_CHECKING:

@@ -1,7 +1,16 @@
-"""Expiration queues: stored matches ordered by the instant after which they are removed.
+"""Expiration of stored matches: retention times, and queues of matches ordered by the instant of their removal.
 
 Drools Fusion calls this inferred event expiration: a match leaves its buffer when the rule's clock shows that no
-result can contain it. Matches usually arrive in the order of their expiration, so a deque is enough: appending and
+result can contain it. A rule such as ``(a seq b) within 10`` can discard an ``a`` ten seconds after its start,
+because no later ``b`` completes the pattern in time. The compiler derives one `Retention` per operand from the
+``within`` bounds above it.
+
+Two cases differ. If events arrive in order, a bound on the whole pattern is also a bound on the time for which an
+operand is stored. If ``out_of_order`` is on, the first operand of a sequence may arrive after the second one. Negated
+matches (``cnot``, ``fnot``) must then be stored longer than positive ones: they may still rule out a pair whose first
+operand is late.
+
+Matches usually arrive in the order of their expiration, so a deque is enough: appending and
 expiring cost the same for any number of stored matches. Matches that arrive out of order go to a heap.
 
 A match may leave its buffer earlier, for example because it is consumed. Removing it from the middle of a queue
@@ -12,9 +21,63 @@ queue of a million entries has been visited.
 
 import heapq
 from collections import deque
-from typing import Callable, Deque, Dict, List, Optional, Tuple, TypeVar
+from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple, TypeVar
 
 from .partial_matches import PartialMatch
+
+
+class Retention(NamedTuple):
+    """Retention times of one operand, in ns: the smallest interval bounds above it; None for no bound.
+
+    Attributes:
+        in_order: if the first operands of sequences never arrive late.
+        late: if they may arrive late.
+        part: the longest interval of a useful match, for a pattern that is a part of the rule's match. None also for
+            a negated pattern.
+    """
+
+    in_order: Optional[int] = None
+    late: Optional[int] = None
+    part: Optional[int] = None
+
+    def within(self, span: Optional[int]) -> "Retention":
+        """Return the retention below a ``within`` of ``span`` nanoseconds, or this one if there is no bound."""
+        if span is None:
+            return self
+        return Retention(
+            smaller_bound(self.in_order, span), smaller_bound(self.late, span), smaller_bound(self.part, span)
+        )
+
+    def of_negated(self, span: Optional[int]) -> "Retention":
+        """Return the retention of a pattern that is negated between two operands.
+
+        Args:
+            span: the longest time in ns that the two operands can span together; None if unbounded.
+        """
+        return Retention(self.in_order, retention_for_late(span, self.late))
+
+
+UNLIMITED = Retention()
+
+
+def smaller_bound(first: Optional[int], second: Optional[int]) -> Optional[int]:
+    """Return the smaller of two bounds; None counts as infinity."""
+    if first is None:
+        return second
+    return first if second is None else min(first, second)
+
+
+def retention_for_late(span: Optional[int], retention: Optional[int]) -> Optional[int]:
+    """Return the retention of a negated match if the first operand may arrive late; None means forever.
+
+    Args:
+        span: the longest time in ns that the two operands can span together; None if unbounded.
+        retention: retention time of the second operand in ns; None if unbounded.
+    """
+    # The second operand may be stored for `retention` until the late first operand arrives and opens the gap. The gap
+    # then reaches back up to `span` from the end of the second operand.
+    return None if span is None or retention is None else span + retention
+
 
 _STALE_TOLERANCE = 1000
 """Stale entries that are tolerated in addition to the number of stored matches."""

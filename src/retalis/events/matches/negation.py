@@ -96,6 +96,10 @@ class _Frontier:
         return None
 
 
+DeferredNegations = List[Tuple["NegationBuffer", "NetworkNode"]]
+"""Negation buffers that conditions contain, with the nodes of their negated patterns."""
+
+
 class NegationBuffer:
     """Stored matches of a negated pattern, by the variables that it shares with the pair that it can prevent.
 
@@ -111,7 +115,7 @@ class NegationBuffer:
     Attributes:
         condition: tests the values of the pair together with a negated match, if the negated pattern has conditions
             on the pair; else None.
-        carried: negation buffers that those conditions contain, with the nodes of their negated patterns.
+        deferred_negations: negation buffers that those conditions contain, with the nodes of their negated patterns.
         frontiers: frontiers by key.
     """
 
@@ -120,7 +124,7 @@ class NegationBuffer:
         self.shared = tuple(shared)
         self.ever = ever
         self.condition: Optional[Callable[[Values, PartialMatch], bool]] = None
-        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
+        self.deferred_negations: DeferredNegations = []
         self.buffer = MatchBuffer(rule, tuple(position for position, _ in self.shared))
         self.buffer.partner_bounds = BEFORE if ever else BETWEEN
         self.buffer.is_negated = True
@@ -135,16 +139,19 @@ class NegationBuffer:
     def bind(self, negated: "NetworkNode", options: NetworkOptions) -> None:
         """Receive the matches of a node, and connect the buffers that the conditions contain."""
         negated.bind(self.on_match, options)
-        self.bind_carried(options)
+        self.bind_deferred_negations(options)
 
-    def bind_carried(self, options: NetworkOptions) -> None:
+    def bind_deferred_negations(self, options: NetworkOptions) -> None:
         """Connect the negation buffers that the conditions contain."""
-        for absence, node in self.carried:
+        for absence, node in self.deferred_negations:
             absence.bind(node, options)
 
     def buffers(self) -> List[MatchBuffer]:
         """Return the buffers of negated matches, including those of its conditions."""
-        return [self.buffer, *(buffer for absence, _ in self.carried for buffer in absence.buffers())]
+        return [
+            self.buffer,
+            *(buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()),
+        ]
 
     def on_match(self, match: PartialMatch, frame: Frame) -> Frame:
         """Store a negated match, unless stored matches dominate it."""

@@ -23,7 +23,6 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
     Tuple,
     Union,
 )
@@ -33,20 +32,9 @@ from ...prolog.terms.term_traversal import copy, resolve, term_key
 from ...prolog.terms.types import Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
 
-
-class MatchHolder(Protocol):
-    """The place where a match is stored: a buffer or a run group."""
-
-    @property
-    def retention(self) -> Optional[int]:
-        """Retention time in ns; None for no bound."""
-
-    @property
-    def is_negated(self) -> bool:
-        """True if the matches belong to a negated pattern."""
-
-    def remove(self, match: "PartialMatch") -> None:
-        """Remove a stored match."""
+if TYPE_CHECKING:
+    from .match_buffer import MatchBuffer
+    from .shared_run_buffer import RunGroup
 
 
 class EventMatch:
@@ -78,7 +66,7 @@ class EventMatch:
     start: int
     # Declared as Any: code that reads it knows that the match is of a single event.
     term: Any
-    buffer: Optional[MatchHolder]
+    buffer: "Union[MatchBuffer, RunGroup, None]"
     key: Hashable
     older: "PartialMatch"
     newer: "PartialMatch"

@@ -22,7 +22,6 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
     Sequence,
     Set,
     Tuple,
@@ -44,7 +43,7 @@ from ..language.pattern_tree import (
     occurrences,
     walk,
 )
-from ..matches.negation import NegationBuffer
+from ..matches.negation import DeferredNegations, NegationBuffer
 from ..matches.partial_matches import PartialMatch
 from ..matches.shared_run_buffer import NO_ITEMS
 from .goal_evaluation import RuleGoal, Test, goal_test
@@ -57,16 +56,6 @@ if TYPE_CHECKING:
 _ITEMS = functor("items", 2)
 ITEM_FUNCTOR_NAME = "item of a run"
 """Functor name of the values of one repetition; a zero precedes these, because there may be none."""
-
-
-class NegationOwner(Protocol):
-    """A node or negation buffer with deferred negations.
-
-    Attributes:
-        carried: their negation buffers, with the nodes of their negated patterns.
-    """
-
-    carried: List[Tuple[NegationBuffer, NetworkNode]]
 
 
 class BuiltPattern(NamedTuple):
@@ -227,18 +216,18 @@ def append_item(items: Term, values: Values) -> Term:
 
 
 def deferred_test(
-    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, value_vars: List[Var]
+    rule: "EventRule", negations: DeferredNegations, condition: DeferredConditions, value_vars: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all of its variables, and the variables after it.
 
     Args:
         rule: the rule of the condition.
-        node: the node, or negation buffer, that tests it and owns its negation buffers.
+        negations: receives the negation buffer of the condition, if it has one.
         condition: the condition.
         value_vars: variables that are known there.
     """
     if condition.items is not None and condition.each is not None:
-        return _test_of_each(rule, node, condition.items, condition.each, value_vars)
+        return _test_of_each(rule, negations, condition.items, condition.each, value_vars)
     interval_positions = (value_vars.index(condition.start), value_vars.index(condition.end))
     if condition.goal is not None:
         call = RuleGoal(rule, condition.goal, value_vars)
@@ -247,19 +236,19 @@ def deferred_test(
     negated, ever = condition.absent
     built = negated.next_copy()
     absence = negation_buffer_for(rule, built, value_vars, ever)
-    node.carried.append((absence, built.node))
+    negations.append((absence, built.node))
     return _absence_test(absence, interval_positions, ever), value_vars
 
 
 def early_test(
-    rule: "EventRule", node: NegationOwner, condition: DeferredConditions, value_vars: List[Var]
+    rule: "EventRule", negations: DeferredNegations, condition: DeferredConditions, value_vars: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return a test like `deferred_test`, for a node where some required variables may be unbound.
 
     A match with such variables is passed on untested. A match that has passed is marked, and is not tested further
     up.
     """
-    test, result_vars = deferred_test(rule, node, condition, value_vars)
+    test, result_vars = deferred_test(rule, negations, condition, value_vars)
     position_of = positions(value_vars)
     needed = [position_of[var] for var in condition.needs]
     start_position = position_of[condition.start]
@@ -278,7 +267,7 @@ def early_test(
 
 def _test_of_each(
     rule: "EventRule",
-    node: NegationOwner,
+    negations: DeferredNegations,
     items: RepetitionItems,
     condition: DeferredConditions,
     value_vars: List[Var],
@@ -290,7 +279,7 @@ def _test_of_each(
     match_vars = set(value_vars)
     known_vars = [*value_vars, *(var for var in mentioned if var in items.same and var not in match_vars)]
     width = len(known_vars)
-    test_one, result_vars = deferred_test(rule, node, condition, [*known_vars, *items.names])
+    test_one, result_vars = deferred_test(rule, negations, condition, [*known_vars, *items.names])
     items.names = result_vars[width:]
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
@@ -339,7 +328,7 @@ def negation_buffer_for(
     known_vars = [*value_vars, *new_vars]
     tests = []
     for deferred in conditions:
-        test, known_vars = deferred_test(rule, absence, deferred, known_vars)
+        test, known_vars = deferred_test(rule, absence.deferred_negations, deferred, known_vars)
         tests.append(test)
     tracker = rule.network.tracker
 

@@ -37,13 +37,13 @@ from ..matches.expiration import (
     ExpirationQueue,
     StartExpirationQueue,
     remove_stale_entries,
+    smaller_bound,
 )
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
 from .after_match_skip import AfterMatchSkip, skip_state_for
 from .pattern_nodes import EventNode
-from .retention import smaller_bound
 from .rule_compiler import RuleCompiler
 from .stream_node import StreamNode
 

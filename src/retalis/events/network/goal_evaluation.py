@@ -14,10 +14,10 @@ An error in a goal is reported and counts as failure; the engine continues. A co
 have conditions that make events; the depth of this is limited. `Evaluators` compiles the expressions and goals of
 aggregates and windows.
 
-The protocols describe buffers and the nodes with alarms, which have several implementations.
+`TimedNode` is the protocol of nodes with alarms, which rules and subscriptions have.
 """
 
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Union
 
 from ...foundation.errors import RuleError
 from ...prolog.database.compiled_goal import CompiledGoal
@@ -32,38 +32,8 @@ from ..matches.partial_matches import PartialMatch
 from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, value_error
 
 if TYPE_CHECKING:
+    from ..knowledge.subscriptions import OutputRateLimiter
     from .event_rule import EventRule
-
-
-class Buffer(Protocol):
-    """A place where matches are stored.
-
-    Attributes:
-        is_negated: whether its matches belong to a negated pattern.
-    """
-
-    is_negated: bool
-
-    @property
-    def retention(self) -> Optional[int]:
-        """Retention time in ns; None for no bound."""
-
-    def repair(self) -> List[PartialMatch]:
-        """Repair the buffer after an interrupt; return the stored matches, oldest first."""
-
-
-class TimedOwner(Protocol):
-    """Owner of nodes with alarms: a rule, or the output rate limiter of a subscription.
-
-    Attributes:
-        serial: position among the owners; alarms of lower ones run first.
-    """
-
-    serial: int
-
-    @property
-    def active(self) -> bool:
-        """True if it receives events."""
 
 
 class TimedNode(Protocol):
@@ -78,8 +48,8 @@ class TimedNode(Protocol):
     position: int
 
     @property
-    def rule(self) -> "TimedOwner":
-        """The owner."""
+    def rule(self) -> "Union[EventRule, OutputRateLimiter]":
+        """The owner; alarms of owners with a lower ``serial`` run first."""
 
     def on_alarm(self, instant: int, frame: Frame, /) -> Frame:
         """Return the frame that processes everything that is due, and continues with ``frame``."""

@@ -28,20 +28,29 @@ from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
     Emit,
     MatchSide,
+    RetainedMatches,
     join_all_at_once,
     join_all_partners,
+    join_in_order,
     join_one_of_others,
     join_one_partner,
+    join_revived_first,
     store_only,
 )
+from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
-from ..matches.negation import NegationBuffer, RuledOutSweep
+from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
 from ..matches.partial_matches import ComputedValues, NetworkOptions, PartialMatch, is_retracted
-from ..matches.retraction_joins import RetainedMatches, join_in_order, join_revived_first
-from .goal_evaluation import Buffer, Test
-from .pattern_nodes import EventNode, Fuse, IdentityFunction, NetworkNode, computed_values_getter
-from .retention import retention_for_late
+from .goal_evaluation import Test
+from .pattern_nodes import (
+    EventNode,
+    Fuse,
+    IdentityFunction,
+    NetworkNode,
+    OperandBuffer,
+    computed_values_getter,
+)
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -115,7 +124,7 @@ class JoinNode(NetworkNode):
         self.vars = [var for _, var in value_sources]
         self.absences: List[NegationBuffer] = []
         self.negated: List[NetworkNode] = []
-        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
+        self.deferred_negations: DeferredNegations = []
         self.tests: List[Test] = []
         self.completed: Dict[Hashable, None] = {}
         self.shares_events = shares_events
@@ -132,9 +141,9 @@ class JoinNode(NetworkNode):
         self.absences.append(absence)
         self.negated.append(negated)
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        absences = [*self.absences, *(absence for absence, _ in self.carried)]
+        absences = [*self.absences, *(absence for absence, _ in self.deferred_negations)]
         negated = [buffer for absence in absences for buffer in absence.buffers()]
         return (self.left_buffer, self.right_buffer, *negated)
 
@@ -201,8 +210,8 @@ class JoinNode(NetworkNode):
         left_action = self._bind_sides(self._left_side(), self._right_side(options), emit, options)
         for negated, absence in zip(self.negated, self.absences):
             _bind(negated, absence.on_match, options, self._fuse_absence(negated, absence, options))
-            absence.bind_carried(options)
-        for absence, node in self.carried:
+            absence.bind_deferred_negations(options)
+        for absence, node in self.deferred_negations:
             absence.bind(node, options)
         return left_action
 
@@ -426,7 +435,7 @@ class JoinNode(NetworkNode):
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", namespace, f"join by {operator.name}"
         )
-        if self.rule.network.options.tracks_events and (self.absences or self.carried):
+        if self.rule.network.options.tracks_events and (self.absences or self.deferred_negations):
             return self._record_suppressed_joins(join, left_arrives)
         return join
 

@@ -38,10 +38,18 @@ from ...prolog.terms.types import Frame, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.pattern_tree import SEQ
-from ..matches.consumption_policy import Emit, emit_each, metered
+from ..matches.consumption_policy import (
+    Emit,
+    RetainedMatches,
+    earlier_partners,
+    emit_each,
+    is_revived,
+    is_valid,
+    metered,
+)
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
-from ..matches.negation import NegationBuffer
+from ..matches.negation import DeferredNegations
 from ..matches.partial_matches import (
     ComputedValues,
     NetworkOptions,
@@ -52,12 +60,11 @@ from ..matches.partial_matches import (
     unify_sides,
     unify_values,
 )
-from ..matches.retraction_joins import RetainedMatches, earlier_partners, is_revived, is_valid
 from ..matches.shared_run_buffer import NO_ITEMS, Run, identity_by_start, identity_by_start_interval
 from ..streams.aggregates import SequenceAggregate
 from .deferred_conditions import RepetitionItems, append_item
-from .goal_evaluation import Buffer, Test
-from .pattern_nodes import IdentityFunction, NetworkNode, computed_values_getter
+from .goal_evaluation import Test
+from .pattern_nodes import IdentityFunction, NetworkNode, OperandBuffer, computed_values_getter
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -273,16 +280,16 @@ class KleeneNode(KleeneValues):
             rule, tuple(repeated_position for _, repeated_position in self.shared_positions)
         )
         self.step_tests: List[Test] = []
-        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
+        self.deferred_negations: DeferredNegations = []
         self._step_positions = [
             position for position, var in enumerate(repeated.vars) if var not in position_in_first
         ]
         self.retained_matches = RetainedMatches(self.repetition_buffer)
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        carried = [buffer for absence, _ in self.carried for buffer in absence.buffers()]
-        return (self.buffer, self.repetition_buffer, *carried)
+        negated = [buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()]
+        return (self.buffer, self.repetition_buffer, *negated)
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
@@ -303,7 +310,9 @@ class KleeneNode(KleeneValues):
         policy = options.policy
         self.tracks_events = options.tracks_events
         self.extend_run: Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
-        self.extend_run = self._extend_and_record if options.tracks_events and self.carried else self.extend
+        self.extend_run = (
+            self._extend_and_record if options.tracks_events and self.deferred_negations else self.extend
+        )
         self.consumes_partners = policy.consumes_partners
         self.accepts_late_starts = options.out_of_order
         self.defers_storage = self.accepts_late_starts and self.shares_events and policy.replaces_identical
@@ -333,7 +342,7 @@ class KleeneNode(KleeneValues):
         else:
             self.repeated.bind(self._extend_all_action(emit), options)
         self.first.bind(self._start_action(emit), options)
-        for absence, negated in self.carried:
+        for absence, negated in self.deferred_negations:
             absence.bind(negated, options)
 
     def _start_action(self, emit: Emit) -> Emit:

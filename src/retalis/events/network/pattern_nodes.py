@@ -28,7 +28,6 @@ from typing import (
     Optional,
     Sequence,
     Set,
-    Tuple,
     Union,
 )
 
@@ -46,7 +45,8 @@ from ..language.pattern_tree import (
     own_terms,
 )
 from ..matches.consumption_policy import Emit
-from ..matches.negation import NegationBuffer, RuledOutSweep
+from ..matches.match_buffer import MatchBuffer
+from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
 from ..matches.partial_matches import (
     ComputedValues,
     IdentityWithValues,
@@ -54,13 +54,16 @@ from ..matches.partial_matches import (
     PartialMatch,
     identity,
 )
-from .goal_evaluation import Buffer, RuleGoal, Test
+from ..matches.shared_run_buffer import RunGroupBuffer
+from .goal_evaluation import RuleGoal, Test
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
 IdentityFunction = Callable[[PartialMatch], Hashable]
+OperandBuffer = Union[MatchBuffer, RunGroupBuffer]
+"""The stored matches of an operand of a node."""
 
 
 class MatchKeys:
@@ -70,16 +73,16 @@ class MatchKeys:
         shared: variables that occur in the rule more than once.
 
     Attributes:
-        carried: variables of the rule that are passed on from node to node.
+        passed_on_vars: variables of the rule that are passed on from node to node.
     """
 
     def __init__(self, shared: AbstractSet[Var]):
-        self.carried: Set[Var] = set(shared)
+        self.passed_on_vars: Set[Var] = set(shared)
         self._event_bound_vars: Dict[int, FrozenSet[Var]] = {}
 
     def identity_function(self, value_vars: Sequence[Var], pattern: Pattern) -> IdentityFunction:
         """Return the identity function of a pattern's matches, given the variables of their values."""
-        carried = [(position, var) for position, var in enumerate(value_vars) if var in self.carried]
+        carried = [(position, var) for position, var in enumerate(value_vars) if var in self.passed_on_vars]
         return identity_by_values(
             [position for position, var in carried if var not in self._vars_bound_by_events(pattern)]
         )
@@ -115,17 +118,19 @@ def identity_by_values(positions: List[int]) -> IdentityFunction:
 
 
 def computed_values_getter(
-    value_vars: Sequence[Var], received_count: int, carried: AbstractSet[Var]
+    value_vars: Sequence[Var], received_count: int, passed_on_vars: AbstractSet[Var]
 ) -> Callable[[Values], Values]:
     """Return a function for the values that a node has computed itself and does not pass on; see `ComputedValues`.
 
     Args:
         value_vars: variables of its values.
         received_count: number of values that it received.
-        carried: variables that are passed on, and belong to the identity of stored matches.
+        passed_on_vars: variables that are passed on, and belong to the identity of stored matches.
     """
     hidden_positions = [
-        position for position in range(received_count, len(value_vars)) if value_vars[position] not in carried
+        position
+        for position in range(received_count, len(value_vars))
+        if value_vars[position] not in passed_on_vars
     ]
     if len(hidden_positions) == len(value_vars) - received_count:
         return itemgetter(slice(received_count, None))
@@ -166,7 +171,7 @@ class NetworkNode:
         """
         raise NotImplementedError
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of this node itself."""
         return ()
 
@@ -515,7 +520,7 @@ class NotNode(NetworkNode):
         self.child.bind(on_match, options)
         absence.bind(self.negated, options)
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
         return self.absence.buffers()
 
@@ -527,7 +532,7 @@ class EarlyTestNode(NetworkNode):
 
     Attributes:
         test: the test; see `early_test`.
-        carried: negation buffers of the test, with the nodes of their negated patterns.
+        deferred_negations: negation buffers of the test, with the nodes of their negated patterns.
     """
 
     test: Test
@@ -535,7 +540,7 @@ class EarlyTestNode(NetworkNode):
     def __init__(self, rule: "EventRule", child: NetworkNode):
         self.rule = rule
         self.child = child
-        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
+        self.deferred_negations: DeferredNegations = []
         self.vars = child.vars
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
@@ -555,12 +560,12 @@ class EarlyTestNode(NetworkNode):
 
         self.retry = _ignore_skipped(self, on_match)
         self.child.bind(on_match, options)
-        for absence, negated in self.carried:
+        for absence, negated in self.deferred_negations:
             absence.bind(negated, options)
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
+        return [buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()]
 
 
 def _ignore_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:

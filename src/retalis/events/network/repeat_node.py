@@ -49,9 +49,8 @@ from ..matches.shared_run_buffer import (
     slices_of,
 )
 from ..provenance.event_log import lineage_nodes_of
-from .goal_evaluation import Buffer
 from .join_node import JoinNode
-from .pattern_nodes import IdentityFunction, NetworkNode
+from .pattern_nodes import IdentityFunction, NetworkNode, OperandBuffer
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -123,7 +122,7 @@ class RepeatNode(NetworkNode):
         self._is_grouped = False
         self.visit_count = 0
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
         right = [join_node.right_buffer for join_node in self._join_nodes]
         return (self._group_buffer, *self._buffers.values(), *right)

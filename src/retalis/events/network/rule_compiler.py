@@ -39,6 +39,7 @@ from ..language.pattern_tree import (
     bound_by,
     occurrences,
 )
+from ..matches.expiration import UNLIMITED, Retention
 from ..streams.aggregates import SequenceAggregate
 from .deferred_conditions import (
     BuiltPattern,
@@ -76,7 +77,6 @@ from .pattern_nodes import (
     OrNode,
 )
 from .repeat_node import RepeatNode
-from .retention import UNLIMITED, Retention
 from .stream_compiler import StreamCompiler
 from .stream_node import StreamNode
 
@@ -277,7 +277,7 @@ class RuleCompiler(StreamCompiler):
         """
         if isinstance(condition, DeferredConditions):
             return (
-                early_test(self.rule, node, condition, value_vars)
+                early_test(self.rule, node.deferred_negations, condition, value_vars)
                 if condition.may_be_tried(value_vars)
                 else None
             )
@@ -297,7 +297,7 @@ class RuleCompiler(StreamCompiler):
         if goal is not None:
             mentioned = variables(goal)
             self.shared_vars.update(mentioned)
-            self._match_keys.carried.update(mentioned)
+            self._match_keys.passed_on_vars.update(mentioned)
         return DeferredConditions(needs, goal, timed, absent, start, end)
 
     def _add_bind_node(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
@@ -387,9 +387,9 @@ class RuleCompiler(StreamCompiler):
         """Add the conditions that the operands of a pair have deferred, and those of the pair itself."""
         for deferred in below:
             if deferred in ready:
-                node.add_test(*deferred_test(self.rule, node, deferred, node.vars))
+                node.add_test(*deferred_test(self.rule, node.deferred_negations, deferred, node.vars))
             elif deferred.may_be_tried(node.vars):
-                node.add_test(*early_test(self.rule, node, deferred, node.vars))
+                node.add_test(*early_test(self.rule, node.deferred_negations, deferred, node.vars))
         for condition in conditions:
             compiled_test = self._compile_test(node, condition, node.vars)
             if compiled_test is not None:
@@ -403,10 +403,10 @@ class RuleCompiler(StreamCompiler):
             [test for test in conditions if isinstance(test, ConditionPattern)]
         ):
             # The conditions of the pair bind all of its variables.
-            node.add_test(*deferred_test(self.rule, node, gap_condition, node.vars))
+            node.add_test(*deferred_test(self.rule, node.deferred_negations, gap_condition, node.vars))
             return []
         if gap_condition.may_be_tried(node.vars):
-            node.add_test(*early_test(self.rule, node, gap_condition, node.vars))
+            node.add_test(*early_test(self.rule, node.deferred_negations, gap_condition, node.vars))
         return [gap_condition]
 
     def _build_not(self, core: NotPattern, context: VarSet, retention: Retention) -> BuiltPattern:
@@ -427,7 +427,7 @@ class RuleCompiler(StreamCompiler):
         node = self._add_bind_node(below.node, gap_condition)
         if gap_condition.may_be_tried(node.vars):
             node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
-            node.test, _ = early_test(self.rule, node, gap_condition, node.vars)
+            node.test, _ = early_test(self.rule, node.deferred_negations, gap_condition, node.vars)
         return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
 
     def _build_kleene(
@@ -466,7 +466,7 @@ class RuleCompiler(StreamCompiler):
         # repetitions.
         ready, further = split_ready(repeated.deferred, always_bound, context)
         for pending in ready:
-            test, node.step_vars = deferred_test(self.rule, node, pending, node.step_vars)
+            test, node.step_vars = deferred_test(self.rule, node.deferred_negations, pending, node.step_vars)
             node.step_tests.append(test)
         deferred = [*first.deferred, *(pending.of_each(items) for pending in further)]
         carried = items if further else None
@@ -482,7 +482,7 @@ class RuleCompiler(StreamCompiler):
             node.add_interval_vars(pending.start, pending.end)
         for pending in first.deferred:
             if pending.may_be_tried(node.vars):
-                node.add_test(*early_test(self.rule, node, pending, node.vars), False)
+                node.add_test(*early_test(self.rule, node.deferred_negations, pending, node.vars), False)
         for late, condition in order_by_result_use(conditions, node.vars, node.new_result_vars):
             compiled_test = self._compile_test(node, condition, node.vars)
             if compiled_test is not None:

@@ -35,11 +35,11 @@ from ..language.pattern_tree import (
     bound_by,
 )
 from ..language.row_pattern_parser import conditions
+from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
 from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides
 from ..streams.absence_timeout import AbsenceTimeout, Correlation
 from ..streams.aggregates import AGGREGATES
-from ..streams.rate_operators import Debounce, DistinctUntilChanged, Throttle
 from ..streams.row_pattern import (
     RowPatternNFA,
     RowPatternVariable,
@@ -47,7 +47,7 @@ from ..streams.row_pattern import (
     StepNavigation,
     StepTest,
 )
-from ..streams.stream_operator import StreamElement, StreamOperator
+from ..streams.stream_operators import Debounce, DistinctUntilChanged, StreamElement, StreamOperator, Throttle
 from ..streams.windows import (
     AlignedTumblingWindow,
     AnchoredTumblingWindow,
@@ -59,7 +59,6 @@ from ..streams.windows import (
 from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, negation_buffer_for
 from .goal_evaluation import Evaluate, Evaluators, FoldFunction, GoalTest
 from .pattern_nodes import MatchKeys
-from .retention import UNLIMITED, Retention
 from .stream_node import Result, StreamNode, StreamNodeSpec
 
 if TYPE_CHECKING:
@@ -504,6 +503,6 @@ class StreamCompiler:
         identity_of = self._match_keys.identity_function(value_vars, core.pattern)
         spec = absence_node_spec(core.span, value_vars, built.node.vars, absence.condition, identity_of)
         node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, core)
-        node.carried = absence.carried
+        node.deferred_negations = absence.deferred_negations
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -41,7 +41,8 @@ from ..fused.fused_single_event import Continuation
 from ..fused.fused_window import FusedWindow, fused_window
 from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, emit_each, metered
-from ..matches.negation import NegationBuffer
+from ..matches.expiration import smaller_bound
+from ..matches.negation import DeferredNegations
 from ..matches.partial_matches import (
     NO_REPETITIONS,
     ComputedValues,
@@ -53,11 +54,9 @@ from ..matches.partial_matches import (
 )
 from ..provenance.event_log import lineage_nodes_of
 from ..streams.row_pattern import MAX_STATES_PER_START
-from ..streams.stream_operator import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
+from ..streams.stream_operators import KeyBounds, OperatorState, StreamElement, StreamOperator, StreamOutput
 from ..streams.windows import KeyedWindow
-from .goal_evaluation import Buffer
-from .pattern_nodes import NetworkNode
-from .retention import smaller_bound
+from .pattern_nodes import NetworkNode, OperandBuffer
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -324,7 +323,7 @@ class StreamNode(NetworkNode):
         late_count: number of matches that arrived too late.
         evicted_count: number of keys that were dropped because there were too many.
         position: position among the nodes of the rule.
-        carried: negation buffers in the conditions of a negated pattern, with the nodes of their negated patterns.
+        deferred_negations: negation buffers in the conditions of a negated pattern, with their negated nodes.
     """
 
     def __init__(
@@ -340,7 +339,7 @@ class StreamNode(NetworkNode):
         self.children = list(children)
         self.vars = list(value_vars)
         self.spec = spec
-        self.carried: List[Tuple[NegationBuffer, NetworkNode]] = []
+        self.deferred_negations: DeferredNegations = []
         self.is_single_event = (
             len(self.children) == 1 and self.children[0].is_single_event and not spec.calls_goals
         )
@@ -376,7 +375,7 @@ class StreamNode(NetworkNode):
         self._connect(emit, options)
         for channel, child in enumerate(self.children):
             child.bind(self._input_action(channel, options), options)
-        for absence, node in self.carried:
+        for absence, node in self.deferred_negations:
             absence.bind(node, options)
 
     def bind_values(self, completion: Continuation) -> None:
@@ -464,9 +463,9 @@ class StreamNode(NetworkNode):
         self.alarm_instant = None
         self._set_alarm()
 
-    def buffers(self) -> Sequence[Buffer]:
+    def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        return [buffer for absence, _ in self.carried for buffer in absence.buffers()]
+        return [buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()]
 
     def _input_action(self, channel: int, options: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""

@@ -14,7 +14,7 @@ dropped earlier if its neighbours in time cancel every pending element that it w
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
 
-from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
+from .stream_operators import NEVER, OperatorState, StreamElement, StreamOperator, StreamOutput
 
 _MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
@@ -73,7 +73,7 @@ class _ForbiddenElements:
             self.elements = [element for element in self.elements if not element.is_removed]
 
 
-class AbsenceTimeout(KeyedOperator):
+class AbsenceTimeout(StreamOperator):
     """Operator that emits an element ``span`` ns after its end unless a forbidden element lies wholly in between.
 
     The `StreamElement.key` of a pending element is a pair: its correlation key, and its replacement key or arrival
@@ -84,7 +84,7 @@ class AbsenceTimeout(KeyedOperator):
         correlation: correlation of pending and forbidden elements.
     """
 
-    # Measured as in `KeyedOperator`.
+    # Measured as in `StreamOperator`.
     KEY_BYTES, ELEMENT_BYTES = 300, 1100
 
     def __init__(self, span: int, correlation: Correlation):

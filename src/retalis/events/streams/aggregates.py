@@ -45,7 +45,7 @@ from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import CONS, NIL, Term, Values, deref
 from .running_statistics import ExactSum, LazyMinHeap, QuantileHeaps, standard_deviation
-from .stream_operator import StreamElement
+from .stream_operators import StreamElement
 
 if TYPE_CHECKING:
     from ...prolog.terms.array_terms import Array

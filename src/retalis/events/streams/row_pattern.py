@@ -19,7 +19,7 @@ from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optio
 
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator
-from .stream_operator import NEVER, KeyedOperator, OperatorState, StreamElement, StreamOutput
+from .stream_operators import NEVER, OperatorState, StreamElement, StreamOperator, StreamOutput
 from .windows import MAX_TRACKED_ELEMENTS, results_or_error
 
 NavigatedElements = Sequence[StreamElement]
@@ -359,7 +359,7 @@ class _Successors:
         )
 
 
-class RowPatternWindow(KeyedOperator):
+class RowPatternWindow(StreamOperator):
     """Window of a row pattern; emits matches that do not overlap. See `StreamOperator`.
 
     Args:

@@ -24,7 +24,7 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator, value_error
 from .running_statistics import LazyMinHeap
-from .stream_operator import KeyedOperator, OperatorState, StreamElement, StreamOutput
+from .stream_operators import OperatorState, StreamElement, StreamOperator, StreamOutput
 
 MAX_TRACKED_ELEMENTS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
@@ -182,7 +182,7 @@ class KeyedWindow:
 AccumulatorFactory = Callable[[], Sequence[Accumulator]]
 
 
-class Window(KeyedOperator):
+class Window(StreamOperator):
     """Base class of windows: keyed windows and their elements. See `StreamOperator`.
 
     Args:
@@ -217,10 +217,6 @@ class Window(KeyedOperator):
 
     def _compact(self) -> None:
         """Compact the containers that index elements by time, if most of their entries were removed."""
-
-    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
-        """See `StreamOperator.process`."""
-        raise NotImplementedError
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""

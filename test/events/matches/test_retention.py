@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.events.network.retention import UNLIMITED, Retention, retention_for_late, smaller_bound
+from retalis.events.matches.expiration import UNLIMITED, Retention, retention_for_late, smaller_bound
 
 
 @pytest.mark.parametrize(
