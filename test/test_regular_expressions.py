@@ -95,7 +95,7 @@ CASES: Dict[str, Case] = {
     ),
     r"\b_G\d+\b": Case("search", "one run of digits", ("",), ("_G1", "_G", "1", "_")),
     r"(,|\)(?=\w))": Case("search", "two characters", ("",), (",", ")", "a")),
-    # events/program/file_kind.py
+    # events/program/event_file_loader.py
     r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b": Case(
         "search",
         "a word that begins as one of these",

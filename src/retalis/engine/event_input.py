@@ -14,10 +14,9 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Se
 
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.transform_buffer import Transform
-from ..events.language.event_declarations import event_name_error
+from ..events.language.event_declarations import DeclaredEvents, event_name_error
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
-from ..events.rules.event_types import EventTypes
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.named_slots import SlotNames
@@ -369,7 +368,7 @@ class TextInput:
         dispatch: DispatchEvent,
         call: Optional[Callable[[Term], bool]],
         reports: Reports,
-        declared: EventTypes,
+        declared: DeclaredEvents,
     ):
         self._reader = InputReader(operators)
         self._dispatch = dispatch

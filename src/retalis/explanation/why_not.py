@@ -43,8 +43,7 @@ from ..events.language.pattern_tree import (
     WithinPattern,
     occurrences,
 )
-from ..events.language.row_pattern_parser import step_term
-from ..events.language.stream_parser import rate_operator_term, window_term
+from ..events.language.stream_parser import rate_operator_term, step_term, window_term
 from ..events.matches.partial_matches import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators

@@ -5,7 +5,7 @@ from events.stream_programs import Program
 
 from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings
 from retalis.engine.program_check import check_program
-from retalis.events.program.file_kind import _EVENT_PREDICATES
+from retalis.events.program.event_file_loader import _EVENT_PREDICATES
 
 
 def answers(program, goal):

@@ -25,8 +25,8 @@ from ...prolog.terms.types import (
     deref,
     functor,
 )
+from ..language.pattern_parser import no_place
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by
-from ..program.event_file_checker import no_place
 from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_text
 from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (

@@ -25,11 +25,11 @@ from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_event_variable
 from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
-from ..language.pattern_parser import PlaceLookup
+from ..language.pattern_parser import PlaceLookup, no_place
 from ..language.pattern_tree import EventPattern, RuleDefinition, own_terms, walk
 from ..language.state_parser import StateForm, declares_state, parse_state_declaration
 from ..language.stream_parser import subscription_event
-from ..program.event_file_checker import EntryKind, FileChecker, no_place
+from ..program.event_file_checker import EntryKind, FileChecker
 from ..program.goal_file import goal_of, read_goals
 from ..program.topic_configuration import GOALS, Topics, TopicType, read_text
 from ..rules.rule_base import RuleBase

@@ -16,10 +16,9 @@ from ...messages.type_definition import Definition, Field, functor_name
 from ...prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
 from ..language.event_declarations import ValueType, slot_value_type
 from ..language.event_operators import OperatorKind, names_of_kind
-from ..language.pattern_parser import EventTerm, PlaceLookup
+from ..language.pattern_parser import EventTerm, PlaceLookup, no_place
 from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_head_parser import NEW_EVENT, event_raised_by, makes_event
-from ..program.event_file_checker import no_place
 from ..streams.aggregates import AGGREGATES
 from .event_flow_checks import event_of_consumer, events_of_goals, events_of_rule
 from .program_model import NECK, ProgramModel, Subterm, key_of, subterms, wrap_term

@@ -16,6 +16,7 @@ is retracted, the state holds since the next one.
 from collections import OrderedDict, deque
 from itertools import count
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Deque,
@@ -55,7 +56,10 @@ from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
 from ..provenance.event_log import Occurrence
 from .memory import Warn
-from .timeouts import AlarmClock, Timeouts
+from .timeouts import Timeouts
+
+if TYPE_CHECKING:
+    from ...engine.runtime.clock import Clock
 
 # Versions are unique among all declarations, so a table that depends on one declaration can compare numbers only.
 _VERSIONS = count()
@@ -136,7 +140,7 @@ class DeclaredState:
     """
 
     def __init__(
-        self, form: StateForm, logic: PrologSystem, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn
+        self, form: StateForm, logic: PrologSystem, dispatcher: Dispatcher, clock: "Clock", warn: Warn
     ):
         self.form = form
         self._logic = logic
@@ -388,7 +392,7 @@ class StateRegistry:
         on_event: called with each event of a declaration before it is declared; may raise an error.
     """
 
-    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, clock: AlarmClock, warn: Warn):
+    def __init__(self, logic: PrologSystem, dispatcher: Dispatcher, clock: "Clock", warn: Warn):
         self._logic = logic
         self._dispatcher = dispatcher
         self._clock = clock

@@ -16,16 +16,22 @@ from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of
-from .memory_registry import CREATED, DELETED, MemoryInstances, define_read_access, enumerate_records
+from .memory_registry import (
+    CREATED,
+    DELETED,
+    MemoryInstances,
+    define_pattern_access,
+    define_read_access,
+    enumerate_records,
+)
 from .pending_queries import TIMEOUT_EVENT, MissingSources, PendingQueries
-from .record_index import define_matching
 from .record_interpolation import MemoryGaps, TransformChains
 from .subscriptions import Deliver, Subscriptions
-from .timeouts import AlarmClock
 from .transform_buffer import TransformBuffer
 from .transforms import Transforms
 
 if TYPE_CHECKING:
+    from ...engine.runtime.clock import Clock
     from ..rules.rule_base import RuleBase
 
 
@@ -62,7 +68,7 @@ class KnowledgeBase:
         self,
         logic: PrologSystem,
         dispatcher: Dispatcher,
-        clock: AlarmClock,
+        clock: "Clock",
         deliver: Deliver,
         warn: Warn,
         rules: "RuleBase",
@@ -144,7 +150,7 @@ class KnowledgeBase:
     def _define_predicates(self) -> None:
         logic = self._logic
         define_read_access(logic, self.memories)
-        define_matching(logic, self.memories)
+        define_pattern_access(logic, self.memories)
         self.gaps.define(logic, self.memories)
         TransformChains(self.memories, self.gaps).define(logic)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))

@@ -5,6 +5,10 @@ for an instant are binary searches in the list of ends. Records nearly always ar
 the lists exceed the size by a quarter, they are replaced by shorter copies, so adding costs O(1) amortized. Lists
 are never changed in place otherwise: a Prolog goal that enumerates an older list is not disturbed by later records.
 
+A look-up for a term uses a `RecordIndex` if an argument of the term is an atom or integer. The index is created at
+the first such look-up and updated at later ones, so recording does not become slower (just-in-time indexing, as in
+SWI-Prolog).
+
 A `Recorder` listens to one event pattern and records into all memories with equal definitions of records. After
 each record it continues with the queries that wait for that memory, see `pending_queries`.
 
@@ -15,8 +19,22 @@ to a record.
 from bisect import bisect_left, bisect_right
 from heapq import heapify, heappop, heappush
 from itertools import count
-from typing import AbstractSet, Any, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import (
+    AbstractSet,
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
+from ...foundation.cancellation import check_limits
 from ...prolog.machine.errors import PrologError, instantiation_error, type_error
 from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
@@ -180,6 +198,55 @@ MemoryRecord = Tuple[Term, int, int]
 """The record of an event, and the start and end of the event's interval, as instants."""
 
 
+RECORDS_PER_CHECK = 1024
+"""Records after which cancellation and limits of the goal are checked."""
+
+_NO_POSITIONS: List[int] = []
+
+
+class RecordIndex:
+    """Positions of the records of a memory by one of their arguments.
+
+    Each look-up first adds the records since the last one. The index belongs to the list of records; when the memory
+    replaces its lists, once in a quarter of its size, the index is dropped.
+
+    Args:
+        records: records of the memory.
+        argument_position: position of the argument.
+    """
+
+    __slots__ = ("_argument_position", "_records", "_indexed_count", "_positions", "_unindexed_positions")
+
+    def __init__(self, records: List[MemoryRecord], argument_position: int):
+        self._argument_position = argument_position
+        self._records = records
+        self._indexed_count = 0
+        self._positions: Dict[Any, List[int]] = {}
+        self._unindexed_positions: List[int] = []
+        """Positions of records whose argument is a variable, a compound term or the like."""
+
+    def positions_of(self, value: Any) -> List[int]:
+        """Return the positions of all records that may have this atom or integer as the argument, in order."""
+        argument_position, records = self._argument_position, self._records
+        for index in range(self._indexed_count, len(records)):
+            term: Any = deref(records[index][0])
+            argument = (
+                deref(term[argument_position])
+                if term.__class__ is tuple and argument_position < len(term)
+                else None
+            )
+            if argument.__class__ is Atom or argument.__class__ is int:
+                self._positions.setdefault(argument, []).append(index)
+            elif argument is not None:
+                self._unindexed_positions.append(index)
+            # Updated for each record: `check_limits` may raise, and a record must not be added twice.
+            self._indexed_count = index + 1
+            if not index % RECORDS_PER_CHECK:
+                check_limits(RECORDS_PER_CHECK)
+        positions = self._positions.get(value, _NO_POSITIONS)
+        return sorted(positions + self._unindexed_positions) if self._unindexed_positions else positions
+
+
 class Memory:
     """A bounded history, ordered by end time; records with equal ends stay in order of arrival.
 
@@ -194,7 +261,7 @@ class Memory:
         ends: ends of the records as plain integers, which compare faster than other forms of instants; read-only
             outside of this package.
         records: the records, at the same positions.
-        indices: positions of the records by the value of an argument, by argument; see `record_index`.
+        indices: indexes of the records, by the position of the indexed argument; see `candidate_positions`.
         first_changed_position: position of the first record that an insertion out of order has moved, counted from
             the first record ever; `NO_POSITION` if all records have arrived in order since this was set.
         on_wide_gap: called with both ends if a look-up falls between records that may be unusually far apart.
@@ -225,7 +292,7 @@ class Memory:
         """The next lists, while they are being replaced: an interrupt may come between the assignments."""
         self.ends: List[int] = []
         self.records: List[MemoryRecord] = []
-        self.indices: Dict[int, Any] = {}
+        self.indices: Dict[int, RecordIndex] = {}
         self.on_wide_gap: Callable[[int, int], object] = lambda start, end: None
 
     def clear(self) -> None:
@@ -382,6 +449,26 @@ class Memory:
         records = self.records
         for position in range(len(records) - 1, max(0, len(records) - self.size) - 1, -1):
             yield records[position]
+
+    def candidate_positions(self, pattern: Term) -> Union[List[int], range]:
+        """Return the positions of the records that may unify with a term, in order.
+
+        Positions of records that no longer count are included; the caller selects a range of positions.
+        """
+        pattern = deref(pattern)
+        positions: Union[List[int], range] = range(len(self.records))
+        if pattern.__class__ is tuple:
+            for argument_position, argument in enumerate(pattern[1:], 1):
+                value = deref(argument)
+                if value.__class__ is Atom or value.__class__ is int:
+                    index = self.indices.get(argument_position)
+                    if index is None:
+                        index = self.indices[argument_position] = RecordIndex(self.records, argument_position)
+                    # Of several indexed arguments, the one with the fewest records is used.
+                    indexed_positions = index.positions_of(value)
+                    if len(indexed_positions) < len(positions):
+                        positions = indexed_positions
+        return positions
 
 
 UPDATED = functor("memory_updated", 2)

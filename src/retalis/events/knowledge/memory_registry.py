@@ -1,13 +1,15 @@
 """Memory instances: creation, deletion, and access by name.
 
 `MemoryInstances` owns the memories of a program. Memories are created and deleted by goals and services, filled by
-recorders, and read by the predicates ``prev``, ``next``, ``access_mem`` and others, which are defined here. Active
+recorders, and read by the predicates ``prev``, ``next``, ``prev_matching`` and others, which are defined here. Active
 memories report creation, updates and deletion as events. If a program is reloaded, memories are detached; those
 with an unchanged definition continue with their records.
 """
 
-from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence
+from bisect import bisect_left
+from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
+from ...foundation.cancellation import check_limits
 from ...foundation.errors import UsageError
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
@@ -21,6 +23,7 @@ from ..dispatch.discrimination_tree import NO_LISTENERS
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from .memory import (
+    RECORDS_PER_CHECK,
     UPDATED,
     MemoryInstance,
     MemoryRecord,
@@ -343,3 +346,97 @@ def enumerate_records(memories: MemoryInstances) -> Callable[..., Iterator[bool]
                 yield True
 
     return access
+
+
+def define_pattern_access(logic: PrologSystem, memories: MemoryInstances) -> None:
+    """Define the deterministic predicates that search for the newest or next record that unifies with a term.
+
+    ``prev/5`` and ``next_inf/5`` return the record nearest to an instant, whatever it contains. These predicates
+    continue to the first record that unifies.
+    """
+
+    def unify_newest(machine: Machine, name: Term, record: Term, start: Term, end: Term) -> bool:
+        instance = memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _unify_first(
+            machine, instance, (record, start, end), memory.first_position, len(memory.ends), -1
+        )
+
+    def unify_prev(machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term) -> bool:
+        instant, instance = instant_of(time), memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _unify_first(
+            machine, instance, (record, start, end), memory.first_position, memory.position_after(instant), -1
+        )
+
+    def unify_next_inf(
+        machine: Machine, name: Term, record: Term, start: Term, end: Term, time: Term
+    ) -> bool:
+        instant, instance = instant_of(time), memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _unify_first(
+            machine, instance, (record, start, end), memory.position_reaching(instant), len(memory.ends), 1
+        )
+
+    def unify_next(
+        machine: Machine, name: Term, record: Term, start: Term, end: Term, low: Term, high: Term
+    ) -> bool:
+        first_instant, last_instant, instance = instant_of(low), instant_of(high), memories.find(name)
+        if instance is None:
+            return False
+        memory = instance.memory
+        return _unify_first(
+            machine,
+            instance,
+            (record, start, end),
+            memory.position_reaching(first_instant),
+            memory.position_after(last_instant),
+            1,
+        )
+
+    logic.define("newest_matching", 4, unify_newest)
+    logic.define("prev_matching", 5, unify_prev)
+    logic.define("next_inf_matching", 5, unify_next_inf)
+    logic.define("next_matching", 6, unify_next)
+
+
+def _unify_first(
+    machine: Machine,
+    instance: MemoryInstance,
+    target: Tuple[Term, Term, Term],
+    start_position: int,
+    end_position: int,
+    step: int,
+) -> bool:
+    """Unify with the first matching record between two positions.
+
+    Args:
+        machine: the machine.
+        instance: the memory.
+        target: record, start and end to unify with.
+        start_position: first position.
+        end_position: position after the last one.
+        step: 1 to search forwards, -1 to search backwards.
+    """
+    memory, (record, start, end) = instance.memory, target
+    positions: Sequence[int] = memory.candidate_positions(record)
+    low, high = bisect_left(positions, start_position), bisect_left(positions, end_position)
+    order = range(low, high) if step > 0 else range(high - 1, low - 1, -1)
+    for count, index in enumerate(order, 1):
+        if not count % RECORDS_PER_CHECK:
+            check_limits(RECORDS_PER_CHECK)
+        term, start_instant, end_instant = memory.records[positions[index]]
+        # Variables in a stored record belong to the memory; the reader gets new ones.
+        record_term = copy(term) if instance.has_variables else term
+        to_time_term = timestamps.shown
+        if machine.unify_all(
+            (record, record_term), (start, to_time_term(start_instant)), (end, to_time_term(end_instant))
+        ):
+            return True
+    return False

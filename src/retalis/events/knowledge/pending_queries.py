@@ -20,6 +20,7 @@ and event are compiled for the variables of the rule (`compile_conditions`, `com
 
 from itertools import count
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -51,8 +52,11 @@ from ..fused.fused_single_event import query_action
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
-from .timeouts import AlarmClock, Timeouts, timeout_of
+from .timeouts import Timeouts, timeout_of
 from .transforms import AwaitedTransform, ReachedTransforms, Transforms
+
+if TYPE_CHECKING:
+    from ...engine.runtime.clock import Clock
 
 AwaitedSource = Union[MemoryInstance, AwaitedTransform]
 """A memory or transform that queries wait for."""
@@ -480,7 +484,7 @@ class PendingQueries:
         memories: MemoryInstances,
         transforms: Transforms,
         warn: Warn,
-        clock: AlarmClock,
+        clock: "Clock",
         limit: int = MAX_PENDING_QUERIES,
     ):
         self._logic = logic

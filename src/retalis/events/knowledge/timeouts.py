@@ -6,28 +6,18 @@ queries are removed when they reach the top of the heap, or all together when th
 """
 
 from heapq import heapify, heappop, heappush
-from typing import Callable, Container, List, Protocol, Set, Tuple
+from typing import TYPE_CHECKING, Callable, Container, List, Set, Tuple
 
 from ...foundation.errors import UsageError
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Term, deref, functor
 
+if TYPE_CHECKING:
+    from ...engine.runtime.clock import Clock
+
 TIMEOUT = functor("timeout", 1)
 _STALE_TOLERANCE = 16
-
-
-class AlarmClock(Protocol):
-    """A clock with alarms."""
-
-    def now(self) -> int:
-        """Return the present instant."""
-
-    def stamp(self) -> int:
-        """Return the present instant, later than all that were returned before."""
-
-    def call_at(self, instant: int, alarm: Callable[[int], None], /) -> None:
-        """Call a function at an instant."""
 
 
 def timeout_of(options: Term, brief: Callable[[Term], str]) -> int:
@@ -56,7 +46,7 @@ class Timeouts:
     """
 
     def __init__(
-        self, clock: AlarmClock, pending_orders: Container[int], on_timeout: Callable[[int, int], None]
+        self, clock: "Clock", pending_orders: Container[int], on_timeout: Callable[[int, int], None]
     ):
         self._clock = clock
         self._pending_orders = pending_orders

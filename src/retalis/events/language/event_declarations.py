@@ -12,6 +12,7 @@ that exclude each other are reported, because no event can satisfy both.
 
 from difflib import get_close_matches
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -29,6 +30,11 @@ from typing import (
 from ...foundation.errors import Place, RuleError, UsageError, counted
 from ...foundation.ros_names import name_fault
 from ...messages.type_definition import Field, type_name
+from ...prolog.database.clause_index import Clause
+from ...prolog.machine.errors import domain_error
+from ...prolog.machine.machine import Machine
+from ...prolog.syntax.operators import DECLARE_EVENT
+from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_parts
 from ...prolog.terms.term_traversal import is_ground
 from ...prolog.terms.timestamps import DATIME6, DATIME7, from_any
@@ -49,9 +55,12 @@ from ...prolog.terms.types import (
 )
 from .called_predicates import Subgoal, calls
 from .event_operators import NO_EVENTS, OPERATOR_NAMES, OPERATORS, OperatorKind, names_of_kind
-from .pattern_parser import EventTerm, PlaceLookup
+from .pattern_parser import EventTerm, PlaceLookup, no_place
 from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
+
+if TYPE_CHECKING:
+    from ..rules.event_flags import Flags
 
 _RESERVED_NAMES = frozenset(
     (
@@ -485,7 +494,7 @@ class Declarations:
         parent = (_EVENT_WRAPPER, term)
         # Values of one event are bound, so no variable can occur in two places: clashes need no report.
         for error in self.declaration_errors(
-            [EventTerm(deref(term), parent, 1)], _no_place, VariableTypes({}, False)
+            [EventTerm(deref(term), parent, 1)], no_place, VariableTypes({}, False)
         ):
             return error.message
         return ""
@@ -580,5 +589,120 @@ def _declaration_template(key: Functor) -> str:
     return f"{key.name}({arguments})" if arguments else key.name
 
 
-def _no_place(part: Term, number: int = 0) -> Optional[Place]:
-    return None
+_DECLARED = functor("$declared_event", 1)
+_ALWAYS_DECLARED = frozenset(functor(name, arity) for name, arity in (("null", 0), ("null_event", 0)))
+_NO_CLAUSES: List[Clause] = []
+
+
+class DeclaredEvents:
+    """The declarations of a program, and the check of events at run time.
+
+    Declarations are stored as clauses of a hidden predicate. So they are removed, reloaded and saved like the other
+    clauses of a program, without code of their own. The parsed form is cached per clause.
+
+    Args:
+        logic: stores the declarations, and defines ``declare_event/1``.
+        flags: the flag ``undeclared_events`` determines whether each event must be declared.
+        is_external_event: returns whether events of a functor need no declaration, because they are messages or
+            events of the package itself.
+
+    Attributes:
+        in_use: whether anything has been declared. If not, events are not checked at all.
+    """
+
+    def __init__(self, logic: PrologSystem, flags: "Flags", is_external_event: Callable[[Functor], bool]):
+        self._logic = logic
+        self._flags = flags
+        self._clauses: List[Clause] = _NO_CLAUSES
+        self._clause_count = self._dead_count = 0
+        self._read: Dict[Clause, List[Declaration]] = {}
+        self._strict = False
+        self._current = Declarations(logic.brief)
+        self.in_use = False
+        self._is_external_event = is_external_event
+        logic.define(DECLARE_EVENT.name, 1, self._declare)
+
+    def current(self) -> Declarations:
+        """Return a copy of the present declarations; additions to it have no effect on others."""
+        return Declarations(
+            self._logic.brief,
+            self._read_clauses(),
+            self._flags.get(UNDECLARED.name) is STRICTLY,
+            self._needs_no_declaration,
+        )
+
+    def _read_clauses(self) -> Iterable[Declaration]:
+        predicate = self._logic.database.predicates.get(_DECLARED)
+        # The new dictionary keeps only clauses that still exist.
+        previous, self._read = self._read, {}
+        for clause in () if predicate is None else predicate.active_clauses():
+            declarations = previous.get(clause)
+            if declarations is None:
+                declarations = _parse_clause(clause)
+            self._read[clause] = declarations
+            yield from declarations
+
+    def _needs_no_declaration(self, key: Functor) -> bool:
+        return key in _ALWAYS_DECLARED or type_name(key.name) is not None or self._is_external_event(key)
+
+    def _declare(self, machine: Machine, declared: Term) -> bool:
+        declarations = self.current()
+        goal = (DECLARE_EVENT, deref(declared))
+        try:
+            for declaration, _ in parse_declarations(goal, no_place):
+                self.in_use = True
+                if declarations.add(declaration):
+                    self._logic.add_clause((_DECLARED, declaration.term))
+        except (RuleError, UsageError) as error:
+            raise domain_error("event_declaration", declared, error.message) from None
+        return True
+
+    def clear(self) -> None:
+        """Remove all declarations."""
+        predicate = self._logic.database.predicates.get(_DECLARED)
+        if predicate is not None:
+            predicate.clear()
+
+    def refusal(self, term: Term) -> str:
+        """Return the reason why an event does not match its declaration, or "" if it matches."""
+        predicate = self._logic.database.predicates.get(_DECLARED)
+        clauses, dead = (
+            (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.retracted_count)
+        )
+        strict = self._flags.get(UNDECLARED.name) is STRICTLY
+        # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
+        # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.
+        clause_count = len(clauses)
+        if (
+            clauses is not self._clauses
+            or clause_count != self._clause_count
+            or dead != self._dead_count
+            or strict != self._strict
+        ):
+            self._clauses, self._clause_count, self._dead_count, self._strict = (
+                clauses,
+                clause_count,
+                dead,
+                strict,
+            )
+            self._current = self.current()
+        return self._current.refusal(term)
+
+    def require(self, pattern: Term) -> None:
+        """Check a pattern or event in a goal.
+
+        Raises:
+            PrologError: if it does not match its declaration.
+        """
+        reason = self.refusal(pattern) if self.in_use else ""
+        if reason:
+            raise domain_error("declared_event", pattern, reason)
+
+
+def _parse_clause(clause: Clause) -> List[Declaration]:
+    assert isinstance(clause.head, tuple)
+    try:
+        return [declaration for declaration, _ in parse_declarations(clause.head, no_place)]
+    # Asserted by the program under the hidden name, and not a declaration.
+    except RuleError:
+        return []

@@ -53,6 +53,13 @@ from .stream_parser import is_event, parse_rate_operator, parse_window, regroup_
 
 PlaceLookup = Callable[..., Optional[Place]]
 """Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
+
+
+def no_place(part: Term, number: int = 0) -> Optional[Place]:
+    """Return None as the place of a part; for terms that were not read from a text."""
+    return None
+
+
 _GOAL_OPERANDS = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
 _ABSENCE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE))
 _ABSENCE_BEFORE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE, may_lie_between=False))
@@ -238,7 +245,9 @@ class PatternReader:
 
     def _parse_rate_operator(self, name: str, term: CompoundTerm) -> Pattern:
         regrouped = regroup_rate_operator(term)
-        return parse_rate_operator(self, term) if regrouped is None else self.read((term[0], regrouped), 1)
+        if regrouped is not None:
+            return self.read((term[0], regrouped), 1)
+        return parse_rate_operator(term, self.operand(term, 1, "with"), self.error)
 
     def _parse_absence(self, name: str, term: CompoundTerm) -> NotPattern:
         pattern = self.operand(term, 1, name)

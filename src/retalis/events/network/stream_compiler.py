@@ -34,7 +34,7 @@ from ..language.pattern_tree import (
     always_bound_by,
     bound_by,
 )
-from ..language.row_pattern_parser import conditions
+from ..language.stream_parser import conditions
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
 from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides

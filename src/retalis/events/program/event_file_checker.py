@@ -38,7 +38,7 @@ from ..language.called_predicates import PredicateCall, Subgoal, calls
 from ..language.event_declarations import Declarations, calls_in_query, events_raised_by_goals, head_event
 from ..language.event_operators import ARROWS, NO_FACTS, OPERATOR_NAMES
 from ..language.likely_mistakes import uncovered_gap_warning
-from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window
+from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window, no_place
 from ..language.pattern_tree import ActionPattern, Pattern, RuleDefinition, bound_by, occurrences
 from ..language.rule_head_parser import (
     ALARMS,
@@ -444,11 +444,6 @@ def reread_rule(
     if not is_unlabelled_rule(term):
         raise RuleError("expected an event rule", place)
     return FileChecker().parse_rule(term, label, no_place, place, names)
-
-
-def no_place(part: Term, number: int = 0) -> Optional[Place]:
-    """Return None as the place of a part; for terms that were not read from a text."""
-    return None
 
 
 def _is_labelled(term: Term) -> bool:

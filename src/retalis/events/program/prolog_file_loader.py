@@ -15,6 +15,7 @@ from ...prolog.machine.resource_limits import LimitError
 from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_program
 from ...prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from ..language.called_predicates import PredicateCall
+from ..language.pattern_parser import no_place
 from ..language.rule_head_parser import Property
 from .event_file_checker import (
     DIRECTIVES,
@@ -24,7 +25,6 @@ from .event_file_checker import (
     clause_error,
     fact_error,
     included_file_name,
-    no_place,
 )
 from .file_directives import Directives, Goals
 from .source_files import SourceFiles, declare_operators

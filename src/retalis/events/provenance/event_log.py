@@ -21,7 +21,6 @@ from typing import (
     Iterator,
     List,
     Optional,
-    Protocol,
     Sequence,
     Tuple,
     Union,
@@ -47,7 +46,13 @@ from ..matches.partial_matches import (
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
+    from ..network.join_node import JoinNode
+    from ..network.kleene_node import KleeneNode
+    from ..network.pattern_nodes import EarlyTestNode, NotNode
     from ..rules.rule_base import RuleBase
+
+    # Nodes that try a match again when the negated match that suppressed it was retracted.
+    SuppressingNode = Union[EarlyTestNode, JoinNode, KleeneNode, NotNode]
 
 
 class Occurrence:
@@ -133,17 +138,6 @@ def unreported_derived(source: LineageNode) -> Iterator[Occurrence]:
                 yield derived
 
 
-class RetryNode(Protocol):
-    """Node that can try a suppressed match again."""
-
-    @property
-    def rule(self) -> "EventRule":
-        """The rule of the node."""
-
-    def retry(self, match_or_pair: Any, frame: Frame, /) -> Frame:
-        """Return the frame that fires the match if it still holds, and goes on with ``frame``."""
-
-
 class Suppressed:
     """Match, or two matches to be joined, that a negated match has prevented from firing.
 
@@ -153,7 +147,7 @@ class Suppressed:
 
     __slots__ = ("node", "match_or_pair", "number", "is_released")
 
-    def __init__(self, node: RetryNode, match_or_pair: MatchOrPair, number: int):
+    def __init__(self, node: "SuppressingNode", match_or_pair: MatchOrPair, number: int):
         self.node = node
         self.match_or_pair = match_or_pair
         self.number = number

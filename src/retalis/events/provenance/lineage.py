@@ -23,9 +23,9 @@ from typing import (
     Iterator,
     List,
     Optional,
-    Protocol,
     Sequence,
     Tuple,
+    Union,
 )
 
 from ...prolog.machine.resource_limits import Meter
@@ -39,7 +39,6 @@ from .event_log import (
     LineageNode,
     MatchOrPair,
     Occurrence,
-    RetryNode,
     Suppressed,
     lineage_nodes_of,
     unreported_derived,
@@ -47,8 +46,14 @@ from .event_log import (
 
 if TYPE_CHECKING:
     from ..network.event_rule import EventRule
+    from ..network.kleene_node import KleeneNode
+    from ..network.stream_node import StreamNode
     from ..rules.rule_base import RuleBase
+    from .event_log import SuppressingNode
 
+    # Nodes that compute results again without repetitions or elements whose events were retracted.
+    RecomputingNode = Union[KleeneNode, StreamNode]
+    RetryingNode = Union[SuppressingNode, RecomputingNode]
 
 MAX_REMEMBERED_EVENTS = 100_000
 """Maximum number of remembered events.
@@ -60,16 +65,6 @@ REV = functor("rev", 1)
 _SYNCHRONIZED = frozenset(
     functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4)
 )
-
-
-class _RunNode(RetryNode, Protocol):
-    """Node whose runs are extended by repetitions."""
-
-    def recompute_results(self, run: Run) -> List[PartialMatch]:
-        """Return the later results of a run from which a repetition was removed."""
-
-    def invalid_results(self) -> List[RepetitionChain]:
-        """Return results that do not hold any more although no retracted event is part of them."""
 
 
 RetractionStep = Callable[[Frame], Frame]
@@ -215,12 +210,12 @@ class LineageTracker:
                     if not isinstance(match_or_run, PartialMatch) or match_or_run.buffer is not None
                 ]
 
-    def register_repetition(self, run: Run, match: PartialMatch, node: RetryNode) -> None:
+    def register_repetition(self, run: Run, match: PartialMatch, node: "KleeneNode") -> None:
         """Record that a run was extended by a match."""
         for occurrence in lineage_nodes_of(match):
             occurrence.dependents.append((node, run, match))
 
-    def record_suppressed(self, node: RetryNode, match_or_pair: MatchOrPair) -> None:
+    def record_suppressed(self, node: "SuppressingNode", match_or_pair: MatchOrPair) -> None:
         """Record a match that the last negated match has suppressed."""
         if self.blocking_match is not None:
             entry = Suppressed(node, match_or_pair, next(self._next_suppressed_number))
@@ -234,7 +229,7 @@ class LineageTracker:
         """
         token = self._rules.dispatcher.token()
         retracted = token.retracts
-        retries: List[Tuple[RetryNode, MatchOrPair]] = []
+        retries: List[Tuple[RetryingNode, MatchOrPair]] = []
         invalidated: List[LineageNode] = []
         if retracted is None:
             retracted = [
@@ -262,7 +257,7 @@ class LineageTracker:
 
     def _remove_derived(
         self, retracted: List[Occurrence], meter: Optional[Meter]
-    ) -> Optional[Tuple[List[LineageNode], List[Tuple[RetryNode, MatchOrPair]]]]:
+    ) -> Optional[Tuple[List[LineageNode], List[Tuple["RetryingNode", MatchOrPair]]]]:
         """Remove events and everything derived from them from all buffers, before consequences are computed.
 
         Returns:
@@ -277,7 +272,7 @@ class LineageTracker:
         # The sender of ``rev`` knows about these: no ``rev`` event is dispatched for them.
         for occurrence in retracted:
             occurrence.reported = True
-        runs: Dict[Any, _RunNode] = {}
+        runs: Dict[Any, RecomputingNode] = {}
         released_matches: List[Suppressed] = []
         invalidated: List[LineageNode] = []
         # Removing events can invalidate results of stream operators that do not contain them, and these can have
@@ -296,7 +291,7 @@ class LineageTracker:
             invalidated += invalid if marked else ()
         # The consumption policy requires the order in which they were tried first.
         released_matches.sort(key=_number)
-        retries: List[Tuple[RetryNode, MatchOrPair]] = [
+        retries: List[Tuple[RetryingNode, MatchOrPair]] = [
             (node, result) for run, node in runs.items() for result in node.recompute_results(run)
         ]
         return invalidated, retries + [
@@ -306,13 +301,15 @@ class LineageTracker:
         ]
 
     @staticmethod
-    def _detach(marked: Sequence[LineageNode], released_matches: List[Suppressed]) -> Dict[Any, _RunNode]:
+    def _detach(
+        marked: Sequence[LineageNode], released_matches: List[Suppressed]
+    ) -> Dict[Any, "RecomputingNode"]:
         """Remove events that are marked as retracted from the matches and runs that use them.
 
         Returns:
             The affected runs with their nodes. Suppressed matches are appended to ``released_matches``.
         """
-        runs: Dict[Any, _RunNode] = {}
+        runs: Dict[Any, RecomputingNode] = {}
         for node in marked:
             dependents, node.dependents = node.dependents, []
             for dependent in dependents:
@@ -330,7 +327,7 @@ class LineageTracker:
     def _steps(
         self,
         retracted: Sequence[LineageNode],
-        retries: List[Tuple[RetryNode, MatchOrPair]],
+        retries: List[Tuple["RetryingNode", MatchOrPair]],
         start: int,
         end: int,
     ) -> Iterator[RetractionStep]:
@@ -341,7 +338,7 @@ class LineageTracker:
         for node, match_or_pair in retries:
             yield partial(self._retry, node, match_or_pair)
 
-    def _retry(self, node: RetryNode, match_or_pair: MatchOrPair, frame: Frame) -> Frame:
+    def _retry(self, node: "RetryingNode", match_or_pair: Any, frame: Frame) -> Frame:
         # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
         node.rule.store_deferred_of_earlier_events(self._rules.dispatcher.token())
         return node.retry(match_or_pair, frame)

@@ -21,13 +21,14 @@ from ...prolog.terms.unification import unify
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM, ListenerPhase
 from ..language.called_predicates import calls_in_goals
-from ..language.event_declarations import UNDECLARED
+from ..language.event_declarations import UNDECLARED, DeclaredEvents
+from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_head_parser import Property, is_absolute, is_rule
 from ..matches.partial_matches import NetworkOptions, options_with_property
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
-from ..program.event_file_checker import FileChecker, no_place
+from ..program.event_file_checker import FileChecker
 from ..program.event_file_loader import EventFileLoader
 from ..program.source_files import SourceFiles
 from ..provenance.event_log import EventLog, Occurrence
@@ -35,7 +36,6 @@ from ..provenance.explanation_terms import Justifier
 from ..provenance.lineage import LineageTracker
 from .event_flags import Flags
 from .event_language_predicates import define_predicates
-from .event_types import EventTypes
 from .timer_service import NodeTimers, RuleAlarm, Timers
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ class RuleBase:
         self.condition_state = ConditionState()
         self._table = RuleIndex()
         self.flags = Flags(self._apply_flag)
-        self.declared = EventTypes(self, is_external_event)
+        self.declared = DeclaredEvents(logic, self.flags, is_external_event)
         self.options: NetworkOptions = self.flags.network_options()
         self.key_bounds = self.flags.key_bounds()
         self.tracker = LineageTracker(self)

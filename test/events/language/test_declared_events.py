@@ -4,7 +4,7 @@ import pytest
 
 from retalis import Engine, ProgramErrors, PrologError, UsageError
 from retalis.engine.client_requests import add_rule
-from retalis.events.rules import event_types
+from retalis.events.language import event_declarations
 
 DECLARED = ":- event temperature(motor:atom, value:number).\n"
 FORM = "temperature(motor:atom,value:number)"
@@ -136,9 +136,12 @@ def test_it_is_exchanged_where_the_program_is_read_again(engine, tmp_path):
 
 def test_a_declaration_is_read_once_and_none_is_looked_at_for_an_event(monkeypatch):
     read, looked = [], []
-    reading, found = event_types._read, event_types.EventTypes._read_clauses  # noqa: SLF001
-    monkeypatch.setattr(event_types, "_read", lambda clause: read.append(1) or reading(clause))
-    monkeypatch.setattr(event_types.EventTypes, "_read_clauses", lambda self: looked.append(1) or found(self))
+    reading = event_declarations._parse_clause  # noqa: SLF001
+    found = event_declarations.DeclaredEvents._read_clauses  # noqa: SLF001
+    monkeypatch.setattr(event_declarations, "_parse_clause", lambda clause: read.append(1) or reading(clause))
+    monkeypatch.setattr(
+        event_declarations.DeclaredEvents, "_read_clauses", lambda self: looked.append(1) or found(self)
+    )
     engine = Engine()
     for number in range(30):
         engine.load(rules=f":- event e{number}(x:integer).")
