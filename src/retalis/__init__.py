@@ -31,10 +31,10 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
         Work,
     )
     from .engine.runtime.clock import Clock, StreamClock
-    from .engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses, restore_gc
     from .engine.runtime.problem_reports import Reports
     from .events.program.topic_configuration import TopicType
     from .explanation.explain import Explanation, ExplanationLine, explain, record_origins
+    from .foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, restore_gc
     from .foundation.errors import (
         MessageError,
         Omission,
@@ -132,7 +132,7 @@ _MODULES = {
     "BagReader": "playback.rosbag1",
     "BagWriter": "playback.rosbag1",
     "Clock": "engine.runtime.clock",
-    "collect_when_idle": "engine.runtime.gc_tuning",
+    "collect_when_idle": "foundation.cpython_and_pypy",
     "Compound": "prolog.system.value_conversion",
     "Decoder": "messages.decoder",
     "Definition": "messages.type_definition",
@@ -147,7 +147,7 @@ _MODULES = {
     "Functor": "prolog.terms.types",
     "functor": "prolog.terms.types",
     "LeftOut": "engine.engine_status",
-    "limit_gc_pauses": "engine.runtime.gc_tuning",
+    "limit_gc_pauses": "foundation.cpython_and_pypy",
     "Limits": "prolog.machine.resource_limits",
     "list_items": "prolog.terms.list_terms",
     "make_list": "prolog.terms.list_terms",
@@ -165,7 +165,7 @@ _MODULES = {
     "Record": "playback.rosbag1",
     "record_origins": "explanation.explain",
     "Reports": "engine.runtime.problem_reports",
-    "restore_gc": "engine.runtime.gc_tuning",
+    "restore_gc": "foundation.cpython_and_pypy",
     "RetalisError": "foundation.errors",
     "RuleError": "foundation.errors",
     "RuleStatus": "engine.engine_status",

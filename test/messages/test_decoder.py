@@ -3,7 +3,7 @@ import struct
 import pytest
 
 from retalis import Definitions, MessageError, atom, deref, functor, list_items, make_list
-from retalis.messages import field_values
+from retalis.messages.decoder import cached_texts
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.terms.types import Lazy
 
@@ -171,8 +171,8 @@ def test_stamps():
 
 
 def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
-    monkeypatch.setattr(field_values.cached_texts, "max_entries", 10)
-    field_values.cached_texts.clear()  # what other tests have left there
+    monkeypatch.setattr(cached_texts, "max_entries", 10)
+    cached_texts.clear()  # what other tests have left there
     found = decoder("Header header\nstring child\nfloat64 x\n" + HEADER)
     tail = struct.pack("<d", 1.0)
     for number in range(50):
@@ -181,7 +181,7 @@ def test_texts_seen_before_are_the_same_atoms_and_do_not_pile_up(monkeypatch):
         first, again = found.decode(data), found.decode(data)
         assert args(args(first)[0])[2] is args(args(again)[0])[2] is atom('"base"')
         assert args(first)[1] is atom(f'"child{number}"')
-    assert len(field_values.cached_texts) <= 10
+    assert len(cached_texts) <= 10
 
 
 def section(name, text):

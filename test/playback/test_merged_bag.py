@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from retalis import BagError, BagWriter, Definitions, Playback, UsageError
 from retalis.playback.bag_locations import MergedBag
-from retalis.playback.run_recorder import RunRecorder
+from retalis.playback.playback import RunRecorder
 from retalis.prolog.syntax.event_text import to_text
 
 SECOND = 10**9

@@ -5,8 +5,8 @@ import sys
 import pytest
 
 from retalis import BagError
-from retalis.playback import run_recorder
-from retalis.playback.run_recorder import RunTable
+from retalis.playback import playback
+from retalis.playback.playback import RunTable
 
 OUTPUT = {"output": "x(1)", "topic": "t", "id": None, "time": 1_500_000_000_000_000_001}
 WAIT = {"wait": "w", "memories": ["a", "b"], "start": 1, "end": 2}
@@ -14,7 +14,7 @@ WAIT = {"wait": "w", "memories": ["a", "b"], "start": 1, "end": 2}
 
 def test_rows_are_those_of_json(tmp_path, monkeypatch):
     parquet = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr(run_recorder, "_ROWS", 2)
+    monkeypatch.setattr(playback, "_ROW_GROUP_SIZE", 2)
     with RunTable(tmp_path / "run.parquet", events=True) as table:
         for line in (OUTPUT, WAIT, OUTPUT):
             table.write(line)

@@ -1,12 +1,14 @@
 """A program over a bag: topics, types, times, what is published, what is reported."""
 
 import logging
+from types import SimpleNamespace
 
 import pytest
 from parsing import parse_term
 
-from retalis import BagError, BagReader, BagWriter, Definitions, Engine, Playback, TopicType, deref
+from retalis import BagError, BagReader, BagWriter, Definitions, Engine, Playback, TopicType, atom, deref
 from retalis.events.rules import timer_service
+from retalis.playback.playback import MAX_RECORDED_QUERIES, RunRecorder
 from retalis.prolog.syntax.event_text import to_text
 
 SECOND = 10**9
@@ -433,3 +435,28 @@ def test_goals_subscribe_topics_from_the_start_or_from_then_on(program, bag):
     ]
     (problem,) = problems
     assert "has no messages on none; it has a (my_msgs/Point)" in problem
+
+
+class Waiting:
+    """A hundred thousand queries; it counts how many of them are looked at."""
+
+    def __init__(self):
+        self.looked_at = 0
+
+    def __len__(self):
+        return 100_000
+
+    def __iter__(self):
+        question = SimpleNamespace(event_of=lambda values: atom("found"))
+        for order in range(len(self)):
+            self.looked_at += 1
+            yield order, question, (), None, None, []
+
+
+def test_of_many_queries_that_wait_the_first_are_looked_at(monkeypatch):
+    engine, told, waiting = Engine(), [], Waiting()
+    playback = SimpleNamespace(engine=engine, clock=SimpleNamespace(now=lambda: 5))
+    recorder = RunRecorder(playback, told.append)
+    monkeypatch.setattr(engine.knowledge, "pending_queries", waiting)
+    recorder.update_waits()
+    assert waiting.looked_at == MAX_RECORDED_QUERIES

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Callable, Dict, List, Optional
 
 from ..engine.engine_settings import Settings
-from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.explain import explain, record_origins
+from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import UsageError, shortened
 from ..playback.bag_locations import MergedBag
 from ..playback.decompression import MAX_CHUNK_MEGABYTES
-from ..playback.playback import Output, Playback
+from ..playback.playback import Output, Playback, RunRecord, RunRecorder, output_record
 from ..playback.rosbag1 import BagWriter
-from ..playback.run_recorder import RunRecord, RunRecorder, output_record
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps

@@ -18,9 +18,9 @@ from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optiona
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.runtime.clock import Clock
-from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..engine.runtime.problem_reports import Reports
 from ..events.rules.event_input_predicates import event_of
+from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
 from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.system.prolog_system import Tracer

@@ -18,12 +18,12 @@ from typing import IO, Callable, Iterable, Iterator, List, NamedTuple, Optional,
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.runtime.clock import StreamClock
-from ..engine.runtime.gc_tuning import limit_gc_pauses
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of
 from ..explanation.explain import explain, record_origins
+from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import (
     Place,
     ProgramErrors,

@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Callable, Deque, Dict, Generator, List, NamedTuple, Optional, Tuple, Union
 
-from ..engine.runtime.gc_tuning import restore_gc
+from ..foundation.cpython_and_pypy import restore_gc
 from ..foundation.errors import RetalisError, UsageError
 from ..playback.bag_locations import (
     BagLocation,
@@ -31,7 +31,7 @@ from ..playback.bag_locations import (
     remove_incomplete_results,
     result_file,
 )
-from ..playback.run_recorder import RunTable
+from ..playback.playback import RunTable
 from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
 from .bag_run import RecordHandler, play, print_record
 from .option_values import positive_integer

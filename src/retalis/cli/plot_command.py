@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Callable
 
-from ..engine.runtime.gc_tuning import limit_gc_pauses
+from ..foundation.cpython_and_pypy import limit_gc_pauses
 from ..foundation.errors import UsageError
-from ..playback.run_recorder import RunRecorder
+from ..playback.playback import RunRecorder
 from ..visualization.timeline import (
     PICTURE_FORMATS,
     Timeline,

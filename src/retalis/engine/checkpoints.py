@@ -26,7 +26,7 @@ from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
-from ..serialization.memory_state import MemoryRecords, encode_records, records_since
+from ..serialization.columns import MemoryRecords, encode_records
 from ..serialization.schema import any_value, dict_of, text
 from ..serialization.state_file_format import (
     FORMAT_NUMBER,
@@ -40,10 +40,10 @@ from ..serialization.state_file_format import (
 from .deployments import Deployment
 from .engine import Engine
 from .engine_settings import Settings
-from .engine_snapshot import EngineSnapshot, convert_errors
-from .program_loader import REQUEST
+from .engine_snapshot import EngineSnapshot, convert_errors, records_since
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
+from .runtime.serial_executor import REQUEST
 
 APPLICATION_ID = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""
@@ -89,13 +89,13 @@ class RecordBatch(NamedTuple):
 
     Attributes:
         memory: number of the memory in the file.
-        first_position: number of records that the memory had stored before the first one of the batch.
+        earlier_count: number of records that the memory had stored before those of the batch.
         record_count: number of records in the batch.
         data: the encoded records.
     """
 
     memory: int
-    first_position: int
+    earlier_count: int
     record_count: int
     data: bytes
 
@@ -153,14 +153,14 @@ class CheckpointStorage:
             raise UsageError(f"cannot write a checkpoint to {path}: {error}") from error
 
     def write(
-        self, sections: Dict[str, bytes], batches: Iterable[RecordBatch], first_positions: Dict[int, int]
+        self, sections: Dict[str, bytes], batches: Iterable[RecordBatch], dropped_counts: Dict[int, int]
     ) -> None:
         """Write the changes since the previous checkpoint in one transaction.
 
         Args:
             sections: the sections that have changed, encoded.
             batches: new records; a batch replaces all records of its memory from its first record on.
-            first_positions: for each existing memory, by its number, the number of records that were stored before
+            dropped_counts: for each existing memory, by its number, the number of records that were stored before
                 the oldest one that it still has.
 
         Raises:
@@ -183,14 +183,14 @@ class CheckpointStorage:
                 # are new in the batch, so older batches of the same range are replaced.
                 database.execute(
                     "DELETE FROM records WHERE memory = ? AND first >= ?",
-                    (batch.memory, batch.first_position),
+                    (batch.memory, batch.earlier_count),
                 )
                 database.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?)", (*batch, crc32(batch.data)))
             # A batch is deleted when the memory has evicted all records of it; batches are never split.
             database.executemany(
-                "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(first_positions.items())
+                "DELETE FROM records WHERE memory = ? AND first + number <= ?", list(dropped_counts.items())
             )
-            self._delete_records_of_missing_memories(first_positions)
+            self._delete_records_of_missing_memories(dropped_counts)
             database.execute("COMMIT")
         except _DATABASE_ERRORS as error:
             raise UsageError(f"cannot write a checkpoint to {self.path}: {error}") from error
@@ -348,21 +348,19 @@ def _query_value(database: sqlite3.Connection, query: str) -> Any:
     return value
 
 
-def _read_batches(
-    database: sqlite3.Connection, number: int, oldest_position: int, end_batch: Any
-) -> List[Any]:
+def _read_batches(database: sqlite3.Connection, number: int, dropped_count: int, end_batch: Any) -> List[Any]:
     """Return the batches of records of a memory.
 
     Args:
         database: the open file.
         number: number of the memory in the file.
-        oldest_position: number of records that were stored before the oldest one of the memory.
+        dropped_count: number of records that were stored before the oldest one of the memory.
         end_batch: an empty batch, positioned after the newest record.
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
     batches = [read_records(_verify_checksum(*row)) for row in database.execute(query, (number,))]
-    first_position = batches[0][0] if batches else end_batch[0]
-    if first_position > oldest_position:
+    earlier_count = batches[0][0] if batches else end_batch[0]
+    if earlier_count > dropped_count:
         raise UsageError("it is damaged: records of a memory are missing")
     return [*batches, end_batch]
 
@@ -540,12 +538,12 @@ class Checkpointer:
         self._update_digests()
         batches = [batch for number, unwritten in records for batch in _encode_batches(number, unwritten)]
         memories = [
-            (number, unwritten.oldest_position, encode_records(unwritten.empty_end()))
+            (number, unwritten.dropped_count, encode_records(unwritten.empty_end()))
             for number, unwritten in records
         ]
         sections["about"] = to_bytes(make_header(list(self._files.items()), memories, time.time()))
         self._file.write(
-            sections, batches, {number: unwritten.oldest_position for number, unwritten in records}
+            sections, batches, {number: unwritten.dropped_count for number, unwritten in records}
         )
         self.checkpoint_count += 1
 
@@ -601,7 +599,7 @@ def _encode_batches(number: int, unwritten: MemoryRecords) -> Iterator[RecordBat
     """Yield records in encoded batches, and let other Python threads run between two batches."""
     for position in range(0, len(unwritten.records), RECORDS_PER_STEP):
         batch = unwritten.slice(position, position + RECORDS_PER_STEP)
-        yield RecordBatch(number, batch.first_position, len(batch.records), to_bytes(encode_records(batch)))
+        yield RecordBatch(number, batch.earlier_count, len(batch.records), to_bytes(encode_records(batch)))
         time.sleep(0)
 
 

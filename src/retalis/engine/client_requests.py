@@ -20,7 +20,7 @@ from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from .engine import Engine
-from .program_loader import REQUEST
+from .runtime.serial_executor import REQUEST
 
 MAX_ANSWER_CHARACTERS = 1_000_000
 """Maximum length of all solutions of an answer together, in characters of JSON."""

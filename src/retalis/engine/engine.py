@@ -26,6 +26,7 @@ from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, OWN_EVENT
 from ..events.program.topic_configuration import Topics, TopicType
 from ..events.rules.event_input_predicates import define_new_event
 from ..events.rules.rule_base import RuleBase
+from ..foundation.cpython_and_pypy import count_records_of
 from ..foundation.errors import RetalisError, UsageError, counted
 from ..messages.named_slots import SlotNames
 from ..messages.type_registry import Definitions
@@ -47,12 +48,17 @@ from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
 from .engine_status import DEFAULT_LISTED, EngineView, Status, StatusReader
 from .event_input import EventInput, InputTopics, TextInput
-from .hot_reload import NullReports, create_fixed_clock, load_folder, make_trial_settings, reload_folder
-from .program_loader import REQUEST, ProgramLoader
+from .program_loader import (
+    NullReports,
+    ProgramLoader,
+    create_fixed_clock,
+    load_folder,
+    make_trial_settings,
+    reload_folder,
+)
 from .runtime.clock import Clock, StreamClock
-from .runtime.gc_tuning import count_records_of
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import EngineRecovery, SerialExecutor
+from .runtime.serial_executor import REQUEST, EngineRecovery, SerialExecutor
 from .runtime.watchdog import start_watchdog
 
 
@@ -232,7 +238,7 @@ class Engine:
                 settings.queue,
             )
         )
-        # The garbage collector counts the records as live heap, see `gc_tuning`.
+        # The garbage collector counts the records as live heap, see `cpython_and_pypy`.
         count_records_of(self._status_reader)
         define_new_event(self.logic, self.dispatcher)
         self.input_topics = InputTopics(self.logic, self.slots, reports)

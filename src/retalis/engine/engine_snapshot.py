@@ -1,8 +1,10 @@
 """Snapshots of an engine: conversion of its state to data, and restoration into a new engine."""
 
+from operator import gt, itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, TypeVar
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
+from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
 from ..prolog.swi.use_swi import SwiFile, use_swi
@@ -15,17 +17,9 @@ from ..prolog.system.logic_state import (
     snapshot_program,
     snapshot_values,
 )
+from ..prolog.terms.types import Term
 from ..serialization.codec import to_bytes
-from ..serialization.memory_state import (
-    encode_records,
-    records_since,
-    restore_memories,
-    restore_records,
-    restore_subscriptions,
-    snapshot_memories,
-    snapshot_sent_counts,
-    snapshot_subscriptions,
-)
+from ..serialization.columns import DecodedRecords, MemoryRecords, encode_records
 from ..serialization.network_state import restore_matches, restore_rules, snapshot_matches, snapshot_rules
 from ..serialization.state_file_format import SECTIONS, read_section
 from .deployments import restore_deployments, save_deployments
@@ -73,7 +67,9 @@ class EngineSnapshot:
             "event_count": engine.event_input.event_count,
             "dropped_count": engine.executor.dropped,
             "next_token_number": engine.dispatcher.next_token_number,
-            "sent_counts": snapshot_sent_counts(knowledge),
+            "sent_counts": [
+                subscription.sent_counter.count for _, subscription in knowledge.subscriptions.items()
+            ],
         }
         sections = {"values": tuple(snapshot_values(logic)), "matches": matches, "run": counters}
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
@@ -118,8 +114,8 @@ class EngineSnapshot:
         knowledge = engine.knowledge
         return {
             "rules": snapshot_rules(engine.rules, named_rules),
-            "memories": snapshot_memories(knowledge),
-            "subscriptions": snapshot_subscriptions(knowledge),
+            "memories": [(instance.definition, instance.active) for instance in knowledge.memories],
+            "subscriptions": [subscription.definition for _, subscription in knowledge.subscriptions.items()],
             "states": [state.form.term for state in knowledge.states],
             "deployments": save_deployments(engine.deployments, engine.logic, knowledge, named_rules),
             "topics": [tuple(item) for item in engine.input_topics.snapshot()],
@@ -159,12 +155,19 @@ class EngineSnapshot:
         restore_values(logic, ValuesSnapshot(*sections["values"]))
         with logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
             named_rules = restore_rules(rules, program["rules"])
-            memories = restore_memories(knowledge, program["memories"])
-            restore_subscriptions(knowledge, program["subscriptions"], counters["sent_counts"])
+            # Memories are created without emitting events.
+            memories = [
+                knowledge.memories.create_unreported(definition, is_active)
+                for definition, is_active in program["memories"]
+            ]
+            for definition in program["subscriptions"]:
+                knowledge.subscriptions.create(definition)
             for definition in program["states"]:
                 knowledge.states.declare(definition)
         if len(counters["sent_counts"]) != len(knowledge.subscriptions.items()):
             raise UsageError("the state is damaged: expected a count of outputs for each subscription")
+        for (_, subscription), sent_count in zip(knowledge.subscriptions.items(), counters["sent_counts"]):
+            subscription.sent_counter.count = sent_count
         if len(memories) != len(records):
             raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
@@ -217,6 +220,40 @@ class EngineSnapshot:
                 use_swi(engine.logic, file, engine.reports.warning)
             text = f"SWI-Prolog has loaded {file.name} again: facts that its clauses had asserted are not restored"
             engine.reports.warning(text, ("swi", file.name))
+
+
+def records_since(instance: MemoryInstance, position: int = 0) -> MemoryRecords:
+    """Return the records of a memory, or only those after the first ``position`` records."""
+    memory = instance.memory
+    earlier_count, records = memory.records_since(position)
+    return MemoryRecords(
+        earlier_count, memory.oldest_number, memory.late_count, instance.has_variables, records
+    )
+
+
+def restore_records(instance: MemoryInstance, batches: Sequence[DecodedRecords]) -> None:
+    """Restore the records of a memory from consecutive batches, see `decode_records`."""
+    records: List[Tuple[Term, int, int]] = []
+    dropped_count = late_count = 0
+    for earlier_count, late_count_of_batch, has_variables, terms, ends, starts in batches:
+        late_count = late_count_of_batch
+        instance.has_variables = instance.has_variables or has_variables
+        if not records:
+            # The memory had dropped the records before the first batch.
+            dropped_count = earlier_count
+        elif earlier_count > dropped_count + len(records):
+            raise UsageError("records of a memory are missing")
+        # Batches may overlap: the records of a later batch replace those of earlier ones.
+        del records[max(0, earlier_count - dropped_count) :]
+        records += zip(terms, starts, ends)
+    # Batches may contain records that the memory had dropped by the time of the last batch.
+    surplus_count = max(0, len(records) - max(instance.memory.size, 1))
+    records = records[surplus_count:]
+    record_ends = list(map(int, map(itemgetter(2), records)))
+    # Queries use binary search over the ends.
+    if record_ends != sorted(record_ends) or any(map(gt, map(itemgetter(1), records), record_ends)):
+        raise UsageError("the records of a memory are not ordered by their ends")
+    instance.memory.restore(dropped_count + surplus_count, late_count, record_ends, records)
 
 
 def create_clock(counters: Dict[str, Any]) -> Optional[StreamClock]:

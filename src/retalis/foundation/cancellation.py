@@ -11,8 +11,11 @@ The check finds the goal in one of two ways. A machine that runs in the current 
 
 from itertools import chain
 from threading import local
-from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, Tuple, TypeVar, overload
+from typing import TYPE_CHECKING, Callable, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, overload
 from weakref import ref
+
+if TYPE_CHECKING:
+    from ..prolog.machine.resource_limits import Budget
 
 STEPS_PER_ROUND = (None,) * 1024
 """Steps of one round, the work between two calls of `check_limits`. A step is as small as an inference."""
@@ -33,22 +36,11 @@ class ThreadLimitCheck(local):
 CURRENT_CHECK = ThreadLimitCheck()
 
 
-class ThreadBudget(Protocol):
-    """Limits of a goal that knows in which thread it runs."""
-
-    @property
-    def runs_here(self) -> bool:
-        """True if the goal runs in the current thread."""
-
-    def check_limits(self, work: int, size: int) -> None:
-        """Count inferences; raise an error if the goal must end or may not allocate ``size`` bytes."""
-
-
-_BUDGETS: Tuple[Callable[[], Optional[ThreadBudget]], ...] = ()
+_BUDGETS: Tuple[Callable[[], Optional["Budget"]], ...] = ()
 """Weak references to the budgets that `check_limits` checks if no function is registered for the thread."""
 
 
-def register_budget(budget: ThreadBudget) -> None:
+def register_budget(budget: "Budget") -> None:
     """Register a budget that `check_limits` checks whenever a goal of it runs in the current thread."""
     global _BUDGETS
     # The tuple is replaced and not changed, because `check_limits` iterates over it in other threads.

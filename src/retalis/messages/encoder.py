@@ -20,7 +20,7 @@ from ..foundation.errors import MessageError
 from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.byte_texts import text_bytes
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, ArrayDecoder, Atom, Lazy, Term, atom, functor
-from .field_values import number_decoder, raw_bytes
+from .decoder import number_decoder, raw_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field
 from .validating_encoder import ValidatingEncoder
 

@@ -31,7 +31,7 @@ from ..prolog.terms.types import (
     functor,
 )
 from ..prolog.terms.types import String as PrologString
-from .field_values import number_decoder
+from .decoder import number_decoder
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
 
 _BOOL_ATOMS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}

@@ -17,8 +17,7 @@ from typing import Callable, Optional, Union
 
 import rospy
 
-from ..engine.runtime.gc_tuning import collect_when_idle, limit_gc_pauses
-from ..foundation.cpython_and_pypy import stop_collecting
+from ..foundation.cpython_and_pypy import collect_when_idle, limit_gc_pauses, stop_collecting
 from ..foundation.errors import RetalisError
 from .connection_limits import limit_connections
 from .master_watch import MasterWatch, wait_for_master

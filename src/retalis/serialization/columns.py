@@ -1,4 +1,4 @@
-"""Column encodings of terms and of instants.
+"""Column encodings of terms, of instants, and of the records of memories.
 
 A memory can have hundreds of thousands of records, and a rule as many partial matches. Their terms are encoded in
 columns: terms with the same functor become one column per argument, recursively. A column of floats is packed as
@@ -10,11 +10,24 @@ from itertools import chain, repeat
 from operator import is_, itemgetter
 from struct import error as StructError
 from struct import pack, unpack
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
-from .schema import Decoded, any_value, functor, instant, invalid_value, items, sequence_of, term, tuple_of
+from .schema import (
+    Decoded,
+    any_value,
+    boolean,
+    count,
+    functor,
+    instant,
+    invalid_value,
+    items,
+    sequence_of,
+    term,
+    tuple_of,
+    with_name,
+)
 
 _MIN_COLUMN_TERMS, _MAX_COLUMN_DEPTH, _MAX_COLUMNS = 50, 4, 64
 """Minimum number of terms that are encoded in columns; maximum nesting and total number of columns."""
@@ -129,7 +142,7 @@ def _flatten_terms(terms: Sequence[Any]) -> Optional[List[Any]]:
     return flat_terms
 
 
-def decode_terms(value: Decoded, count: int, depth: int = 0) -> Sequence[Term]:
+def decode_terms(value: Decoded, term_count: int, depth: int = 0) -> Sequence[Term]:
     """Return the given number of terms from their encoding, checked.
 
     Raises:
@@ -138,7 +151,7 @@ def decode_terms(value: Decoded, count: int, depth: int = 0) -> Sequence[Term]:
     encoding, *content = items(value) or [None]
     # Parts cannot be nested, so their sizes follow from the number of terms.
     if encoding == "parts" and len(content) == 1 and not depth:
-        sizes = [min(_PART_SIZE, count - start) for start in range(0, count, _PART_SIZE)]
+        sizes = [min(_PART_SIZE, term_count - start) for start in range(0, term_count, _PART_SIZE)]
         if len(items(content[0])) == len(sizes):
             parts = [decode_terms(part, size, 1) for part, size in zip(content[0], sizes)]
             return list(chain.from_iterable(parts))
@@ -146,23 +159,23 @@ def decode_terms(value: Decoded, count: int, depth: int = 0) -> Sequence[Term]:
         encoding == "floats"
         and len(content) == 1
         and content[0].__class__ is bytes
-        and len(content[0]) == 8 * count
+        and len(content[0]) == 8 * term_count
     ):
-        return unpack(f"{count}d", content[0])
+        return unpack(f"{term_count}d", content[0])
     if encoding == "indexed" and len(content) == 2 and content[1].__class__ is bytes:
         terms: Sequence[Term] = _decode_indexed(sequence_of(term)(content[0]), content[1])
-        if len(terms) == count:
+        if len(terms) == term_count:
             return terms
     if encoding == "columns" and len(content) == 2 and depth <= _MAX_COLUMN_DEPTH + 1:
         term_functor = functor(content[0])
-        columns = [decode_terms(column, count, depth + 1) for column in items(content[1])]
+        columns = [decode_terms(column, term_count, depth + 1) for column in items(content[1])]
         if len(columns) == term_functor.arity > 0:
-            return list(zip(repeat(term_functor, count), *columns))
+            return list(zip(repeat(term_functor, term_count), *columns))
     if encoding == "terms" and len(content) == 1:
         terms = sequence_of(term)(content[0])
-        if len(terms) == count:
+        if len(terms) == term_count:
             return terms
-    raise invalid_value(encoding, f"{count} terms")
+    raise invalid_value(encoding, f"{term_count} terms")
 
 
 def _decode_indexed(distinct: List[Term], packed: bytes) -> List[Term]:
@@ -208,12 +221,12 @@ def encode_instants(instants: Sequence[Any]) -> Any:
 _check_instant_columns = tuple_of(any_value, any_value, sequence_of(term))
 
 
-def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
+def decode_instants(value: Decoded, expected_count: Optional[int] = None) -> List[int]:
     """Return instants from their columns, checked.
 
     Args:
         value: the columns.
-        count: expected number of instants, if it is known.
+        expected_count: expected number of instants, if it is known.
 
     Raises:
         UsageError: if the columns are invalid.
@@ -225,8 +238,8 @@ def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
         or class_codes.count(2) != len(stamps)
     ):
         raise invalid_value(class_codes, "the forms of instants")
-    if count not in (None, len(class_codes)):
-        raise invalid_value(len(class_codes), f"{count} instants")
+    if expected_count not in (None, len(class_codes)):
+        raise invalid_value(len(class_codes), f"{expected_count} instants")
     if numbers.__class__ is bytes:
         if len(numbers) != 8 * len(class_codes):
             raise invalid_value(len(numbers), f"{len(class_codes)} instants")
@@ -248,3 +261,75 @@ def decode_instants(value: Decoded, count: Optional[int] = None) -> List[int]:
             else Stamp.of(number, next(terms))
         )
     return instants
+
+
+# ---- records of memories -----------------------------------------------------------------------------
+
+
+EncodedRecords = Tuple[int, int, bool, Any, Any, Any]
+"""Number of earlier records, number of late records, whether terms may contain variables; then the encoded terms and
+ends, and the encoded starts or None if they equal the ends."""
+
+DecodedRecords = Tuple[int, int, bool, List[Term], List[int], List[int]]
+"""As `EncodedRecords`, with the decoded terms, ends and starts."""
+
+
+class MemoryRecords(NamedTuple):
+    """Consecutive records of a memory.
+
+    Attributes:
+        earlier_count: number of records that the memory stored before these.
+        dropped_count: number of records before the oldest one that the memory still has.
+        late_count: number of records that were rejected because they were late.
+        has_variables: whether terms may contain variables.
+        records: term, start and end of each record.
+    """
+
+    earlier_count: int
+    dropped_count: int
+    late_count: int
+    has_variables: bool
+    records: List[Tuple[Term, int, int]]
+
+    def slice(self, begin: int, end: int) -> "MemoryRecords":
+        """Return the records from index ``begin`` up to, not including, ``end``; index 0 is the first record here."""
+        return self._replace(earlier_count=self.earlier_count + begin, records=self.records[begin:end])
+
+    def empty_end(self) -> "MemoryRecords":
+        """Return an empty slice, positioned after the last record."""
+        return self.slice(len(self.records), len(self.records))
+
+
+def encode_records(batch: MemoryRecords) -> EncodedRecords:
+    """Return the encoding of records."""
+    # One flat list of all items, sliced by column, is faster than a loop over the records.
+    flat_items = list(chain.from_iterable(batch.records))
+    terms, starts, ends = flat_items[0::3], flat_items[1::3], flat_items[2::3]
+    return (
+        batch.earlier_count,
+        batch.late_count,
+        batch.has_variables,
+        encode_terms(terms),
+        encode_instants(ends),
+        # Most events have no duration.
+        None if are_same_instants(starts, ends) else encode_instants(starts),
+    )
+
+
+_check_records = tuple_of(count, count, boolean, any_value, any_value, any_value)
+
+
+def decode_records(value: Decoded) -> DecodedRecords:
+    """Check and decode `EncodedRecords`, and return them.
+
+    Raises:
+        UsageError: if they are invalid.
+    """
+    earlier_count, late_count, has_variables, encoded_terms, encoded_ends, encoded_starts = _check_records(
+        value
+    )
+    ends = decode_instants(encoded_ends)
+    record_count = len(ends)
+    starts = ends if encoded_starts is None else decode_instants(encoded_starts, record_count)
+    terms = with_name("terms", lambda encoded: decode_terms(encoded, record_count))(encoded_terms)
+    return earlier_count, late_count, has_variables, terms, ends, starts

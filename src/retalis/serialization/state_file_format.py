@@ -22,8 +22,8 @@ from ..prolog.system.logic_state import ProgramSnapshot, ValuesSnapshot
 from ..prolog.terms.timestamps import MAX_TIMESTAMP, FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor
 from .codec import from_bytes
+from .columns import decode_records
 from .match_graph import FIELDS
-from .memory_state import decode_records
 from .schema import (
     Decoded,
     ValueCheck,

@@ -31,6 +31,10 @@ from ...prolog.system.prolog_system import (
     repair_after_interrupt,
     restore_machine,
 )
+from ...prolog.terms.types import atom
+
+REQUEST = atom("a request")
+"""Name of unnamed work in warnings about its duration."""
 
 
 class Request:
