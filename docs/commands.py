@@ -46,8 +46,8 @@ def command_parsers() -> Dict[str, argparse.ArgumentParser]:
     """Return the parser of each command, in the order of the help."""
     parser = argparse.ArgumentParser(prog="retalis")
     commands = parser.add_subparsers()
-    for module in import_commands([]):
-        module.add_parser(commands.add_parser)
+    for add_parser in import_commands([]):
+        add_parser(commands.add_parser)
     parsers: Dict[str, argparse.ArgumentParser] = commands.choices
     return parsers
 

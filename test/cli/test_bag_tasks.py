@@ -9,15 +9,14 @@ import pytest
 from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
-from retalis.cli.bag_command import add_parser
-from retalis.cli.many_bags import _MAX_MESSAGE_CHARACTERS, _OPTIONS, BagTask, play_bag
+from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, _NOT_FOR_ONE_BAG, BagTask, add_parser, play_bag
 
 
 @pytest.fixture(autouse=True)
 def tightened(monkeypatch):
     """Note that the collector is asked to free a bag's program; do not, it would walk what all tests have loaded."""
     asked = []
-    monkeypatch.setattr("retalis.cli.many_bags.restore_gc", lambda: asked.append(True))
+    monkeypatch.setattr("retalis.cli.bag_command.restore_gc", lambda: asked.append(True))
     return asked
 
 
@@ -33,7 +32,12 @@ def task(program, bag, target, kind, *more):
         lambda *names, **told: parsers_made.append(parsers.add_parser(*names, **told)) or parsers_made[-1]
     )
     options = vars(parsers_made[0].parse_args([str(bag), "--program", str(program), *more]))
-    return BagTask(str(bag), str(target), kind, {name: options[name] for name in _OPTIONS})
+    return BagTask(
+        str(bag),
+        str(target),
+        kind,
+        {name: value for name, value in options.items() if name not in _NOT_FOR_ONE_BAG},
+    )
 
 
 @pytest.mark.slow
@@ -86,7 +90,7 @@ def test_a_bag_that_cannot_be_played_leaves_nothing(program, tmp_path):
 def test_whatever_goes_wrong_is_the_bags_failure(program, tmp_path, monkeypatch, tightened):
     bag = make_bag(tmp_path / "a.bag", "x")
     asked = task(program, bag, tmp_path / "result", None)
-    monkeypatch.setattr("retalis.cli.many_bags.play", lambda *given: 1 / 0)
+    monkeypatch.setattr("retalis.cli.bag_command.play", lambda *given: 1 / 0)
     assert play_bag(asked, str(tmp_path)).failure == "ZeroDivisionError: division by zero"
     assert tightened == [True]
 
@@ -95,7 +99,7 @@ def test_of_what_is_said_the_beginning_is_kept(program, tmp_path, monkeypatch):
     bag = make_bag(tmp_path / "a.bag", "x")
     asked = task(program, bag, tmp_path / "result", None)
     monkeypatch.setattr(
-        "retalis.cli.many_bags.play", lambda *given: sys.stderr.write("e" * (_MAX_MESSAGE_CHARACTERS + 7))
+        "retalis.cli.bag_command.play", lambda *given: sys.stderr.write("e" * (_MAX_MESSAGE_CHARACTERS + 7))
     )
     assert (
         play_bag(asked, str(tmp_path)).stderr_text

@@ -29,7 +29,7 @@ DECORATED = {
 HELD = {
     ("ros/ros_interface.py", "self._cached_handlers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "times"): (5000, 4 << 20),  # for each topic
-    ("ros/internal_topics.py", "self._checked"): (1000, 1 << 20),
+    ("ros/ros_interface.py", "self._checked"): (1000, 1 << 20),
     ("ros/text_topics.py", "self._full_names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),
     ("events/dispatch/dispatcher.py", "self._plans"): (10_000, 16 << 20),

@@ -13,10 +13,8 @@ from ..foundation.errors import MessageError, counted, printable
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from ..prolog.machine.resource_limits import Limits
-from .bag_run import add_chunk_limit_option
-from .command_options import add_direct, add_swi
-from .installed_types import installed_definitions
-from .option_values import non_negative
+from .command_options import add_chunk_limit_option, add_direct, add_swi, non_negative
+from .ros_access import installed_definitions
 
 _DEFAULT_MAX_SECONDS = 60
 

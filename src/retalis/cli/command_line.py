@@ -1,7 +1,7 @@
 """Entry point of the command line: ``retalis COMMAND``.
 
-Each command is a module with ``add_parser`` and ``run``; the commands for running nodes share one. Only the module of
-the called command is imported, because the imports of all commands take longer than most of them run.
+A function of the command's module adds its parser, which contains the function that runs the command. Only the module
+of the called command is imported, because the imports of all commands take longer than most of them run.
 """
 
 import argparse
@@ -9,12 +9,14 @@ import os
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Iterable, List, Optional
+from typing import Any, Callable, Iterable, List, Optional
 from xml.etree import ElementTree
 
 from ..foundation.errors import RetalisError
-from .option_values import join_times_option
 from .stderr_report import OutputClosed, detach_reporters
+
+AddParser = Callable[[Callable[..., argparse.ArgumentParser]], object]
+"""Adds the parser of a command with the given function, which is the method ``add_parser`` of argparse."""
 
 MANIFEST = Path(__file__).resolve().parents[3] / "package.xml"
 """Manifest in the source tree, which contains the version."""
@@ -52,25 +54,25 @@ class ShowVersion(argparse.Action):
 
 
 COMMANDS = {
-    "bag": "bag_command",
-    "check": "check_command",
-    "console": "console",
-    "demo": "demo_command",
-    "docs": "docs_command",
-    "events": "event_stream_command",
-    "graph": "graph_command",
-    "help": "help_command",
-    "query": "node_commands",
-    "explain": "node_commands",
-    "list": "node_commands",
-    "status": "node_commands",
-    "watch": "node_commands",
-    "reload": "node_commands",
-    "msg": "msg_command",
-    "plot": "plot_command",
-    "complete": "completion",
+    "bag": "bag_command.add_parser",
+    "check": "check_command.add_parser",
+    "console": "console.add_parser",
+    "demo": "demo_and_docs_commands.add_demo_parser",
+    "docs": "demo_and_docs_commands.add_docs_parser",
+    "events": "event_stream_command.add_parser",
+    "graph": "drawing_commands.add_graph_parser",
+    "help": "help_command.add_parser",
+    "query": "node_commands.add_parsers",
+    "explain": "node_commands.add_parsers",
+    "list": "node_commands.add_parsers",
+    "status": "node_commands.add_parsers",
+    "watch": "node_commands.add_parsers",
+    "reload": "node_commands.add_parsers",
+    "msg": "msg_command.add_parser",
+    "plot": "drawing_commands.add_plot_parser",
+    "complete": "completion.add_parser",
 }
-"""The module of each command."""
+"""The module of each command, and its function that adds the parser of the command."""
 
 _NEEDS_ALL = "complete"
 """The command that needs the parsers of all others."""
@@ -94,9 +96,9 @@ def main(arguments: Optional[List[str]] = None) -> int:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     try:
         # argparse lists the subcommands in the order of their registration.
-        for module in import_commands(words):
-            module.add_parser(commands.add_parser)
-        options = parser.parse_args(join_times_option(words))
+        for add_parser in import_commands(words):
+            add_parser(commands.add_parser)
+        options = parser.parse_args(_join_times_option(words))
         status: int = options.run(options)
         return status
     except RetalisError as error:
@@ -112,13 +114,37 @@ def main(arguments: Optional[List[str]] = None) -> int:
         detach_reporters()
 
 
-def import_commands(words: List[str]) -> List[Any]:
-    """Return the modules whose parsers a command line needs, in the order of the help."""
+def import_commands(words: List[str]) -> List[AddParser]:
+    """Return the functions that add the parsers a command line needs, in the order of the help."""
     first = words[0] if words else ""
-    names: Iterable[str] = dict.fromkeys(COMMANDS.values())
+    paths: Iterable[str] = dict.fromkeys(COMMANDS.values())
     # All parsers are needed only for the general help, for an unknown command, and for completion.
     if first in COMMANDS and first != _NEEDS_ALL:
-        names = (COMMANDS[first],)
+        paths = (COMMANDS[first],)
     elif first == "--version":
-        names = ()
-    return [import_module(f"{__package__}.{name}") for name in names]
+        paths = ()
+    return [_import_function(path) for path in paths]
+
+
+def _import_function(path: str) -> AddParser:
+    module, _, name = path.partition(".")
+    function: AddParser = getattr(import_module(f"{__package__}.{module}"), name)
+    return function
+
+
+def _join_times_option(words: List[str]) -> List[str]:
+    """Join ``--times relative`` to one argument; the words of other command lines are returned as they are.
+
+    ``--times`` alone takes no value, so that a bag may follow it. argparse cannot distinguish the two forms.
+    """
+    if "--times" not in words:
+        return words
+    from .command_options import RELATIVE_TIMES_OPTION, TIMES_RELATIVE  # noqa: PLC0415 - imports the engine
+
+    joined: List[str] = []
+    for word in words:
+        if word == TIMES_RELATIVE and joined and joined[-1] == "--times":
+            joined[-1] = RELATIVE_TIMES_OPTION
+        else:
+            joined.append(word)
+    return joined

@@ -1,4 +1,4 @@
-"""Options that several commands share: resource limits, folders of goals, and topics of parameter ``~direct``."""
+"""Options that several commands share, and the conversion of their values."""
 
 import argparse
 from typing import Callable, Optional, Tuple
@@ -7,7 +7,50 @@ from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import Limits
-from .option_values import non_negative, positive_integer
+
+NumberReader = Callable[[str], float]
+
+TIMES_AS_STAMPS, TIMES_RELATIVE = "stamps", "relative"
+RELATIVE_TIMES_OPTION = "--times=relative"
+"""Option for times relative to the start of a run; ``--times relative`` is the same."""
+
+
+def non_negative(number_type: Callable[[str], float]) -> NumberReader:
+    """Return a converter for numbers of 0 or more.
+
+    Args:
+        number_type: ``int`` or ``float``.
+    """
+    name = "a whole number" if number_type is int else "a number"
+    return _make_reader(number_type, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
+
+
+def _make_reader(
+    number_type: Callable[[str], float], is_allowed: Callable[[float], bool], expected: str
+) -> NumberReader:
+    def read(text: str) -> float:
+        number = _parse_number(number_type, text)
+        if number is None or not is_allowed(number):
+            raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
+        return number
+
+    return read
+
+
+def _parse_number(number_type: Callable[[str], float], text: str) -> Optional[float]:
+    try:
+        return number_type(text)
+    except ValueError:
+        return None
+
+
+positive_integer = _make_reader(int, lambda number: number >= 1, "a whole number of 1 or more")
+any_integer = _make_reader(int, lambda number: True, "a whole number")
+any_number = _make_reader(float, lambda number: True, "a number")
+positive_seconds = _make_reader(
+    float, lambda number: 0 < number < float("inf"), "a positive number of seconds"
+)
+
 
 _DEFAULT_MAX_MEGABYTES = 2000
 
@@ -126,3 +169,17 @@ def _parse_direct(text: str) -> DirectTopics:
         return read_direct(text)
     except UsageError as error:
         raise argparse.ArgumentTypeError(error.message) from None
+
+
+def add_chunk_limit_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that limits the decompressed size of chunks of bags."""
+    from ..playback.decompression import MAX_CHUNK_MEGABYTES  # noqa: PLC0415 - only for commands that read bags
+
+    parser.add_argument(
+        "--max-chunk-megabytes",
+        type=positive_integer,
+        default=MAX_CHUNK_MEGABYTES,
+        metavar="N",
+        help="maximum unpacked size of a chunk or a compressed message of a bag; for a compressed file, the larger "
+        f"of this and 100 times its size ({MAX_CHUNK_MEGABYTES})",
+    )

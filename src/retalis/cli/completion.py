@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Optional, Sequence
 
 from ..foundation.errors import UsageError
-from .node_commands import import_ros_module
+from .ros_access import import_ros_module
 
 SCRIPT = Path(__file__).with_name("retalis.bash")
 

@@ -10,8 +10,8 @@ from ..messages.named_slots import format_positional, format_with_names, format_
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
-from .bag_run import add_chunk_limit_option
-from .installed_types import installed_definitions
+from .command_options import add_chunk_limit_option
+from .ros_access import installed_definitions
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda definition, definitions: format_positional(definition),

@@ -5,11 +5,10 @@ works without ROS.
 """
 
 import argparse
-from importlib import import_module
-from typing import Any, Callable
+from typing import Callable
 
-from ..foundation.errors import UsageError
-from .option_values import any_number, non_negative
+from .command_options import any_number, non_negative
+from .ros_access import run_ros_command
 
 AddCommand = Callable[..., argparse.ArgumentParser]
 
@@ -18,8 +17,8 @@ DESCRIPTION = "The node is that of --node, or the only one that runs in the name
 EXIT_STATUS_HELP = "The exit status is 0 with a solution, 1 without one or with an error."
 
 
-def add_parser(add_command: AddCommand) -> None:
-    """Add the commands."""
+def add_parsers(add_command: AddCommand) -> None:
+    """Add the parsers of all commands for nodes."""
     _add_query(add_command)
     explain = _add_node_command(add_command, "explain", "explain why an event happened in a node, or why not")
     explain.add_argument(
@@ -106,28 +105,3 @@ def _add_node_command(add_command: AddCommand, name: str, summary: str) -> argpa
 def run(options: argparse.Namespace) -> int:
     """Run a command for a running node."""
     return run_ros_command("live_commands", options)
-
-
-def run_ros_command(module: str, options: argparse.Namespace) -> int:
-    """Run the command of a module in package ``ros``.
-
-    Raises:
-        UsageError: if ROS is not installed.
-    """
-    status: int = import_ros_module(module).run(options)
-    return status
-
-
-def import_ros_module(name: str) -> Any:
-    """Import a module of package ``ros``.
-
-    Raises:
-        UsageError: if ROS is not installed.
-    """
-    try:
-        # By name, because package `cli` must not depend on package `ros`.
-        return import_module(f"retalis.ros.{name}")
-    except ImportError as error:
-        raise UsageError(
-            f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
-        ) from error

@@ -1,19 +1,33 @@
-"""Topics between the nodes, resolution of topic names, and output topics without a type.
+"""Topics between the nodes: their names, and the control data that they carry.
 
-The nodes exchange events and outputs as text and control data as JSON. Any node may publish on these topics, so a
-receiver validates what it reads.
+Events and outputs are exchanged as text on the topics `INPUT` and `OUTPUT` (see `text_topics`). Control data are JSON
+on latched topics, so that an interface node that is restarted receives them:
+
+* the argument positions that no rule, memory or goal reads (projection pushdown): the interface node omits the fields
+  of messages that node ``retalis`` does not read (`ProjectionPublisher`, `ProjectionReceiver`);
+* the topics to which goals subscribe with ``subscribe_to`` (`DynamicSubscriptions`, `SubscriptionReceiver`).
+
+Any node may publish on these topics, so a receiver validates what it reads.
 """
 
 import json
-from typing import Any, Iterable
+import threading
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set
 
 import rospy
+from std_msgs.msg import String
 
+from ..engine.engine import Engine
+from ..engine.event_input import MAX_INPUT_TOPICS, TopicRequest
 from ..engine.runtime.problem_reports import Reports
-from ..events.program.topic_configuration import TOPICS
-from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, UsageError, beginning
+from ..events.language.event_declarations import event_name_error
+from ..foundation.errors import MessageError, RetalisError, UsageError, beginning
 from ..foundation.ros_names import topic_fault
+from ..prolog.terms.types import Functor
+
+if TYPE_CHECKING:
+    from .ros_interface import RosInterface
 
 INPUT = "retalisInputEvents"
 OUTPUT = "retalisOutputEvents"
@@ -39,6 +53,18 @@ def resolve(topic: str) -> str:
         raise UsageError(f'"{topic}" is not a topic name: {error}') from error
 
 
+def resolve_subscribable_topic(topic: str) -> str:
+    """Return the full name of a topic that a goal may subscribe to.
+
+    Raises:
+        UsageError: if the name is invalid, or the topic belongs to the protocol between the nodes.
+    """
+    name = resolve(topic)
+    if name in map(rospy.resolve_name, (INPUT, OUTPUT)):
+        raise UsageError(f"topic {topic} is for events as text, between the nodes")
+    return name
+
+
 MAX_CONTROL_CHARACTERS = 1_000_000
 """Limit for the characters of control data."""
 
@@ -47,7 +73,7 @@ def read_control_json(text: str, malformed: MessageError) -> Any:
     """Return the data of a JSON text; None if it is too long.
 
     Raises:
-        MessageError: the error ``wrong``, if the text is not JSON.
+        MessageError: the error ``malformed``, if the text is not JSON.
     """
     try:
         return json.loads(text) if len(text) <= MAX_CONTROL_CHARACTERS else None
@@ -55,40 +81,228 @@ def read_control_json(text: str, malformed: MessageError) -> Any:
         raise malformed from None
 
 
-class UntypedTopicWarnings:
-    """Warns once about each output topic without a type, whose outputs are published only as text.
+UNREAD_ARGUMENTS_TOPIC = "retalisUnread"
+"""Topic of the unread arguments: JSON, lists of argument positions by functor (name and arity)."""
+
+NO_POSITIONS: FrozenSet[int] = frozenset()
+
+
+class ProjectionPublisher:
+    """Publishes the unread arguments of an engine after each change, in a thread."""
+
+    def __init__(self, engine: Engine):
+        self._dispatcher = engine.dispatcher
+        self._publisher = rospy.Publisher(UNREAD_ARGUMENTS_TOPIC, String, queue_size=10, latch=True)
+        self._last_published: Optional[str] = None
+        self._changed = threading.Event()
+        self._changed.set()
+        self._dispatcher.on_change = self._changed.set
+        threading.Thread(target=self._run, name=UNREAD_ARGUMENTS_TOPIC, daemon=True).start()
+
+    def _run(self) -> None:
+        while not rospy.is_shutdown():
+            # Several changes during the loading of a program are combined into one message.
+            self._changed.wait()
+            self._changed.clear()
+            try:
+                self._publish_changes()
+            except rospy.ROSException as error:
+                # The node is being shut down.
+                rospy.logdebug("%s: %s", UNREAD_ARGUMENTS_TOPIC, error)
+
+    def _publish_changes(self) -> None:
+        unread_positions = self._dispatcher.projection.announce()
+        text = json.dumps(
+            {str(functor): sorted(positions) for functor, positions in unread_positions.items()}
+        )
+        if (
+            len(text) > MAX_CONTROL_CHARACTERS
+        ):  # the receiver would reject it; "{}" means that everything is read
+            text = "{}"
+        if text != self._last_published:
+            self._publisher.publish(String(text))
+            self._last_published = text
+
+
+class _ReceivedPositions(NamedTuple):
+    """The last received positions, and the header of the connection on which they were received."""
+
+    header: Dict[str, str]
+    positions: Dict[str, FrozenSet[int]]
+
+
+class ProjectionReceiver:
+    """Receiver of the unread arguments in the interface node.
 
     Args:
-        published: topics with a type.
-        reports: receives the warnings.
+        connections: returns the connections of the subscribers of the texts.
+        reports: receives a warning for each malformed message.
     """
 
-    def __init__(self, published: Iterable[str], reports: Reports):
+    def __init__(self, connections: Callable[[], List[Any]], reports: Reports):
+        self._connections = connections
         self._reports = reports
-        self._published = {rospy.resolve_name(topic) for topic in published}
-        self._checked: Cache[str, bool] = Cache(1000, 1 << 20)
+        self._received: Optional[_ReceivedPositions] = None
+        self._subscriber = rospy.Subscriber(UNREAD_ARGUMENTS_TOPIC, String, self._receive, queue_size=10)
 
-    def check(self, topic: str) -> None:
-        """Check a topic to which outputs are sent or will be sent."""
-        if topic not in self._checked and not topic.startswith(WATCH):
-            self._checked.store(topic, True, len(topic))
-            if not self._has_type(topic):
-                name = beginning(topic)
-                self._reports.warning(
-                    f"topic {name} has no type: its events are published only as text on {OUTPUT}; "
-                    f'<publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one',
-                    "topics without a type",
-                    texts=20,
-                )
+    def of(self, functor: Functor) -> FrozenSet[int]:
+        """Return the argument positions of events that may be omitted now.
 
-    def mark_reported(self, topics: Iterable[str]) -> None:
-        """Record topics whose warning has been given elsewhere."""
-        for topic in topics:
-            self._checked.store(topic, True, len(topic))
+        This is valid only for a text that is sent at once. A text that is stored for later subscribers has to be
+        complete.
+        """
+        received = self._received
+        positions = NO_POSITIONS if received is None else received.positions.get(str(functor), NO_POSITIONS)
+        return positions if positions and received is not None and self._is_valid(received) else NO_POSITIONS
 
-    def _has_type(self, topic: str) -> bool:
-        try:
-            return resolve(topic) in self._published
-        except UsageError:
-            # Not a valid topic name: its outputs exist only as text.
+    def _is_valid(self, received: _ReceivedPositions) -> bool:
+        """Return whether the positions' publisher is still connected, and the only subscriber of the texts."""
+        subscribers = self._connections()
+        if len(subscribers) != 1 or getattr(subscribers[0], "endpoint_id", None) != received.header.get(
+            "callerid"
+        ):
             return False
+        publisher_connections = getattr(self._subscriber.impl, "connections", ())
+        # A restarted node has the same name, but another connection, and its rules may read other arguments.
+        return any(
+            connection.header is received.header and not connection.done
+            for connection in publisher_connections
+        )
+
+    def _receive(self, message: Any) -> None:
+        header = message._connection_header  # noqa: SLF001 - rospy has no other name for it
+        try:
+            self._received = _ReceivedPositions(header, _parse_positions(message.data))
+        except MessageError as error:
+            self._received = None
+            self._reports.warning(
+                f"{UNREAD_ARGUMENTS_TOPIC} from {header.get('callerid', 'somebody')}: {error}",
+                UNREAD_ARGUMENTS_TOPIC,
+            )
+
+
+def _parse_positions(text: str) -> Dict[str, FrozenSet[int]]:
+    """Return the argument positions by functor in a text.
+
+    Raises:
+        MessageError: if the text does not have the expected form.
+    """
+    malformed = MessageError(f"expected numbers of arguments by name, found {beginning(text)}")
+    data = read_control_json(text, malformed)
+    if not isinstance(data, dict):
+        raise malformed
+    for positions in data.values():
+        if not isinstance(positions, list) or not all(position.__class__ is int for position in positions):
+            raise malformed
+    return {name: frozenset(positions) for name, positions in data.items()}
+
+
+SUBSCRIPTIONS_TOPIC = "retalisSubscribe"
+"""Topic with the list of subscriptions: JSON, a list of [topic, type, event name]."""
+
+
+class DynamicSubscriptions:
+    """Queue of subscriptions that goals request, executed by a thread as soon as there is an interface.
+
+    A thread is necessary because subscribing calls the master, which would block the engine. The length of the queue
+    is bounded by `MAX_INPUT_TOPICS`.
+    """
+
+    def __init__(self) -> None:
+        self._requests: SimpleQueue[TopicRequest] = SimpleQueue()
+        self.request: Callable[[TopicRequest], None] = self._requests.put
+
+    def start(self, interface: Optional["RosInterface"]) -> None:
+        """Execute the queued requests, and start the thread for later ones.
+
+        Args:
+            interface: the ROS interface of this node; None if the interface runs in another node.
+        """
+        execute = (
+            _SubscriptionPublisher().publish_added
+            if interface is None
+            else lambda request: _subscribe(interface, request)
+        )
+
+        def run() -> None:
+            while not rospy.is_shutdown():
+                execute(self._requests.get())
+
+        # Requests of the program's loading are executed before this returns, as for the topics of `pub_sub.xml`.
+        try:
+            while True:
+                execute(self._requests.get_nowait())
+        except Empty:
+            pass
+        threading.Thread(target=run, daemon=True, name="topics of goals").start()
+
+
+class _SubscriptionPublisher:
+    """Publisher of the list of subscriptions, for the interface node."""
+
+    def __init__(self) -> None:
+        self._subscriptions: List[TopicRequest] = []
+        self._publisher = rospy.Publisher(SUBSCRIPTIONS_TOPIC, String, queue_size=10, latch=True)
+
+    def publish_added(self, request: TopicRequest) -> None:
+        """Add a topic to the list, and publish it."""
+        self._subscriptions.append(request)
+        try:
+            self._publisher.publish(String(json.dumps(self._subscriptions)))
+        except rospy.ROSException as error:
+            # The node is being shut down.
+            rospy.logdebug("%s: %s", SUBSCRIPTIONS_TOPIC, error)
+
+
+class SubscriptionReceiver:
+    """Receiver of the list of subscriptions in the interface node; it subscribes to each topic once.
+
+    Args:
+        interface: the ROS interface.
+        reports: receives a warning for each malformed list.
+    """
+
+    def __init__(self, interface: "RosInterface", reports: Reports):
+        self._interface = interface
+        self._reports = reports
+        self._subscribed: Set[TopicRequest] = set()
+        self._subscriber = rospy.Subscriber(SUBSCRIPTIONS_TOPIC, String, self._receive, queue_size=10)
+
+    def _receive(self, message: Any) -> None:
+        try:
+            topics = read_subscriptions(message.data)
+        except MessageError as error:
+            self._reports.warning(f"{SUBSCRIPTIONS_TOPIC}: {error}", SUBSCRIPTIONS_TOPIC)
+            return
+        for request in topics:
+            if request not in self._subscribed and len(self._subscribed) < MAX_INPUT_TOPICS:
+                self._subscribed.add(request)
+                _subscribe(self._interface, request)
+
+
+def read_subscriptions(text: str) -> List[TopicRequest]:
+    """Return the subscriptions of a list.
+
+    Raises:
+        MessageError: if the text does not have the expected form.
+    """
+    malformed = MessageError(f"expected topics, types and names of events, found {beginning(text)}")
+    items = read_control_json(text, malformed)
+    if not isinstance(items, list):
+        raise malformed
+    for item in items:
+        if not isinstance(item, list) or len(item) != 3 or not all(part.__class__ is str for part in item):
+            raise malformed
+        if item[2] and event_name_error(item[2]):
+            raise malformed
+    return [TopicRequest(*item) for item in items]
+
+
+def _subscribe(interface: "RosInterface", request: TopicRequest) -> None:
+    try:
+        interface.subscribe(*request)
+    except RetalisError as error:
+        rospy.logerr("subscribe_to: %s", error)
+    except rospy.ROSException as error:
+        # The node is being shut down.
+        rospy.logdebug("subscribe_to: topic %s: %s", beginning(request.topic), error)

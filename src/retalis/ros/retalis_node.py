@@ -46,15 +46,27 @@ from .diagnostics import (
     NodeHealth,
     evaluate_program,
 )
-from .dynamic_subscriptions import DynamicSubscriptions, resolve_subscribable_topic
 from .generated_classes import installed_types
-from .internal_topics import INPUT, OUTPUT, UntypedTopicWarnings, resolve
+from .internal_topics import (
+    INPUT,
+    OUTPUT,
+    DynamicSubscriptions,
+    ProjectionPublisher,
+    resolve,
+    resolve_subscribable_topic,
+)
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
 from .node_dashboard import NodeDashboard
 from .node_lifecycle import run_node
 from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
-from .projection_sync import ProjectionPublisher
-from .ros_interface import OUTPUT_EVENT, MessageHandler, Publisher, RosInterface, connect
+from .ros_interface import (
+    OUTPUT_EVENT,
+    MessageHandler,
+    Publisher,
+    RosInterface,
+    UntypedTopicWarnings,
+    connect,
+)
 from .ros_log import log_counts, log_error, print_goal_output
 from .ros_time import SimulatedTime, ros_now
 from .services import (

@@ -35,8 +35,8 @@ from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import COMMA, TRUE, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .generated_classes import installed_types
-from .internal_topics import UntypedTopicWarnings, resolve
-from .ros_interface import RosInterface
+from .internal_topics import resolve
+from .ros_interface import RosInterface, UntypedTopicWarnings
 from .ros_log import log_counts
 from .topic_statistics import InputStatus, published_types
 

@@ -1,14 +1,19 @@
-"""Validity of the received unread arguments in the interface. Needs rospy, no master."""
+"""Control data between the nodes: unread arguments, and subscriptions of goals. Needs rospy, no master."""
 
+import json
 from types import SimpleNamespace
 
 import pytest
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
-from retalis import functor  # noqa: E402
-from retalis.ros import projection_sync  # noqa: E402
-from retalis.ros.projection_sync import ProjectionReceiver  # noqa: E402
+from retalis import MessageError, functor  # noqa: E402
+from retalis.ros import internal_topics  # noqa: E402
+from retalis.ros.internal_topics import (  # noqa: E402
+    MAX_CONTROL_CHARACTERS,
+    ProjectionReceiver,
+    read_subscriptions,
+)
 
 IMAGE = functor("image", 3)
 HEADER = {"callerid": "/retalis"}
@@ -19,7 +24,7 @@ def interface(monkeypatch):
     """Return what the interface knows, with rospy's connections and reports in lists."""
     sources = []
     impl = SimpleNamespace(connections=sources)
-    monkeypatch.setattr(projection_sync.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
+    monkeypatch.setattr(internal_topics.rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
     texts, said = [SimpleNamespace(endpoint_id="/retalis")], []
     reports = SimpleNamespace(warning=lambda text, kind: said.append(text))
     known = ProjectionReceiver(lambda: texts, reports)
@@ -78,3 +83,35 @@ def test_what_is_not_understood_is_said_and_everything_is_written(interface, tex
     assert interface.known.of(IMAGE) == set()
     assert len(interface.said) == 1
     assert len(interface.said[0]) < 1000
+
+
+SUBSCRIPTION = ["right", "std_msgs/Bool", "bumper_right"]
+
+
+def test_a_list_of_subscriptions_is_read():
+    assert [
+        tuple(request) for request in read_subscriptions(json.dumps([SUBSCRIPTION, ["a", "b/C", ""]]))
+    ] == [
+        tuple(SUBSCRIPTION),
+        ("a", "b/C", ""),
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        "[" * 100_000,
+        "[1]",
+        json.dumps([SUBSCRIPTION[:2]]),
+        json.dumps([[*SUBSCRIPTION[:2], 1]]),
+        json.dumps([[*SUBSCRIPTION[:2], "seq"]]),
+        json.dumps([[*SUBSCRIPTION[:2], "tf__0__tfMessage"]]),
+        json.dumps([[*SUBSCRIPTION[:2], "a(b)"]]),
+        json.dumps([SUBSCRIPTION]) + " " * MAX_CONTROL_CHARACTERS,
+    ],
+)
+def test_a_malformed_list_is_refused(text):
+    with pytest.raises(MessageError, match="expected topics, types and names of events"):
+        read_subscriptions(text)

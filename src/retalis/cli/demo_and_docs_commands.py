@@ -1,22 +1,38 @@
-"""Command ``demo``: runs the NAO example over a simulated bag, without ROS."""
+"""Commands ``demo`` and ``docs``, which use files beside the package: the NAO example and the documentation site.
+
+Both folders are searched in the source tree of a clone and below the root of an installation.
+"""
 
 import argparse
 import importlib
 import sys
 import tempfile
+import webbrowser
 from pathlib import Path
-from typing import Any, Callable, Dict, Tuple
+from typing import Any, Callable, Dict, Optional, Tuple
 
 from ..foundation.errors import UsageError
 from ..playback.bag_locations import MergedBag
 from ..playback.playback import Playback
 from ..prolog.terms.term_traversal import resolve
-from .bag_run import progress_of
-from .option_values import any_integer, positive_seconds
+from .bag_command import progress_of
+from .command_options import any_integer, positive_seconds
 from .stderr_report import StderrReporter, show_progress
 
+SOURCE_EXAMPLE = Path("examples", "nao")
+"""Folder of the NAO example in the source tree."""
 
-def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+INSTALLED_EXAMPLE = Path("share", "retalis", "examples", "nao")
+"""Folder of the NAO example below the root of an installation."""
+
+SOURCE_SITE = Path("docs", "_build", "html")
+"""Folder of the built site in the source tree."""
+
+INSTALLED_SITE = Path("share", "retalis", "docs", "html")
+"""Folder of the site below the root of an installation."""
+
+
+def add_demo_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     """Add the parser of command ``demo``."""
     parser = add_command(
         "demo",
@@ -37,10 +53,10 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     parser.add_argument(
         "--seed", type=any_integer, default=1, metavar="N", help="random seed of the simulated bag (1)"
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run_demo)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_demo(options: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     report = StderrReporter().attach()
     folder = example_folder()
@@ -92,14 +108,68 @@ def _nothing(done: int) -> None:
 
 
 def example_folder() -> Path:
-    """Return the folder of the NAO example in the source tree or the installed package.
+    """Return the folder of the NAO example.
 
     Raises:
-        UsageError: if it is in neither.
+        UsageError: if it is neither in the source tree nor in the installed package.
     """
-    module = Path(__file__).resolve()
-    for root in module.parents:
-        for folder in (root / "examples" / "nao", root / "share" / "retalis" / "examples" / "nao"):
-            if (folder / "make_bag.py").exists():
+    folder = _find_folder(SOURCE_EXAMPLE, INSTALLED_EXAMPLE, "make_bag.py")
+    if folder is None:
+        raise UsageError("the folder examples/nao is neither in the source tree nor in an installed package")
+    return folder
+
+
+def add_docs_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the parser of command ``docs``."""
+    parser = add_command(
+        "docs",
+        help="open the documentation in the browser",
+        description="Open the documentation site in the browser. The site is part of the installed package; in a "
+        "clone, ./install.py docs builds it. It needs no network. Exit status 1 if there is no site or no browser.",
+    )
+    parser.add_argument(
+        "--print-path", action="store_true", help="print the path of the start page instead of opening it"
+    )
+    parser.set_defaults(run=open_site)
+
+
+def open_site(options: argparse.Namespace) -> int:
+    """Run the command; return its exit status."""
+    page = find_site() / "index.html"
+    if options.print_path:
+        print(page)
+    elif not webbrowser.open(page.as_uri()):
+        print(f"retalis docs: no browser can be started: open {page}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def find_site() -> Path:
+    """Return the folder of the documentation site.
+
+    Raises:
+        UsageError: if it is neither in the source tree nor in the installed package.
+    """
+    folder = _find_folder(SOURCE_SITE, INSTALLED_SITE, "index.html")
+    if folder is None:
+        raise UsageError(
+            "the documentation site is not built: run ./install.py docs in a clone of retalis; "
+            "a wheel that is built afterwards contains the site"
+        )
+    return folder
+
+
+def _find_folder(source_folder: Path, installed_folder: Path, content: str) -> Optional[Path]:
+    """Return a folder of the source tree or the installation that contains a file; None if there is none.
+
+    Args:
+        source_folder: the folder below the root of the source tree.
+        installed_folder: the folder below the root of the installation.
+        content: name of the file.
+    """
+    # The root is some parent of this module: how many levels above it depends on the kind of installation.
+    for root in Path(__file__).resolve().parents:
+        for folder in (root / source_folder, root / installed_folder):
+            if (folder / content).is_file():
                 return folder
-    raise UsageError("the folder examples/nao is neither in the source tree nor in an installed package")
+    return None

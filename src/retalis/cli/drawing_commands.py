@@ -1,0 +1,201 @@
+"""Commands ``graph`` and ``plot``, which draw a program as a graph and a run as a timeline."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Callable, List, Optional
+
+from ..engine.engine import Engine
+from ..engine.engine_settings import Settings
+from ..engine.event_input import InputTopics
+from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
+from ..foundation.cpython_and_pypy import limit_gc_pauses
+from ..foundation.errors import ProgramErrors, UsageError
+from ..messages.type_definition import functor_name
+from ..playback.playback import RunRecorder
+from ..visualization.program_graph import PICTURE_SUFFIXES, GraphTopic, dot_text, draw_graph, program_graph
+from ..visualization.timeline import (
+    PICTURE_FORMATS,
+    Timeline,
+    TimelineBuilder,
+    draw_timeline,
+    read_run,
+    timeline_page,
+)
+from .bag_command import add_source, create_playback, open_bags, progress_of
+from .command_options import add_folders, add_limits, apply_limits
+from .ros_access import installed_definitions
+from .stderr_report import StderrReporter, show_progress
+
+TEXT_SUFFIXES = ("dot", "gv")
+"""Suffixes of files in the text format of Graphviz."""
+
+_GRAPH_DESCRIPTION = """\
+Load a program and draw its graph: topics, events, rules, queries, memories, transforms, subscriptions, and the data
+flow between them. The suffix of the file determines the format: .svg, .png and .pdf are drawn by Graphviz; .dot, or
+no file, is the input text of Graphviz, which is not required for it.
+"""
+
+
+def add_graph_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the parser of command ``graph``."""
+    parser = add_command("graph", help="draw a program", description=_GRAPH_DESCRIPTION)
+    add = parser.add_argument
+    add(
+        "folder",
+        nargs="?",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="the program's folder, with goalPredicates.txt; the current one by default",
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="where to draw it, as program.svg; without it the text is printed",
+    )
+    add_limits(parser)
+    parser.set_defaults(run=draw_program)
+
+
+def draw_program(options: argparse.Namespace) -> int:
+    """Run the command; return its exit status."""
+    report = StderrReporter().attach()
+    # Before the program is loaded: a wrong suffix is reported at once.
+    suffix = _get_output_format(options.output)
+    folder = options.folder
+    if not (folder / GOALS).is_file():
+        raise UsageError(f"{folder.resolve()} is not a program: it has no file {GOALS}")
+    engine = Engine(settings=apply_limits(Settings(), options), definitions=installed_definitions())
+    input_topics = engine.input_topics
+    # Goals may subscribe to topics during loading. They are recorded for the graph, and nothing is subscribed.
+    input_topics.set_subscriber(lambda request: None)
+    try:
+        engine.load_program(folder)
+    except ProgramErrors as errors:
+        for error in errors.errors:
+            report(error)
+    # A program with errors is drawn as far as it was loaded.
+    text = dot_text(program_graph(engine, _collect_topics(folder, input_topics)), folder.resolve().name)
+    if options.output is None:
+        sys.stdout.write(text)
+    elif suffix in TEXT_SUFFIXES:
+        _write_file(options.output, text)
+    else:
+        draw_graph(text, options.output)
+    return 1 if report.errors else 0
+
+
+def _get_output_format(path: Optional[Path]) -> str:
+    """Return the output format by the suffix of a file; ``dot`` without a file."""
+    suffix = "dot" if path is None else path.suffix[1:].lower()
+    if suffix not in (*PICTURE_SUFFIXES, *TEXT_SUFFIXES):
+        endings = ", ".join(f".{ending}" for ending in (*PICTURE_SUFFIXES, *TEXT_SUFFIXES))
+        raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
+    return suffix
+
+
+def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
+    topics = input_topics.merge_with(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
+    return [
+        GraphTopic(name, topics.event_of(name) or functor_name(type_name))
+        for name, type_name in topics.subscribed
+    ]
+
+
+PAGE_SUFFIXES = ("html", "htm")
+
+_PLOT_DESCRIPTION = """\
+Run a program over bags, or read a run that "bag --events --json" has written, and draw its timeline: a row for each
+event, for the waits of each query, for each memory and for each output. An .html file is a page with zoom, which
+needs neither other files nor a network; .png, .svg and .pdf are drawn by matplotlib.
+"""
+
+
+def add_plot_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the parser of command ``plot``."""
+    parser = add_command("plot", help="draw the timeline of a run", description=_PLOT_DESCRIPTION)
+    add_source(parser, "*", required=False)
+    add = parser.add_argument
+    add(
+        "--from",
+        dest="run_file",
+        type=Path,
+        metavar="FILE",
+        help='a run that "bag --events --json" has written',
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="where to draw it, as run.html or run.png",
+    )
+    add_limits(parser)
+    add_folders(parser)
+    parser.set_defaults(run=draw_run, reject_usage=parser.error)
+
+
+def draw_run(options: argparse.Namespace) -> int:
+    """Run the command; return its exit status."""
+    path, suffix = options.output, options.output.suffix[1:].lower()
+    if suffix not in (*PAGE_SUFFIXES, *PICTURE_FORMATS):
+        endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURE_FORMATS))
+        raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
+    report = StderrReporter().attach()
+    if options.run_file is not None:
+        if options.bags:
+            options.reject_usage("give bags or --from, not both")
+        timeline, title = _read_timeline(options.run_file), options.run_file.name
+    else:
+        if not options.bags or options.program is None:
+            options.reject_usage("give bags with --program, or --from")
+        # An error in the program does not prevent the drawing; it determines the exit status.
+        timeline = _record_timeline(options, report).build()
+        title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
+    if suffix in PAGE_SUFFIXES:
+        _write_file(path, timeline_page(timeline, title))
+    else:
+        draw_timeline(timeline, title, path)
+    return 1 if report.errors else 0
+
+
+def _read_timeline(path: Path) -> Timeline:
+    try:
+        with open(path, encoding="utf-8") as file:
+            return read_run(file, str(path))
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is not UTF-8 text: {error}") from error
+
+
+def _record_timeline(options: argparse.Namespace, report: StderrReporter) -> TimelineBuilder:
+    """Run the program over the bags, and record its timeline."""
+    builder = TimelineBuilder()
+    with open_bags(options) as bags:
+        playback = create_playback(options, report)
+        recorder = RunRecorder(playback, builder.add_record)
+        with show_progress("messages", progress_of(playback, bags)) as bar:
+
+            def advance(done: int) -> None:
+                recorder.update_waits()
+                if bar is not None:
+                    bar(done)
+
+            # After the program is loaded: only the objects of the run are left to the collector.
+            limit_gc_pauses()
+            for output in playback.run(bags, advance):
+                recorder.record_output(output)
+        recorder.record_final_state()
+    return builder
+
+
+def _write_file(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,58 @@
+"""Access of commands to package ``ros``, and the message types of the system, some of which only ROS knows.
+
+Package `cli` does not depend on package `ros`: the command line works without ROS. Modules of `ros` are therefore
+imported by name, when a command needs them.
+"""
+
+import argparse
+from importlib import import_module
+from typing import Any, Optional, Sequence
+
+from ..foundation.errors import UsageError
+from ..messages.type_registry import Definitions, GeneratedClass, InstalledTypes
+
+
+def import_ros_module(name: str) -> Any:
+    """Import a module of package ``ros``.
+
+    Raises:
+        UsageError: if ROS is not installed.
+    """
+    try:
+        return import_module(f"retalis.ros.{name}")
+    except ImportError as error:
+        raise UsageError(
+            f"this needs ROS ({error}): source its setup.bash, and that of the workspace"
+        ) from error
+
+
+def run_ros_command(module: str, options: argparse.Namespace) -> int:
+    """Run the command of a module in package ``ros``.
+
+    Raises:
+        UsageError: if ROS is not installed.
+    """
+    status: int = import_ros_module(module).run(options)
+    return status
+
+
+def installed_definitions(extra_folders: Sequence[str] = ()) -> Definitions:
+    """Return the message types of the system.
+
+    Args:
+        extra_folders: folders that are searched first; each is a package or contains packages.
+    """
+    return Definitions(InstalledTypes(extra_folders=extra_folders, inspect_class=_inspect_class))
+
+
+def _inspect_class(name: str) -> Optional[GeneratedClass]:
+    """Inspect a generated class with package ``ros``; return None without ROS.
+
+    ROS is imported when the first module of such a class has been found, so that other commands start fast.
+    """
+    try:
+        module: Any = import_ros_module("generated_classes")
+    except UsageError:
+        return None
+    generated: GeneratedClass = module.inspect_class(name)
+    return generated
