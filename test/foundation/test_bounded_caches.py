@@ -16,7 +16,7 @@ DECORATED = {
     ("prolog/builtins/message_printing.py", "_layout_operators"): "one entry",
     ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",
-    ("prolog/swi/swi_startup.py", "_start_runtime"): "one entry",
+    ("prolog/swi/swi_session.py", "_start_runtime"): "one entry",
     ("prolog/syntax/event_text.py", "_second_text"): "64 seconds, of the years 1 to 9999",
     ("prolog/syntax/operators.py", "standard_operators"): "one entry",
     ("prolog/terms/timestamps.py", "first_reaching"): "64 floats",

@@ -34,7 +34,7 @@ def test_goals_that_run_later_never_may(folder):
 def test_it_is_said_where_swi_prolog_is_not_installed(monkeypatch, tmp_path):
     (tmp_path / "any.pl").write_text(":- module(any, [any/1]).\nany(1).\n")
     libswipl.find_library.cache_clear()
-    starting = pytest.importorskip("retalis.prolog.swi.swi_startup")
+    starting = pytest.importorskip("retalis.prolog.swi.swi_session")
     monkeypatch.setattr(starting, "_start_runtime", starting._start_runtime.__wrapped__)  # noqa: SLF001
     monkeypatch.setattr(libswipl, "LIBRARY_NAMES", ("libswipl_that_is_not_there.so",))
     monkeypatch.setattr(libswipl, "LIBRARY_PATTERNS", ())

@@ -1,8 +1,8 @@
 """Registry of built-in predicates that are written in Python.
 
-Each module of this package registers its predicates with a decorator when it is imported (`all_builtins` imports them
-all); `PredicateTable` defines every entry of `ENTRIES` in each new program. The decorator states how a predicate is
-called:
+Each module of this package registers its predicates with a decorator when it is imported; `predicate_resolution`
+imports them all, and `PredicateTable` defines every entry of `ENTRIES` in each new program. The decorator states how
+a predicate is called:
 
 * `deterministic`: a function that unifies its arguments and returns whether the predicate succeeds;
 * `function`: a function of the inputs that returns the value of the last argument, so that compiled clauses can

@@ -19,7 +19,6 @@ from ..terms.unification import unify
 from .argument_checks import atom_of, check_tail, integer, is_iso, items, natural, partial_items
 from .builtin_registry import Outcome, Solutions, deterministic, function, nondeterministic
 from .text_arguments import atomic_text, require_no_compound
-from .type_checks import is_acyclic
 
 _MAX_ARGUMENTS = 1_000_000
 
@@ -219,22 +218,18 @@ def numbervars_from_zero(machine: Machine, term: Term) -> bool:
     return numbervars(machine, term, 0, Var())
 
 
+@deterministic("term_variables/2")
+def term_variables(machine: Machine, term: Term, result: Term) -> bool:
+    """Unify with the variables of a term, in the order of their first occurrence."""
+    if is_iso(machine):
+        partial_items(result)
+    return unify(result, make_list(variables(term)), machine.trail)
+
+
 @deterministic("term_variables/3")
-def term_variables(machine: Machine, term: Term, result: Term, tail: Term) -> bool:
+def term_variables_with_tail(machine: Machine, term: Term, result: Term, tail: Term) -> bool:
     """Unify with a partial list of the variables of a term."""
     return unify(result, make_list(variables(term), tail), machine.trail)
-
-
-@deterministic("acyclic_term/1")
-def acyclic_term(machine: Machine, term: Term) -> bool:
-    """Test that a term is not cyclic."""
-    return is_acyclic(term)
-
-
-@deterministic("cyclic_term/1")
-def cyclic_term(machine: Machine, term: Term) -> bool:
-    """Test that a term is cyclic."""
-    return not acyclic_term(machine, term)
 
 
 @deterministic("term_hash/2")

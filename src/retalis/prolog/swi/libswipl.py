@@ -1,7 +1,14 @@
-"""Interface to SWI-Prolog's C library: its functions, signal stacks of threads, and interruption of goals.
+"""Interface to SWI-Prolog's C library: its functions, callbacks, signal stacks, and interruption of goals.
 
 *Library.* `SwiLibrary` declares the functions of ``libswipl`` for ctypes, and detects constants that differ between
 versions (7.6.4 and later are supported). See the manual, "Foreign Language Interface".
+
+*Callbacks.* An exception must not leave a Python function that C has called: ctypes would discard it, and C would
+continue with an undefined result. Python handles a signal that has arrived in the meantime at the first instruction
+of such a function, before any ``try`` statement could be entered, and the signal handler may raise an exception. A
+suspended generator, however, is resumed inside its ``try`` statement. Therefore callbacks are executed by suspended
+generators that have been prepared in advance, and the object that C calls (`Callbacks`) obtains one and resumes it
+without executing any Python code.
 
 *Signal stacks.* SWI-Prolog replaces the alternate signal stack (``sigaltstack(2)``) of a thread when an engine is
 created, and frees the new stack together with the engine. Python would go on to handle the thread's signals in the
@@ -14,7 +21,7 @@ their thread, which ends a blocking system call.
 
 import ctypes
 import signal
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ctypes import (
     CDLL,
     CFUNCTYPE,
@@ -30,9 +37,10 @@ from ctypes import (
 )
 from functools import lru_cache, partial
 from glob import glob
+from operator import methodcaller
 from threading import Event, Lock, Thread, get_ident
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Generator, Iterator, List, Mapping, Optional, Tuple
 from weakref import ref
 
 from ...foundation.cpython_and_pypy import PYPY
@@ -112,6 +120,9 @@ RAISED, FAILED, SOLVED, LAST_SOLVED = -1, 0, 1, 2
 ATOM_TEXT, STRING_TEXT, INTEGER_TEXT = 0x1, 0x2, 0x8
 _TEXT_FLAGS = ((0x100000, 0x80), (0x1000, 0x40))
 """Flags for UTF-8 text and for any term as text, in SWI-Prolog 8.5 and later, and in earlier versions."""
+
+BRIDGE_MODULE = "retalis_bridge"
+"""Module of ``bridge.pl`` in SWI-Prolog."""
 
 ForeignFunction = Callable[..., Any]
 
@@ -272,6 +283,92 @@ def find_library() -> SwiLibrary:
     )
 
 
+_PREPARED_GENERATORS = 64
+"""Number of suspended generators, which limits the callbacks that may begin before a callback prepares more."""
+
+_CallbackGenerator = Generator[int, int, None]
+
+
+class Callbacks(List[Callable[[int], int]]):
+    """List of prepared callback functions, which C calls like a function with a term reference.
+
+    ``__call__`` is a property whose getter is ``pop``: a call removes an item and calls it, all in C code of Python.
+
+    Args:
+        engines: engines by their numbers in SWI-Prolog.
+        current_engine_number: returns the number of the calling engine.
+        raise_unknown_engine: raises an error in a goal that belongs to no program.
+    """
+
+    __call__ = property(methodcaller("pop"))
+
+    def __init__(
+        self,
+        engines: Mapping[int, "SwiEngine"],
+        current_engine_number: Callable[[], int],
+        raise_unknown_engine: Callable[[], object],
+    ):
+        super().__init__()
+        self._engines = engines
+        self._current_engine_number = current_engine_number
+        self._raise_unknown_engine = raise_unknown_engine
+        self._finished: List[_CallbackGenerator] = []
+        self.prepare_generators()
+
+    def prepare_generators(self) -> None:
+        """Prepare generators up to the required number, and close those that have returned a result."""
+        with suppress(IndexError):  # the list is empty, or another thread has taken the last one
+            while True:
+                generator: Any = self._finished.pop()
+                # Another thread may still be between the last two instructions of its callback.
+                if generator.gi_running:
+                    self._finished.append(generator)
+                    break
+                generator.close()
+        while len(self) < _PREPARED_GENERATORS:
+            generators: List[_CallbackGenerator] = []
+            generators.append(self._run_callback(generators))
+            next(generators[0])
+            self.append(generators[0].send)
+
+    def _run_callback(self, generators: List[_CallbackGenerator]) -> _CallbackGenerator:
+        """Wait for a term reference, run its callback, yield the result, and wait to be closed.
+
+        The generator stays suspended after it has yielded the result, because the code after the last ``yield`` could
+        run, and raise, while the result is passed to C.
+
+        Args:
+            generators: list that receives this generator after it has been created. A generator has no reference to
+                itself, and needs one to enter `_finished`.
+        """
+        engine: Any = None
+        result, has_returned = 0, False
+        try:
+            ref = yield 0
+            self.prepare_generators()
+            engine = self._engines.get(self._current_engine_number())
+            if engine is None:
+                self._raise_unknown_engine()
+            else:
+                result = int(engine.run_callback(ref))
+            self._finished += generators
+            # No call may follow before the result is returned, because Python handles signals after calls.
+            has_returned = True
+            yield result
+        except GeneratorExit:
+            return
+        except BaseException as error:  # also an exception of a signal handler, because C needs a result
+            if has_returned:  # the exception belongs to the code that closes the generator
+                raise
+            self._finished += generators
+            engine = self._engines.get(self._current_engine_number())
+            if engine is not None:
+                engine.raise_in_swi(error)
+            yield 0
+        finally:
+            del generators[:]
+
+
 _CHECK_INTERVAL_SECONDS = 0.02
 """Time between two checks of the running goals."""
 
@@ -426,7 +523,7 @@ class Interrupter:
         ref = swi.new_refs(2)
         swi.unify_integer(ref, engine)
         count = c_int64()
-        if swi.call_predicate(None, CATCH, swi.predicate(b"inferences", 2, b"retalis_bridge"), ref):
+        if swi.call_predicate(None, CATCH, swi.predicate(b"inferences", 2, BRIDGE_MODULE.encode()), ref):
             swi.get_integer(ref + 1, byref(count))
         swi.clear_exception()
         swi.discard_frame(frame)
@@ -439,7 +536,7 @@ class Interrupter:
         ref = swi.new_refs(2)
         swi.unify_integer(ref, limited_goal.engine)
         swi.unify_integer(ref + 1, 0 if limited_goal.interrupt_count <= _MAX_CATCHABLE_INTERRUPTS else 1)
-        swi.call_predicate(None, CATCH, swi.predicate(b"interrupt", 2, b"retalis_bridge"), ref)
+        swi.call_predicate(None, CATCH, swi.predicate(b"interrupt", 2, BRIDGE_MODULE.encode()), ref)
         swi.clear_exception()
         swi.discard_frame(frame)
         # Ends a blocking system call with EINTR, after which SWI-Prolog handles the exception.

@@ -1,4 +1,7 @@
-"""Execution of goals in an engine of SWI-Prolog.
+"""Start of SWI-Prolog in this process, and execution of goals in its engines.
+
+SWI-Prolog is started once for all programs, and loads ``bridge.pl``. Its clauses call predicates of a program through
+the callback ``$retalis_ask/1``.
 
 An engine is attached to its thread for each call and detached after it. A goal that may have more solutions remains
 open as a query. SWI-Prolog requires that the innermost open query is used first. The machine of the program
@@ -13,31 +16,98 @@ proceeded.
 
 from contextlib import closing
 from ctypes import byref, c_void_p
-from threading import get_ident, local
+from functools import lru_cache, partial
+from pathlib import Path
+from threading import Lock, get_ident, local
 from time import monotonic
-from typing import Callable, Iterator, List, NamedTuple, Optional, Union
-from weakref import finalize
+from typing import Any, Callable, Iterator, List, MutableMapping, NamedTuple, Optional, Tuple, Union
+from weakref import WeakValueDictionary, finalize
 
-from ...foundation.errors import RetalisError
+from ...foundation.errors import RetalisError, UsageError
 from ..machine.errors import PrologError, from_python, resource_error
 from ..machine.machine import LAST, Machine
 from ..machine.resource_limits import MEGABYTE, LimitError, RemainingLimits
 from ..system.prolog_system import PrologSystem
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, variant_key
-from ..terms.types import COLON, Term, Values, atom, functor
+from ..terms.types import COLON, SLASH, Term, Values, Var, atom, functor
 from .libswipl import (
+    BRIDGE_MODULE,
     FAILED,
     LAST_SOLVED,
     QUERY_FLAGS,
     RAISED,
     SOLVED,
+    Callbacks,
+    Interrupter,
     LimitedGoal,
     SwiLibrary,
+    UnaryCallback,
+    find_library,
     preserved_signal_stack,
+    signal_stack_predicates,
 )
-from .swi_startup import BRIDGE, SwiRuntime
 from .swi_terms import Bindings, Refs, SwiTerms
+
+_BRIDGE_FILE = Path(__file__).resolve().parent / "bridge.pl"
+"""Prolog file that is loaded into SWI-Prolog at its start."""
+
+# `lru_cache` alone would let two threads start SWI-Prolog at once.
+_LOCK = Lock()
+
+
+class SwiRuntime(NamedTuple):
+    """The running SWI-Prolog of this process.
+
+    Attributes:
+        swi: functions of the library.
+        interrupter: thread that interrupts goals that exceed a limit.
+        engines: engines by their numbers in SWI-Prolog.
+        callbacks: functions that C calls, which must not be freed.
+    """
+
+    swi: SwiLibrary
+    interrupter: Interrupter
+    engines: "MutableMapping[int, SwiEngine]"
+    callbacks: object
+
+
+def start() -> SwiRuntime:
+    """Start SWI-Prolog at the first call, and return it.
+
+    Raises:
+        UsageError: if it is not installed or does not start.
+    """
+    with _LOCK:
+        return _start_runtime()
+
+
+@lru_cache(maxsize=1)
+def _start_runtime() -> SwiRuntime:
+    swi = find_library()
+    swi.start()
+    engines: MutableMapping[int, SwiEngine] = WeakValueDictionary()
+
+    callback_list: Any = Callbacks(engines, swi.thread_self, partial(_raise_unknown_engine, swi))
+    callbacks: List[Tuple[str, int, Any]] = [("$retalis_ask", 1, UnaryCallback(callback_list))]
+    callbacks += [(name, 0, function) for name, function in signal_stack_predicates()]
+    for name, arity, callback in callbacks:
+        # Registered before the bridge is loaded, which refers to these predicates.
+        swi.register(BRIDGE_MODULE.encode(), name.encode(), arity, callback, 0)
+    ref = swi.new_refs(1)
+    SwiTerms(swi).put(ref, atom(str(_BRIDGE_FILE)), {})
+    if not swi.call_predicate(None, 0, swi.predicate(b"consult", 1, b"user"), ref):
+        raise UsageError(f"SWI-Prolog does not load {_BRIDGE_FILE}")
+    swi.detach_thread()
+    return SwiRuntime(swi, Interrupter(swi), engines, callbacks)
+
+
+def _raise_unknown_engine(swi: SwiLibrary) -> None:
+    """Raise the error for a callback from a thread of SWI-Prolog, which belongs to no program."""
+    ref = swi.new_refs(1)
+    error_term = (functor("existence_error", 2), atom("retalis_engine"), (SLASH, atom("retalis"), 1))
+    SwiTerms(swi).put(ref, (functor("error", 2), error_term, Var()), {})
+    swi.raise_exception(ref)
 
 
 class OpenGoal:
@@ -126,7 +196,7 @@ class SwiEngine:
             self._terms = SwiTerms(swi)
             # The finalizer must not refer to the engine object, which it would keep alive.
             finalize(self, _destroy, swi, self._engine, self._terms, self._destroyed).atexit = False
-            self.limited_predicate: int = swi.predicate(b"limited", 2, BRIDGE.encode())
+            self.limited_predicate: int = swi.predicate(b"limited", 2, BRIDGE_MODULE.encode())
             self._statistics_predicate = swi.predicate(b"statistics", 2, b"system")
         finally:
             self._leave()
@@ -535,7 +605,7 @@ class SwiProgram:
 
     def call_bridge(self, name: str, *arguments: Term) -> bool:
         """Call a predicate of the bridge once, and keep its bindings."""
-        outcome = self.predicate_caller(BRIDGE, name, len(arguments))(self._logic.machine, *arguments)
+        outcome = self.predicate_caller(BRIDGE_MODULE, name, len(arguments))(self._logic.machine, *arguments)
         if isinstance(outcome, bool):
             return outcome
         with closing(outcome) as solutions:  # type: ignore[type-var]

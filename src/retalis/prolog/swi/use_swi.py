@@ -114,8 +114,7 @@ def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) 
 def _program(logic: PrologSystem) -> "SwiProgram":
     """Return the `SwiProgram` of a program, and start SWI-Prolog if necessary."""
     # Imported here, so that programs without `use_swi` load neither SWI-Prolog nor its interface.
-    from .swi_session import SwiProgram  # noqa: PLC0415
-    from .swi_startup import start  # noqa: PLC0415
+    from .swi_session import SwiProgram, start  # noqa: PLC0415
 
     program: Optional[SwiProgram] = logic.state.get(_STATE)
     if program is None:

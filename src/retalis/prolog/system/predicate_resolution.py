@@ -15,6 +15,32 @@ from typing import Any, Callable, Dict, Iterable, Iterator, Optional, Tuple, Uni
 from ...foundation.cancellation import accept_all_work, set_limit_check
 from ...foundation.codegen import shared_function
 from ...foundation.errors import SyntaxFault
+
+# Imported for the predicates that they register in `ENTRIES`.
+from ..builtins import (  # noqa: F401
+    all_solutions,
+    array_predicates,
+    association_lists,
+    atoms_and_strings,
+    clause_predicates,
+    clause_translation,
+    file_names,
+    format_strings,
+    global_state,
+    input_predicates,
+    list_predicates,
+    message_printing,
+    meta_calls,
+    output_predicates,
+    pose_predicates,
+    sensor_predicates,
+    tabling,
+    term_construction,
+    term_tests,
+    text_arguments,
+    text_streams,
+    time_predicates,
+)
 from ..builtins.builtin_registry import ENTRIES
 from ..builtins.clause_translation import translate_rule
 from ..builtins.global_state import default_flags

@@ -31,7 +31,6 @@ from typing import (
 )
 
 from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place, printable
-from ..builtins import all_builtins  # noqa: F401  (registers the built-in predicates)
 from ..builtins.builtin_registry import control
 from ..builtins.clause_translation import SINGLE_SIDED, is_behind, translate_rule, translate_single_sided
 from ..builtins.text_streams import end_captures

@@ -1,7 +1,7 @@
-"""Predicates for unification, comparison, arithmetic, and tests of terms.
+"""Predicates that unify, compare and test terms, check their types, and evaluate arithmetic.
 
 Compiled clauses contain most of these tests inline; the predicates serve for calls of goals that are known only at
-run time.
+run time. ``must_be/2`` and ``is_of_type/2`` have the types and errors of SWI-Prolog's ``library(error)``.
 
 ``freeze/2``, ``dif/2`` and ``when/2`` are supported only if they can be decided immediately. Coroutining (suspended
 goals that are resumed by the binding of a variable) is not supported, because every inlined unification would have to
@@ -14,24 +14,27 @@ from ...foundation import codegen
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..compiler.clause_nodes import COMPARISONS, ORDERS
-from ..machine.arithmetic import evaluate_exact, without_instant
+from ..machine.arithmetic import evaluate, evaluate_exact, without_instant
 from ..machine.errors import (
     CONTEXT,
     PrologError,
     domain_error,
     error,
+    existence_error,
     indicator,
     instantiation_error,
     type_error,
+    uninstantiation_error,
 )
 from ..machine.machine import Machine
-from ..terms.list_terms import list_parts, make_list
+from ..terms.list_terms import list_items, list_parts
 from ..terms.term_traversal import (
     CYCLE_CHECK_STEP,
     MAX_STEPS,
     WALK_ROUNDS,
     is_ground,
     require_acyclic,
+    resolve,
     variables,
 )
 from ..terms.types import (
@@ -39,6 +42,7 @@ from ..terms.types import (
     MINUS,
     NIL,
     Atom,
+    CompoundTerm,
     Frame,
     Functor,
     String,
@@ -48,10 +52,12 @@ from ..terms.types import (
     atom,
     deref,
     functor,
+    functor_name,
 )
 from ..terms.unification import always_different, compare, compare_by_age, undo, unify
-from .argument_checks import integer, integer_or_var, is_iso, natural, partial_items
+from .argument_checks import integer, integer_or_var, items, natural
 from .builtin_registry import control, deterministic
+from .text_arguments import is_text_list
 
 _ORDER_ATOMS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
 
@@ -230,12 +236,26 @@ def ground(machine: Machine, term: Term) -> bool:
     return is_ground(term)
 
 
-@deterministic("term_variables/2")
-def term_variables(machine: Machine, term: Term, result: Term) -> bool:
-    """Unify with the variables of a term, in the order of their first occurrence."""
-    if is_iso(machine):
-        partial_items(result)
-    return unify(result, make_list(variables(term)), machine.trail)
+def is_acyclic(term: Term) -> bool:
+    """Return whether a term is not cyclic."""
+    # `resolve` raises the error for cyclic terms.
+    try:
+        resolve(term)
+    except TermTooLarge:
+        return False
+    return True
+
+
+@deterministic("acyclic_term/1")
+def acyclic_term(machine: Machine, term: Term) -> bool:
+    """Test that a term is not cyclic."""
+    return is_acyclic(term)
+
+
+@deterministic("cyclic_term/1")
+def cyclic_term(machine: Machine, term: Term) -> bool:
+    """Test that a term is cyclic."""
+    return not acyclic_term(machine, term)
 
 
 @deterministic("?=/2")
@@ -307,6 +327,172 @@ def _check_steps(steps: int, left: Term, right: Term) -> None:
         raise TermTooLarge
     if steps == CYCLE_CHECK_STEP:
         require_acyclic((MINUS, left, right))
+
+
+_NUMBERS = (int, float)
+
+
+_LIST_OF = functor("list", 1)
+_TYPE_ERROR = functor("type_error", 2)
+
+_ENCODINGS = frozenset(
+    [
+        "octet",
+        "ascii",
+        "iso_latin_1",
+        "text",
+        "utf8",
+        "unicode_be",
+        "unicode_le",
+        "utf16be",
+        "utf16le",
+        "wchar_t",
+    ]
+)
+_STREAMS = frozenset(("user_input", "user_output", "user_error"))
+
+_TYPE_TESTS: Dict[str, Callable[[Term], bool]] = {
+    "any": lambda term: True,
+    "dict": lambda term: False,  # dicts are not supported
+    "encoding": lambda term: term.__class__ is Atom and term.name in _ENCODINGS,
+    "stream": lambda term: term.__class__ is Atom and term.name in _STREAMS,
+    "acyclic": is_acyclic,
+    "cyclic": lambda term: not is_acyclic(term),
+    "var": lambda term: term.__class__ is Var,
+    "nonvar": lambda term: term.__class__ is not Var,
+    "ground": is_ground,
+    "rational": lambda term: term.__class__ is int,
+    "positive_integer": lambda term: term.__class__ is int and term > 0,
+    "nonneg": lambda term: term.__class__ is int and term >= 0,
+    "list_or_partial": lambda term: _is_partial_list(term),
+    "list_or_partial_list": lambda term: _is_partial_list(term),
+    "atom": lambda term: term.__class__ is Atom,
+    "atomic": lambda term: term.__class__ in (Atom, String, int, float),
+    "symbol": lambda term: term.__class__ is Atom,
+    "callable": lambda term: term.__class__ in (Atom, tuple),
+    "compound": lambda term: term.__class__ is tuple,
+    "float": lambda term: term.__class__ is float,
+    "integer": lambda term: term.__class__ is int,
+    "number": lambda term: term.__class__ in _NUMBERS,
+    "string": lambda term: term.__class__ is String,
+    "list": lambda term: list_items(term) is not None,
+    "proper_list": lambda term: list_items(term) is not None,
+    "boolean": lambda term: term.__class__ is Atom and term.name in ("true", "false"),
+    "bool": lambda term: term.__class__ is Atom and term.name in ("true", "false"),
+    "char": lambda term: term.__class__ is Atom and len(term.name) == 1,
+    "code": lambda term: term.__class__ is int and 0 <= term <= 0x10FFFF,
+    "pair": lambda term: term.__class__ is tuple and str(term[0]) == "-/2",
+    "text": lambda term: term.__class__ in (Atom, String) or is_text_list(term),
+    "chars": lambda term: _is_list_of(term, lambda item: item.__class__ is Atom and len(item.name) == 1),
+    "codes": lambda term: _is_list_of(term, lambda item: item.__class__ is int and 0 <= item <= 0x10FFFF),
+}
+
+
+def _is_list_of(term: Term, test: Callable[[Term], bool]) -> bool:
+    values = list_items(term)
+    return values is not None and all(test(deref(item)) for item in with_limit_checks(values))
+
+
+def _is_partial_list(term: Term) -> bool:
+    _, tail = list_parts(term)
+    return tail.__class__ is Var or tail is NIL
+
+
+_ITEM_TYPES = {"chars": atom("char"), "codes": atom("code")}
+_WHOLLY_BOUND = frozenset(("text", "string", "rational", "ground", "oneof"))
+"""Types for which a term that contains variables is an instantiation error."""
+
+
+def has_type(type_term: Term, term: Term) -> Optional[bool]:
+    """Return whether a term has a type, or None for an unknown type.
+
+    Raises:
+        PrologError: if an argument of the type is invalid.
+    """
+    name = functor_name(type_term)
+    if type_term.__class__ is tuple:
+        return _has_parametric_type(name, type_term, term)
+    # The tests take a dereferenced term.
+    test = _TYPE_TESTS.get(name)
+    return None if test is None else test(term)
+
+
+def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Optional[bool]:
+    if name == "oneof" and len(type_term) == 2:
+        return is_ground(term) and any(
+            not compare(item, term) for item in with_limit_checks(items(type_term[1]))
+        )
+    if name == "between" and len(type_term) == 3:
+        low, high = deref(type_term[1]), deref(type_term[2])
+        # Bounds that are integers require an integer, other bounds accept any number.
+        if low.__class__ is int:
+            return term.__class__ is int and low <= term <= integer(high)
+        return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
+    if name in ("list", "list_of") and len(type_term) == 2:
+        values = list_items(term)
+        return values is not None and all(
+            has_type(deref(type_term[1]), deref(item)) for item in with_limit_checks(values)
+        )
+    return None
+
+
+def check(type_term: Term, term: Term) -> Optional[PrologError]:
+    """Return the error for a term that does not have a type, or None if it does."""
+    type_term, term = deref(type_term), deref(term)
+    if type_term.__class__ is Var:
+        return instantiation_error()
+    name = functor_name(type_term)
+    # `chars` and `codes` are checked as lists of a type, so that the error names the wrong item.
+    item_type = _ITEM_TYPES.get(name) if type_term.__class__ is Atom else None
+    if item_type is not None:
+        type_term = (_LIST_OF, item_type)
+    result = has_type(type_term, term)
+    if result:
+        return None
+    if result is None:
+        return existence_error("type", type_term)
+    if name in ("list", "list_of") or item_type is not None:
+        return _list_error(type_term, term)
+    if name == "var":
+        return uninstantiation_error(term)
+    if name in ("cyclic", "acyclic"):
+        return domain_error(f"{name}_term", term)
+    # An unbound part might still be bound to a value of the type.
+    if term.__class__ is Var or (name in _WHOLLY_BOUND and not is_ground(term)):
+        return instantiation_error()
+    return type_error_of(type_term, term)
+
+
+def _list_error(type_term: Term, term: Term) -> Optional[PrologError]:
+    """Return the error for a term that is not a list, or for the first item of the wrong type."""
+    values = list_items(term)
+    if values is None or type_term.__class__ is not tuple:
+        return instantiation_error() if _is_partial_list(term) else type_error_of(type_term, term)
+    errors = (check(type_term[1], item) for item in with_limit_checks(values))
+    return next((error for error in errors if error is not None), None)
+
+
+def type_error_of(type_term: Term, term: Term) -> PrologError:
+    """Return the type error for a type, which may be a compound term."""
+    return error((_TYPE_ERROR, type_term, term))
+
+
+@deterministic("must_be/2", is_locked=False)
+def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
+    """Raise an error unless a term has a type."""
+    failure = check(type_term, term)
+    if failure is not None:
+        raise failure
+    return True
+
+
+@deterministic("is_of_type/2", is_locked=False)
+def is_of_type(machine: Machine, type_term: Term, term: Term) -> bool:
+    """Test that a term has a type; fail for an unknown type."""
+    type_term = deref(type_term)
+    if type_term.__class__ is Var:
+        raise instantiation_error()
+    return bool(has_type(type_term, deref(term)))
 
 
 _DIF, _FREEZE, _WHEN = functor("dif", 2), functor("freeze", 2), functor("when", 2)
