@@ -5,9 +5,16 @@ import time
 from pathlib import Path
 from typing import Dict, Iterable, List, Optional, Tuple
 
-from ..events.checks.check_registry import ERROR, WARNING, Finding, Suppressions, load_code, run_checks
-from ..events.checks.event_flow_checks import missing_producer_text
-from ..events.checks.message_checks import output_fault
+from ..events.checks.check_registry import (
+    ERROR,
+    WARNING,
+    Finding,
+    Suppressions,
+    code_of_load_problem,
+    run_checks,
+)
+from ..events.checks.event_flow_checks import explain_missing_producer
+from ..events.checks.message_checks import find_output_fault
 from ..events.checks.program_model import ProgramModel
 from ..events.program.topic_configuration import (
     AUTO,
@@ -49,7 +56,7 @@ class FindingCollector(Reports):
 
     def _add_finding(self, severity: str, problem: object) -> None:
         error = problem if isinstance(problem, RetalisError) else RuleError(str(problem))
-        error.code = load_code(error)
+        error.code = code_of_load_problem(error)
         if severity == ERROR or not self._suppressions.suppresses(error):
             self.findings.append(Finding(severity, "load", error))
 
@@ -114,7 +121,7 @@ def explain_missing_source(
     """
     topics = engine.input_topics.merge_with(topics)
     program = ProgramModel(engine.rules, engine.knowledge, definitions, topics, tuple(direct))
-    return missing_producer_text(program, pattern)
+    return explain_missing_producer(program, pattern)
 
 
 def explain_unsendable(
@@ -134,7 +141,7 @@ def explain_unsendable(
         definition = definitions.find(type_name)
     except MessageError:
         return ""
-    return output_fault(definition, subscription, topic) or ""
+    return find_output_fault(definition, subscription, topic) or ""
 
 
 def _sort_findings(findings: List[Finding]) -> List[Finding]:

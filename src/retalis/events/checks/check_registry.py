@@ -1,7 +1,7 @@
 """Registry of the static checks: name, code, severity, and whether a check requires an error-free program.
 
 `run_checks` runs all checks on a `ProgramModel` and yields each finding once. Comments suppress findings:
-``% retalis: ignore=RT1203`` those of the line in which it stands, ``% retalis: ignore-file=RT1203`` those of its
+``% retalis: ignore=RT1203`` those of its line, ``% retalis: ignore-file=RT1203`` those of its
 file. Errors cannot be suppressed.
 """
 
@@ -152,7 +152,7 @@ def _ignored_codes(text: str, scope: str) -> Set[str]:
     }
 
 
-def load_code(error: RetalisError) -> str:
+def code_of_load_problem(error: RetalisError) -> str:
     """Return the code of an error or warning of loading."""
     return next(code for error_class, code in LOAD_CODES if isinstance(error, error_class))
 

@@ -1,8 +1,9 @@
 """Checks of producers and consumers of events: events that never occur, are never used, or do not fit declarations.
 
 Producers are topics, rule heads, timers, declared states, goals, facts ``input_event/1`` and the package itself;
-consumers are rules, memories, subscriptions, states, facts such as ``external_trigger/1``, and flags that log or
-store all events. If a goal creates events that cannot be determined statically, every event counts as produced.
+consumers are rules, memories, subscriptions, states, facts such as ``external_trigger/1``, flags that log or store
+all events, and observers of all events. If a goal creates events that cannot be determined statically, every event
+counts as produced.
 """
 
 from typing import Any, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set
@@ -39,7 +40,7 @@ from .program_model import (
 
 _INPUT_EVENT = functor("input_event", 1)
 SUBSCRIBE_TO = frozenset((functor("subscribe_to", 2), functor("subscribe_to", 3)))
-_OUTPUT_FACTS = frozenset(
+_CONSUMER_FACTS = frozenset(
     functor(name, 1)
     for name in ("external_trigger", "print_trigger", "spy_event", "persistent_event", "persistent_rule")
 )
@@ -77,6 +78,7 @@ class EventProducers:
                 self.places_by_functor.update(dict.fromkeys(_functors_in_fact(clause.head)))
 
     def __contains__(self, key: object) -> bool:
+        """Return whether events of a functor are produced, or may be."""
         return (
             self.has_unknown_events
             or key in self.places_by_functor
@@ -85,7 +87,7 @@ class EventProducers:
 
     def _add_topics(self, program: ProgramModel) -> None:
         for topic, type_name in (*program.topics.subscribed, *program.directly_subscribed):
-            name = program.event_of(topic) or functor_name(type_name)
+            name = program.event_name_of(topic) or functor_name(type_name)
             definition = program.definition(type_name)
             # The number of slots is unknown, so every arity of the name is accepted.
             if definition is None:
@@ -99,9 +101,9 @@ class EventProducers:
             if makes_event(term):
                 self._add_event(deref(term[1]), subterm.place)
             elif term.__class__ is tuple and term[0] in SUBSCRIBE_TO:
-                self._add_topic(program, [deref(argument) for argument in term[1:]])
+                self._add_subscribed_topic(program, [deref(argument) for argument in term[1:]])
 
-    def _add_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
+    def _add_subscribed_topic(self, program: ProgramModel, arguments: Sequence[Term]) -> None:
         """Add the events of a topic that a goal subscribes to."""
         type_name, event = (getattr(argument, "name", None) for argument in (arguments[1], arguments[-1]))
         name = event if len(arguments) == 3 else type_name and functor_name(type_name)
@@ -158,9 +160,9 @@ def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
         reported.add(key)
         suggestion = suggestions.suggest(key, producers.places_by_functor)
         if type_name is not None:
-            yield RuleError(f"{prefix}{_no_topic_text(program, key, type_name)}", subterm.place)
+            yield RuleError(f"{prefix}{_explain_missing_topic(program, key, type_name)}", subterm.place)
         elif suggestion or not may_be_fed_externally:
-            yield RuleError(f"{prefix}{_no_producer_text(key, suggestion)}", subterm.place)
+            yield RuleError(f"{prefix}{_explain_missing_producer(key, suggestion)}", subterm.place)
 
 
 def _has_wrong_arity(program: ProgramModel, type_name: str, key: Functor) -> bool:
@@ -168,23 +170,26 @@ def _has_wrong_arity(program: ProgramModel, type_name: str, key: Functor) -> boo
     return definition is not None and len(definition.fields) != key.arity
 
 
-def _no_topic_text(program: ProgramModel, key: Functor, type_name: str) -> str:
-    renamed_topics = [topic for topic, topic_type in program.topics.subscribed if topic_type == type_name]
-    if renamed_topics:
-        topic = renamed_topics[0]
-        return f"no producer of {key}: the events of topic {topic} are called {program.event_of(topic)}"
+def _explain_missing_topic(program: ProgramModel, key: Functor, type_name: str) -> str:
+    topics_of_type = [topic for topic, topic_type in program.topics.subscribed if topic_type == type_name]
+    if topics_of_type:
+        topic = topics_of_type[0]
+        return f"no producer of {key}: the events of topic {topic} are called {program.event_name_of(topic)}"
     element = f'<subscribe_to name="..." msg_type="{type_name}"/>'
     return f"no producer of {key}: no topic of that type is subscribed; {element} in {TOPICS} subscribes one"
 
 
-def _no_producer_text(key: Functor, suggestion: str) -> str:
+def _explain_missing_producer(key: Functor, suggestion: str) -> str:
     advice = f"; if another program sends it, add the fact input_event({key})."
     hint = f"; did you mean {suggestion}?" if suggestion else advice
     return f"no producer of {key}: no topic, rule or goal{hint}"
 
 
-def missing_producer_text(program: ProgramModel, pattern: Term) -> str:
-    """Return a message if an event pattern has no producer; "" if it has one or if it is a ROS message."""
+def explain_missing_producer(program: ProgramModel, pattern: Term) -> str:
+    """Return a warning if an event pattern has no producer, else "".
+
+    Variables, messages, ``null_event`` and ``rev/1`` get no warning.
+    """
     key = key_of(pattern)
     if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
         return ""
@@ -192,15 +197,15 @@ def missing_producer_text(program: ProgramModel, pattern: Term) -> str:
     return (
         ""
         if key in producers
-        else _no_producer_text(key, FunctorSuggestions().suggest(key, producers.places_by_functor))
+        else _explain_missing_producer(key, FunctorSuggestions().suggest(key, producers.places_by_functor))
     )
 
 
 def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
     """Yield produced events without a consumer."""
     # An observer, such as a recording or a callback for all events, consumes everything.
-    consumed = None if program.has_observer else _consumed_functors(program)
-    if consumed is None:
+    consumed_functors = None if program.has_observer else _consumed_functors(program)
+    if consumed_functors is None:
         return
     suggestions = FunctorSuggestions()
     reported: Set[Functor] = set()
@@ -210,7 +215,7 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
         if (
             head is None
             or key is None
-            or key in consumed
+            or key in consumed_functors
             or key in reported
             or key in _DISCARDED_EVENTS
             or key is _REV
@@ -221,56 +226,59 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
             continue
         reported.add(key)
         place = rule.place_of(head) if deref(head).__class__ is tuple else rule.definition.place
-        yield RuleError(_no_consumer_text(key, consumed, suggestions), place)
+        yield RuleError(_explain_missing_consumer(key, consumed_functors, suggestions), place)
     for subterm in program.all_subterms():
         term = subterm.term
         if makes_event(term) and term[0].name != "event":
             key = key_of(term[1])
-            if key is not None and key not in consumed and key not in reported:
+            if key is not None and key not in consumed_functors and key not in reported:
                 reported.add(key)
-                yield RuleError(_no_consumer_text(key, consumed, suggestions), subterm.place)
+                yield RuleError(_explain_missing_consumer(key, consumed_functors, suggestions), subterm.place)
 
 
-def _no_consumer_text(key: Functor, consumed: FrozenSet[Functor], suggestions: FunctorSuggestions) -> str:
-    suggestion = suggestions.suggest(key, consumed)
+def _explain_missing_consumer(
+    key: Functor, consumed_functors: FrozenSet[Functor], suggestions: FunctorSuggestions
+) -> str:
+    suggestion = suggestions.suggest(key, consumed_functors)
     hint = f"; did you mean {suggestion}?" if suggestion else ": no rule, memory or subscription"
     return f"no consumer of {key}{hint}"
 
 
 def _consumed_functors(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
     """Return the functors of all consumed events, or None if a consumer accepts all events."""
-    consumed: Set[Functor] = set()
+    consumed_functors: Set[Functor] = set()
     for subterm, _ in program.patterns():
         if subterm.key is None:
             return None
-        consumed.add(subterm.key)
+        consumed_functors.add(subterm.key)
         if subterm.key is _REV:
-            consumed.update(filter(None, [key_of(subterm.term[1])]))
+            consumed_functors.update(filter(None, [key_of(subterm.term[1])]))
     for clause in program.clauses:
-        if key_of(clause.head) in _OUTPUT_FACTS:
+        if key_of(clause.head) in _CONSUMER_FACTS:
             functors = list(_functors_in_fact(clause.head))
             if not functors:
                 return None
-            consumed.update(functors)
+            consumed_functors.update(functors)
     flags = program.rule_base.flags
     # These flags log or store all events.
     if any(flags.is_on(name) for name in ("store_fired_events", "logging")):
         return None
-    return frozenset(consumed)
+    return frozenset(consumed_functors)
 
 
 def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that do not fit the declarations of events."""
-    declarations = program.declared
+    declarations = program.declarations
+    # Without declarations, the rules need not be parsed again.
     for rule in program.rules if declarations else ():
         variable_types = VariableTypes(
             {**program.names, **rule.definition.names}, not has_alternatives(rule.definition.term)
         )
         yield from declarations.declaration_errors(events_of_rule(rule), rule.place_of, variable_types)
-    for clause_or_goal in (*program.clauses, *program.goals) if declarations else ():
-        variable_types = VariableTypes(program.names, not has_alternatives(clause_or_goal.parent))
+    for source_term in (*program.clauses, *program.goals) if declarations else ():
+        variable_types = VariableTypes(program.names, not has_alternatives(source_term.parent))
         yield from declarations.declaration_errors(
-            events_of_goals(clause_or_goal), clause_or_goal.place_of, variable_types
+            events_of_goals(source_term), source_term.place_of, variable_types
         )
     for form, place_of, prefix in program.states if declarations else ():
         for error in declarations.declaration_errors(
@@ -288,11 +296,11 @@ def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
 def _find_topic_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics whose events have a declared name, but another number of slots or slots of other types."""
     for topic, type_name in program.topics.subscribed:
-        declaration = program.declared.get(program.event_of(topic))
+        declaration = program.declarations.get(program.event_name_of(topic))
         definition = program.definition(type_name)
         if declaration is None or definition is None:
             continue
-        mismatch = program.declared.functor_error(functor(declaration.name, len(definition.fields)))
+        mismatch = program.declarations.functor_error(functor(declaration.name, len(definition.fields)))
         for slot, argument in zip(definition.fields, () if mismatch else declaration.arguments):
             slot_type = slot_value_type(slot)
             if slot_type is not None and slot_type.excludes(argument.value_type):
@@ -330,11 +338,11 @@ def events_of_rule(rule: SourceRule) -> List[EventTerm]:
 
 
 def events_of_goals(goal: SourceTerm) -> List[EventTerm]:
-    """Return the event patterns that a goal or the body of a clause creates."""
-    return list(events_raised_by_goals(calls(goal.parent, goal.number)))
+    """Return the event patterns in the goals of a directive, goal file or clause."""
+    return list(events_raised_by_goals(calls(goal.parent, goal.position)))
 
 
 def event_of_consumer(consumer: EventConsumer) -> EventTerm:
     """Return the event pattern that a memory or subscription consumes."""
     event = consumer.event
-    return EventTerm(event.term, event.parent, event.number)
+    return EventTerm(event.term, event.parent, event.position)

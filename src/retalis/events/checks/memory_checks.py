@@ -19,7 +19,7 @@ from ..knowledge.transforms import TRANSFORM_PREDICATES
 from ..language.called_predicates import calls
 from ..language.rule_head_parser import SYNCHRONIZED
 from ..language.state_parser import HOLDS, queried_state
-from .predicate_checks import ADDS, RETRACTS, key_of_clause
+from .predicate_checks import ASSERTING_PREDICATES, RETRACTING_PREDICATES, key_of_clause
 from .program_model import ProgramModel, Subterm, did_you_mean, key_of, subterms, wrap_term
 
 MEMORY_READS = frozenset(
@@ -67,7 +67,7 @@ def find_unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
 def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield queries for records that a memory does not have, and memory names in a wrong position."""
     records = _records_by_memory(program)
-    # A memory whose name is known at run time only may have any records.
+    # A memory whose name is computed at run time may be the queried one.
     if None in records:
         return
     for subterm in program.all_subterms():
@@ -75,27 +75,28 @@ def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
         if term.__class__ is not tuple:
             continue
         if term[0] in SYNCHRONIZED:
-            yield from _reversed_pairs(subterm, records)
+            yield from _find_reversed_pairs(subterm, records)
         elif term[0] in _RECORD_READS:
             name, record = deref(term[1]), deref(term[2])
             if isinstance(name, Atom):
                 candidates = records.get(name.name, [record])
                 # Variables of the query and of the records may take any value.
                 if not any(may_unify(candidate, record) for candidate in candidates):
-                    expected = _brief_text(program, candidates[0])
-                    text = f"no record of memory {name.name} is {_brief_text(program, record)}: they are {expected}"
+                    expected = _format_briefly(program, candidates[0])
+                    queried = _format_briefly(program, record)
+                    text = f"no record of memory {name.name} is {queried}: they are {expected}"
                     yield RuleError(text, subterm.place_of(term, 2))
             elif name.__class__ is not Var and isinstance(record, Atom) and record.name in records:
-                text = f"the memory comes first: {term[0].name}({record.name}, {_brief_text(program, name)}, ...)"
+                text = f"the memory comes first: {term[0].name}({record.name}, {_format_briefly(program, name)}, ...)"
                 yield RuleError(text, subterm.place)
 
 
-def _brief_text(program: ProgramModel, term: Term) -> str:
+def _format_briefly(program: ProgramModel, term: Term) -> str:
     return program.logic.brief(term, {var: program.names.get(var, "_") for var in variables(term)})
 
 
 def _records_by_memory(program: ProgramModel) -> Dict[Optional[str], List[Term]]:
-    """Return the records of each memory by its name; the key None exists if a name is known at run time only."""
+    """Return the records of each memory by its name; the key None stands for names that are computed at run time."""
     records: Dict[Optional[str], List[Term]] = {}
     for memory in program.memories:
         name = deref(memory.term[4])
@@ -103,7 +104,7 @@ def _records_by_memory(program: ProgramModel) -> Dict[Optional[str], List[Term]]
     return records
 
 
-def _reversed_pairs(subterm: Subterm, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:
+def _find_reversed_pairs(subterm: Subterm, records: Dict[Optional[str], List[Term]]) -> Iterator[RuleError]:
     """Yield pairs ``[Time, Memory]`` of a synchronized query, whose order must be ``[Memory, Time]``."""
     for item in list_items(subterm.term[3]) or ():
         pair = list_items(item)
@@ -114,6 +115,7 @@ def _reversed_pairs(subterm: Subterm, records: Dict[Optional[str], List[Term]]) 
 
 
 def _memory_names_in(subterm: Subterm) -> Iterator[Atom]:
+    """Yield the names of the memories that a goal reads."""
     term: Any = subterm.term
     if term.__class__ is not tuple:
         return
@@ -132,15 +134,20 @@ _CLAUSE = functor("clause", 2)
 _ABOLISH = functor("abolish_all_tables", 0)
 
 
-class _Dependency(NamedTuple):
-    """Data that a predicate reads: its name in a warning, and its functor for a dynamic predicate."""
+class _ChangingData(NamedTuple):
+    """Data that change at run time and that a predicate reads.
+
+    Attributes:
+        text: name of the data in a warning.
+        dynamic: functor of the dynamic predicate, if the data are its clauses.
+    """
 
     text: str
     dynamic: Optional[Functor] = None
 
 
 class _PredicateDeclaration(NamedTuple):
-    """Place of a declaration, and the names of its options."""
+    """Declaration by ``table/1`` or ``dynamic/1``: its place, and the names of its options."""
 
     place: Optional[Place]
     options: Set[str]
@@ -148,28 +155,29 @@ class _PredicateDeclaration(NamedTuple):
 
 def find_stale_tables(program: ProgramModel) -> Iterator[RuleError]:
     """Yield tables that read changing data and are never evaluated again."""
-    tables = _declarations_of(program, _TABLE)
+    tables = _find_declarations(program, _TABLE)
     if not tables:
         return
     run_time_subterms = list(_run_time_subterms(program))
     if any(subterm.key is _ABOLISH for subterm in run_time_subterms):
         # The program controls the evaluation of its tables itself.
         return
-    changed_predicates = {key for subterm in run_time_subterms for key in _predicates_changed_by(subterm)}
+    changed_predicates = {key for subterm in run_time_subterms for key in _find_changed_predicates(subterm)}
     reads = _direct_reads(program, changed_predicates)
     callers = _callers_by_predicate(program)
     incremental = {key for key in tables if _is_incremental(program, key)}
 
     # A dynamic table is stale if its own clauses change.
     for key in changed_predicates.intersection(tables):
-        reads.setdefault(key, _Dependency("clauses of its own"))
+        reads.setdefault(key, _ChangingData("clauses of its own"))
     readers = _propagate_reads(reads, callers, ())
     for key, declaration in tables.items():
         if key in readers and key not in incremental and "opaque" not in declaration.options:
-            yield RuleError(_not_incremental_text(program, key, readers[key]), declaration.place)
+            yield RuleError(_explain_stale_table(program, key, readers[key]), declaration.place)
 
-    # An incremental table is not notified of changes below one that is not incremental. That one has its own warning.
-    untracked = _untracked_reads(program, reads)
+    # Changes below a table that is not incremental do not reach the incremental tables above it. The lower table has
+    # its own warning, so reads are not propagated beyond it.
+    untracked = _reads_of_untracked_predicates(program, reads)
     readers = _propagate_reads(untracked, callers, [key for key in tables if key not in incremental])
     for key in incremental:
         if key in readers:
@@ -180,29 +188,31 @@ def find_stale_tables(program: ProgramModel) -> Iterator[RuleError]:
             )
 
 
-def _not_incremental_text(program: ProgramModel, key: Functor, dependency: _Dependency) -> str:
+def _explain_stale_table(program: ProgramModel, key: Functor, data: _ChangingData) -> str:
     dynamic_advice = ""
-    if dependency.dynamic is not None and not _is_incremental(program, dependency.dynamic):
-        dynamic_advice = f" and :- dynamic {dependency.dynamic} as incremental"
+    if data.dynamic is not None and not _is_incremental(program, data.dynamic):
+        dynamic_advice = f" and :- dynamic {data.dynamic} as incremental"
     return (
-        f"table {key} reads {dependency.text}, and keeps its answers when that changes: write :- table {key} as "
+        f"table {key} reads {data.text}, and keeps its answers when that changes: write :- table {key} as "
         f"incremental{dynamic_advice}; where it is meant so, :- table {key} as opaque"
     )
 
 
-def _untracked_reads(program: ProgramModel, reads: Dict[Functor, _Dependency]) -> Dict[Functor, _Dependency]:
+def _reads_of_untracked_predicates(
+    program: ProgramModel, reads: Dict[Functor, _ChangingData]
+) -> Dict[Functor, _ChangingData]:
     """Return the reads of dynamic predicates that are neither incremental nor declared opaque."""
     opaque = {
         key
-        for key, declaration in _declarations_of(program, _DYNAMIC).items()
+        for key, declaration in _find_declarations(program, _DYNAMIC).items()
         if "opaque" in declaration.options
     }
     return {
-        key: dependency
-        for key, dependency in reads.items()
-        if dependency.dynamic is not None
-        and dependency.dynamic not in opaque
-        and not _is_incremental(program, dependency.dynamic)
+        key: data
+        for key, data in reads.items()
+        if data.dynamic is not None
+        and data.dynamic not in opaque
+        and not _is_incremental(program, data.dynamic)
     }
 
 
@@ -211,14 +221,14 @@ def _is_incremental(program: ProgramModel, key: Functor) -> bool:
     return predicate is not None and predicate.is_incremental
 
 
-def _declarations_of(program: ProgramModel, key: Functor) -> Dict[Functor, _PredicateDeclaration]:
+def _find_declarations(program: ProgramModel, key: Functor) -> Dict[Functor, _PredicateDeclaration]:
     """Return the declarations that directives make by ``table/1`` or ``dynamic/1``."""
     declarations: Dict[Functor, _PredicateDeclaration] = {}
     for goal in program.goals:
-        for call in calls(goal.parent, goal.number):
+        for call in calls(goal.parent, goal.position):
             term: Any = deref(call.term)
             if term.__class__ is tuple and term[0] is key:
-                place = Subterm(term, call.parent, call.number, goal.place_of).place
+                place = Subterm(term, call.parent, call.position, goal.place_of).place
                 for declared_key, options in _declared_items(term[1]):
                     declaration = declarations.setdefault(declared_key, _PredicateDeclaration(place, set()))
                     declaration.options.update(options)
@@ -251,7 +261,7 @@ def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
     run_time_predicates = _run_time_predicates(program)
     for clause in program.clauses:
         if key_of(clause.head) in run_time_predicates:
-            yield from subterms(clause.parent, clause.number, clause.place_of)
+            yield from subterms(clause.parent, clause.position, clause.place_of)
     for rule in program.rules:
         yield from subterms(wrap_term(rule.definition.term), 1, rule.place_of)
 
@@ -266,12 +276,12 @@ def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
         head_key = key_of(clause.head)
         if head_key is not None:
             callees.setdefault(head_key, set()).update(
-                _functors_of(subterms(clause.parent, clause.number, clause.place_of))
+                _functors_of(subterms(clause.parent, clause.position, clause.place_of))
             )
     called_keys = {
         key
         for goal in program.goals
-        for key in _functors_of(subterms(goal.parent, goal.number, goal.place_of))
+        for key in _functors_of(subterms(goal.parent, goal.position, goal.place_of))
     }
     # A predicate that calls only itself still needs a first caller.
     called_keys.update(key for head_key, keys in callees.items() for key in keys if key is not head_key)
@@ -292,33 +302,33 @@ def _functors_of(terms: Iterable[Subterm]) -> Iterator[Functor]:
     return (subterm.key for subterm in terms if subterm.key is not None)
 
 
-def _predicates_changed_by(subterm: Subterm) -> Iterator[Functor]:
+def _find_changed_predicates(subterm: Subterm) -> Iterator[Functor]:
     """Yield the predicate to which a goal adds clauses, or from which it removes them."""
     term = subterm.term
-    if term.__class__ is tuple and (term[0] in ADDS or term[0] in RETRACTS):
+    if term.__class__ is tuple and (term[0] in ASSERTING_PREDICATES or term[0] in RETRACTING_PREDICATES):
         key = key_of_clause(term[1])
         if key is not None:
             yield key
 
 
-def _direct_reads(program: ProgramModel, changed_predicates: Set[Functor]) -> Dict[Functor, _Dependency]:
-    """Return for each predicate whose clauses read changing data directly one example of that data."""
-    reads: Dict[Functor, _Dependency] = {}
+def _direct_reads(program: ProgramModel, changed_predicates: Set[Functor]) -> Dict[Functor, _ChangingData]:
+    """Return an example of the changing data that each predicate reads itself; other predicates have no entry."""
+    reads: Dict[Functor, _ChangingData] = {}
     for clause in program.clauses:
         head_key = key_of(clause.head)
         if head_key is None or head_key in reads:
             continue
-        for call in calls(clause.parent, clause.number):
-            dependency = _dependency_of_goal(program, call.term, changed_predicates)
-            if dependency is not None:
-                reads[head_key] = dependency
+        for call in calls(clause.parent, clause.position):
+            data = _data_read_by_goal(program, call.term, changed_predicates)
+            if data is not None:
+                reads[head_key] = data
                 break
     return reads
 
 
-def _dependency_of_goal(
+def _data_read_by_goal(
     program: ProgramModel, term: Any, changed_predicates: Set[Functor]
-) -> Optional[_Dependency]:
+) -> Optional[_ChangingData]:
     """Return the changing data that a goal reads, or None."""
     goal: Any = deref(term)
     key = key_of(goal)
@@ -328,19 +338,19 @@ def _dependency_of_goal(
     if key is None:
         return None
     if key in changed_predicates:
-        return _Dependency(f"{key}, which the program changes", key)
+        return _ChangingData(f"{key}, which the program changes", key)
     if goal.__class__ is not tuple or not program.logic.is_system_predicate(key):
         return None
     if key in MEMORY_READS or key is POSE_CHAIN:
         name: Any = deref(goal[1])
-        return _Dependency(
+        return _ChangingData(
             f"memory {name.name}" if isinstance(name, Atom) and key is not POSE_CHAIN else "memories"
         )
     if key in TRANSFORM_PREDICATES:
-        return _Dependency("transforms")
+        return _ChangingData("transforms")
     if key in HOLDS:
         state = queried_state(goal)
-        return _Dependency("states" if state is None else f"state {state}")
+        return _ChangingData("states" if state is None else f"state {state}")
     return None
 
 
@@ -350,7 +360,7 @@ def _callers_by_predicate(program: ProgramModel) -> Dict[Functor, List[Functor]]
     for clause in program.clauses:
         head_key = key_of(clause.head)
         if head_key is not None:
-            for call in calls(clause.parent, clause.number):
+            for call in calls(clause.parent, clause.position):
                 key = key_of(call.term)
                 if key is not None:
                     callers.setdefault(key, []).append(head_key)
@@ -358,9 +368,12 @@ def _callers_by_predicate(program: ProgramModel) -> Dict[Functor, List[Functor]]
 
 
 def _propagate_reads(
-    reads: Dict[Functor, _Dependency], callers: Dict[Functor, List[Functor]], barriers: Iterable[Functor]
-) -> Dict[Functor, _Dependency]:
-    """Return the data that each predicate reads directly or by its calls; propagation stops at ``barriers``."""
+    reads: Dict[Functor, _ChangingData], callers: Dict[Functor, List[Functor]], barriers: Iterable[Functor]
+) -> Dict[Functor, _ChangingData]:
+    """Return the data that each predicate reads itself or by its calls.
+
+    Reads of predicates in ``barriers`` are not propagated to their callers.
+    """
     readers = dict(reads)
     barrier_keys = set(barriers)
     pending = deque(readers)

@@ -34,7 +34,7 @@ from .program_model import (
     ProgramModel,
     Subterm,
     closest_name,
-    constant_place,
+    constant_place_lookup,
     did_you_mean,
     is_variable,
     subterms,
@@ -48,34 +48,34 @@ _COLON_PAIR = functor(":", 2)
 
 def find_message_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield terms that have the name of a message type but do not fit it."""
-    definitions = [program.definition(type_name) for type_name in _topic_types(program)]
+    definitions = [program.definition(type_name) for type_name in _types_of_topics(program)]
     names = sorted(
         {
             name
             for definition in definitions
             if definition
-            for name in (definition.name, *_nested_types(definition))
+            for name in (definition.name, *_names_of_nested_types(definition))
         }
     )
     packages_without_types = {
         type_name.partition("/")[0]
-        for type_name in _topic_types(program)
+        for type_name in _types_of_topics(program)
         if _is_defined_later(program, type_name)
     }
     reported: Set[Functor] = set()
-    for subterm, prefix in _messages(program):
+    for subterm, prefix in _subterms_named_as_messages(program):
         key = subterm.key
         type_name = None if key is None or key in reported else program.type_of(key.name)
         if key is None or type_name is None:
             continue
         # One error per functor: all events of that name have the same fault.
         reported.add(key)
-        fault = _type_fault(program, key, type_name, names, packages_without_types)
+        fault = _find_type_fault(program, key, type_name, names, packages_without_types)
         if fault:
             yield RuleError(f"{prefix}{fault}", subterm.place)
 
 
-def _topic_types(program: ProgramModel) -> List[str]:
+def _types_of_topics(program: ProgramModel) -> List[str]:
     topics = program.topics
     return [
         type_name for _, type_name in (*topics.subscribed, *topics.published, *program.directly_subscribed)
@@ -87,11 +87,11 @@ def _is_defined_later(program: ProgramModel, type_name: str) -> bool:
     return program.definition(type_name) is None and not program.definitions.misspelt(type_name)
 
 
-def _nested_types(definition: Definition) -> List[str]:
+def _names_of_nested_types(definition: Definition) -> List[str]:
     return [nested.name for nested in definition.dependencies()]
 
 
-def _messages(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
+def _subterms_named_as_messages(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
     """Yield all terms named after a message type, and all events named after a topic."""
     for subterm, prefix in _all_subterms(program):
         if subterm.key is not None and type_name(subterm.key.name) is not None:
@@ -108,7 +108,7 @@ def _event_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
         head = event_raised_by(rule.definition.head)
         if head is not None:
             place = rule.definition.place if head.__class__ is Atom else rule.place_of(head)
-            yield Subterm(head, wrap_term(head), 1, constant_place(place)), ""
+            yield Subterm(head, wrap_term(head), 1, constant_place_lookup(place)), ""
     for subterm in program.all_subterms():
         if subterm.term.__class__ is tuple and subterm.term[0] in NEW_EVENT:
             yield Subterm(deref(subterm.term[1]), subterm.term, 1, subterm.place_of), ""
@@ -119,20 +119,21 @@ def _all_subterms(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
         for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             yield subterm, ""
     for consumer in (*program.memories, *program.subscriptions):
-        for number in (1, 3):
-            for subterm in subterms(consumer.term, number, consumer.place_of):
+        for position in (1, 3):
+            for subterm in subterms(consumer.term, position, consumer.place_of):
                 yield subterm, consumer.prefix
     for clause in program.clauses:
-        for subterm in subterms(clause.parent, clause.number, clause.place_of):
+        for subterm in subterms(clause.parent, clause.position, clause.place_of):
             yield subterm, ""
 
 
-def _type_fault(
+def _find_type_fault(
     program: ProgramModel, key: Functor, type_name: str, names: List[str], packages_without_types: Set[str]
 ) -> str:
     definition = program.definition(type_name)
     if definition is None:
-        # A type of the same package may come later, so the definitions of the package are not available here at all.
+        # If another type of the package is unknown here, its definitions come from the publishers later. This one may
+        # then be defined as well, so it is not reported.
         if type_name.partition("/")[0] in packages_without_types:
             return ""
         closest = closest_name(type_name, names, 0.8) or program.definitions.misspelt(type_name)
@@ -150,13 +151,13 @@ def _type_fault(
 def find_impossible_values(program: ProgramModel) -> Iterator[RuleError]:
     """Yield values in patterns that no message has in that slot."""
     for event, prefix in program.patterns():
-        for subterm in subterms(event.parent, event.number, event.place_of):
+        for subterm in subterms(event.parent, event.position, event.place_of):
             definition = program.message_of(subterm.term)
             if definition is None:
                 continue
             for position, slot in enumerate(definition.fields, 1):
                 value = deref(subterm.term[position])
-                fault = _slot_named_in_parentheses(definition, subterm.term, value) or _value_fault(
+                fault = _find_slot_named_in_parentheses(definition, subterm.term, value) or _find_value_fault(
                     slot, value
                 )
                 if fault:
@@ -164,7 +165,7 @@ def find_impossible_values(program: ProgramModel) -> Iterator[RuleError]:
                     yield RuleError(f"{prefix}{message}", subterm.place_of(subterm.term, position))
 
 
-def _slot_named_in_parentheses(definition: Definition, message: CompoundTerm, value: Any) -> str:
+def _find_slot_named_in_parentheses(definition: Definition, message: CompoundTerm, value: Any) -> str:
     """Return the error for a slot that is named as in ``button(data: true)``, or ""."""
     name = deref(value[1]) if value.__class__ is tuple and value[0] is _COLON_PAIR else None
     if not isinstance(name, Atom) or name.name not in [slot.name for slot in definition.fields]:
@@ -172,7 +173,7 @@ def _slot_named_in_parentheses(definition: Definition, message: CompoundTerm, va
     return f"is not named in parentheses: write {message[0].name}{{{name.name}: ...}}"
 
 
-def _value_fault(slot: Field, value: Any) -> str:
+def _find_value_fault(slot: Field, value: Any) -> str:
     """Return the reason why a slot never has a value, or ""."""
     if value.__class__ is Var:
         return ""
@@ -181,18 +182,18 @@ def _value_fault(slot: Field, value: Any) -> str:
         # An open list may have any length.
         return "" if is_list else "is a list in events: write [...]"
     if slot.type == "string" or slot.is_bytes:
-        return _text_fault(value)
+        return _find_text_fault(value)
     if slot.definition is not None:
-        return _message_fault(slot.definition, value)
+        return _find_message_fault(slot.definition, value)
     if slot.type in _TIMES:
         items = list_items(value)
         return "" if items is not None and len(items) == 2 else "is a stamp in events: write [Sec,NSec]"
     if slot.type == "bool":
         return "" if value is TRUE or value is FALSE else "is true or false in events"
-    return _number_fault(value)
+    return _find_number_fault(value)
 
 
-def _text_fault(value: Any) -> str:
+def _find_text_fault(value: Any) -> str:
     if isinstance(value, (Atom, String)):
         content = value.name if isinstance(value, Atom) else value.text
         # Strings of messages are atoms that include the quotes, which distinguishes them from other atoms.
@@ -206,7 +207,7 @@ def _text_fault(value: Any) -> str:
     )
 
 
-def _number_fault(value: Any) -> str:
+def _find_number_fault(value: Any) -> str:
     if isinstance(value, (int, float)) or (isinstance(value, Atom) and value.name in _SPECIAL_NUMBERS):
         return ""
     if value.__class__ is tuple and value[0].name == "-":
@@ -223,7 +224,7 @@ def _is_numeral(text: str) -> bool:
     return True
 
 
-def _message_fault(definition: Definition, value: Any) -> str:
+def _find_message_fault(definition: Definition, value: Any) -> str:
     name = value[0].name if value.__class__ is tuple else getattr(value, "name", "")
     if name == definition.functor_name:
         return ""
@@ -237,11 +238,11 @@ def _is_open_list(value: Term) -> bool:
 
 def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield outputs of subscriptions that do not fit the message types of their topics."""
-    published = {comparable_topic(topic): type_name for topic, type_name in program.topics.published}
+    published = {normalize_topic(topic): type_name for topic, type_name in program.topics.published}
     for subscription, topic in _subscriptions_with_topic(program):
-        type_name = published.get(comparable_topic(topic))
+        type_name = published.get(normalize_topic(topic))
         definition = None if type_name is None else program.definition(type_name)
-        fault = None if definition is None else output_fault(definition, subscription.term, topic)
+        fault = None if definition is None else find_output_fault(definition, subscription.term, topic)
         if fault is not None:
             yield RuleError(
                 f"{subscription.prefix}{fault}",
@@ -251,11 +252,11 @@ def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
 
 def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
-    published = [comparable_topic(topic) for topic, _ in program.topics.published]
+    published = [normalize_topic(topic) for topic, _ in program.topics.published]
     reported: Set[str] = set()
     for subscription, topic in _subscriptions_with_topic(program):
         if topic in reported or any(
-            _may_be_same_topic(comparable_topic(topic), published_topic) for published_topic in published
+            _may_be_same_topic(normalize_topic(topic), published_topic) for published_topic in published
         ):
             continue
         reported.add(topic)
@@ -263,13 +264,13 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
         advice = f'; <publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
         yield RuleError(
             f"topic {name} has no type: its events are published only as text on retalisOutputEvents"
-            f"{did_you_mean(comparable_topic(topic), published) or advice}",
+            f"{did_you_mean(normalize_topic(topic), published) or advice}",
             subscription.place_of(subscription.term, 4),
         )
 
 
 def _subscriptions_with_topic(program: ProgramModel) -> Iterator[Tuple[EventConsumer, str]]:
-    """Yield the subscriptions with a known topic, each with the topic."""
+    """Yield the subscriptions whose topic is no variable, each with its topic."""
     for subscription in program.subscriptions:
         if not is_variable(subscription.term[4]):
             yield subscription, program.topic(subscription.term[4])
@@ -280,12 +281,12 @@ def _may_be_same_topic(first: str, second: str) -> bool:
     return first == second or first.endswith(f"/{second}") or second.endswith(f"/{first}")
 
 
-def comparable_topic(topic: str) -> str:
-    """Return a topic name in the form that is used for comparisons."""
+def normalize_topic(topic: str) -> str:
+    """Return a topic name without leading slashes, so that names differ in the namespace at most."""
     return topic.lstrip("/")
 
 
-def output_fault(definition: Definition, subscription: CompoundTerm, topic: str) -> Optional[str]:
+def find_output_fault(definition: Definition, subscription: CompoundTerm, topic: str) -> Optional[str]:
     """Return the reason why the output of a subscription is not a message of a type, or None.
 
     The answer is None as well if it depends on the values of variables.
@@ -304,15 +305,15 @@ _ROOT_ELEMENT = "publish_subscribe"
 
 
 class Element(NamedTuple):
-    """Element of the XML file, with its place."""
+    """Element of ``pub_sub.xml``, with its place."""
 
     tag: str
     attributes: Dict[str, str]
     place: Place
 
 
-def elements(path: Path) -> List[Element]:
-    """Return the elements of a file without errors, or an empty list if it cannot be read."""
+def read_elements(path: Path) -> List[Element]:
+    """Return the elements of ``pub_sub.xml``; none if it cannot be read or is not well-formed."""
     result: List[Element] = []
     try:
         text = read_text(path)
@@ -321,7 +322,7 @@ def elements(path: Path) -> List[Element]:
     lines = text.splitlines()
     parser = expat.ParserCreate()
 
-    def element(tag: str, attributes: Dict[str, str]) -> None:
+    def add_element(tag: str, attributes: Dict[str, str]) -> None:
         line_number = parser.CurrentLineNumber
         line = lines[line_number - 1] if line_number <= len(lines) else ""
         result.append(
@@ -329,7 +330,7 @@ def elements(path: Path) -> List[Element]:
         )
 
     # expat reports positions, which the standard tree parsers do not.
-    parser.StartElementHandler = element
+    parser.StartElementHandler = add_element
     try:
         parser.Parse(text, True)
     except expat.ExpatError:
@@ -339,12 +340,12 @@ def elements(path: Path) -> List[Element]:
 
 
 def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield likely mistakes in the file, and misspelt types in goals."""
-    yield from _subscribe_goal_errors(program)
+    """Yield likely mistakes in ``pub_sub.xml``, and misspelt types in goals."""
+    yield from _find_misspelt_types_in_goals(program)
     if program.folder is None:
         return
     elements_by_topic: Dict[Tuple[str, str], Element] = {}
-    for element in elements(program.folder / TOPICS):
+    for element in read_elements(program.folder / TOPICS):
         attributes = ATTRIBUTES.get(element.tag)
         if attributes is None:
             if element.attributes and element.tag != _ROOT_ELEMENT:
@@ -361,29 +362,27 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
                 yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
         topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
         # Names with and without a leading slash denote the same topic at the top level.
-        first = elements_by_topic.setdefault((element.tag, comparable_topic(topic)), element)
+        first = elements_by_topic.setdefault((element.tag, normalize_topic(topic)), element)
         if first is not element:
-            yield RuleError(_duplicate_topic_text(element, first, topic, type_name), element.place)
-        yield from _misspelt_type_errors(program, type_name, element.place)
+            yield RuleError(_explain_duplicate_topic(element, first, topic, type_name), element.place)
+        yield from _find_misspelt_type(program, type_name, element.place)
 
 
-def _subscribe_goal_errors(program: ProgramModel) -> Iterator[RuleError]:
+def _find_misspelt_types_in_goals(program: ProgramModel) -> Iterator[RuleError]:
     for subterm in program.all_subterms():
         if subterm.key in SUBSCRIBE_TO:
-            yield from _misspelt_type_errors(
+            yield from _find_misspelt_type(
                 program, getattr(deref(subterm.term[2]), "name", ""), subterm.place
             )
 
 
-def _misspelt_type_errors(
-    program: ProgramModel, type_name: str, place: Optional[Place]
-) -> Iterator[RuleError]:
+def _find_misspelt_type(program: ProgramModel, type_name: str, place: Optional[Place]) -> Iterator[RuleError]:
     closest = program.definitions.misspelt(type_name)
     if closest:
         yield RuleError(f"there is no message type {type_name}; did you mean {closest}?", place)
 
 
-def _duplicate_topic_text(element: Element, first: Element, topic: str, type_name: str) -> str:
+def _explain_duplicate_topic(element: Element, first: Element, topic: str, type_name: str) -> str:
     action = "subscribed" if element.tag == "subscribe_to" else "published"
     other_type = first.attributes.get("msg_type", "").strip()
     types = "" if other_type == type_name else f", as {other_type}"

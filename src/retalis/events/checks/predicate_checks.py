@@ -27,14 +27,14 @@ from .program_model import (
     wrap_term,
 )
 
-ADDS = frozenset(
+ASSERTING_PREDICATES = frozenset(
     functor(name, arity)
     for name, arity in (
         *((name, 1) for name in ("assert", "asserta", "assertz", "db")),
         *((name, 2) for name in ("assert", "asserta", "assertz")),
     )
 )
-_DECLARES = frozenset(
+_DECLARING_PREDICATES = frozenset(
     (
         *[
             functor(name, 1)
@@ -43,12 +43,12 @@ _DECLARES = frozenset(
         functor("dynamic", 2),
     )
 )
-RETRACTS = frozenset(functor(name, 1) for name in ("retract", "retractall"))
+RETRACTING_PREDICATES = frozenset(functor(name, 1) for name in ("retract", "retractall"))
 _CUT = functor("!", 0)
-_DEFINES_UNKNOWN = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
+_FOREIGN_IMPORTS = frozenset((functor("use_foreign", 1), functor("use_swi", 1)))
 _SWI_IMPORT = functor("use_swi", 2)
 _AS_OPTION = functor("as", 2)
-_DEFINED_IN_CONDITIONS = frozenset((functor("t1", 1), functor("t2", 1)))
+_INTERVAL_PREDICATES = frozenset((functor("t1", 1), functor("t2", 1)))
 
 
 class _DefinablePredicates:
@@ -60,9 +60,11 @@ class _DefinablePredicates:
         self.has_unknown_predicates = False
         for subterm in program.all_subterms():
             term = subterm.term
-            if term.__class__ is tuple and (term[0] in ADDS or term[0] in _DECLARES):
+            if term.__class__ is tuple and (
+                term[0] in ASSERTING_PREDICATES or term[0] in _DECLARING_PREDICATES
+            ):
                 # Foreign libraries define predicates that are not listed in the program.
-                self.has_unknown_predicates = self.has_unknown_predicates or term[0] in _DEFINES_UNKNOWN
+                self.has_unknown_predicates = self.has_unknown_predicates or term[0] in _FOREIGN_IMPORTS
                 self._add_predicates(term[1])
             elif term.__class__ is tuple and term[0] is _SWI_IMPORT:
                 self._add_predicates(term[2], renames=True)
@@ -112,8 +114,8 @@ def find_operators_in_clauses(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def _calls_in(clause: SourceTerm) -> Iterator[Subterm]:
-    for call in calls(clause.parent, clause.number):
-        yield Subterm(call.term, call.parent, call.number, clause.place_of)
+    for call in calls(clause.parent, clause.position):
+        yield Subterm(call.term, call.parent, call.position, clause.place_of)
 
 
 def find_redefined_builtins(program: ProgramModel) -> Iterator[RuleError]:
@@ -130,7 +132,7 @@ def find_redefined_builtins(program: ProgramModel) -> Iterator[RuleError]:
 
 def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
     """Yield calls of undefined predicates in clauses."""
-    defined = _DefinablePredicates(program)
+    definable = _DefinablePredicates(program)
     reported: Dict[Functor, None] = {}
     for clause in program.clauses:
         for subterm in _calls_in(clause):
@@ -139,9 +141,9 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
                 key is None
                 or key in reported
                 or key is _CUT
-                or key in _DEFINED_IN_CONDITIONS
+                or key in _INTERVAL_PREDICATES
                 or key in OPERATOR_NAMES
-                or key in defined
+                or key in definable
             ):
                 continue
             # Each predicate is reported once, at its first call.
@@ -159,25 +161,25 @@ _MAX_HINTS = 100
 
 def find_never_asserted(program: ProgramModel) -> Iterator[RuleError]:
     """Yield predicates that are retracted but never asserted."""
-    defined = _DefinablePredicates(program)
-    nearby = FunctorSuggestions()
+    definable = _DefinablePredicates(program)
+    suggestions = FunctorSuggestions()
     reported: Set[Functor] = set()
     for subterm in program.all_subterms():
         term = subterm.term
-        key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTS else None
-        if key is None or key in reported or key in defined.keys or defined.has_unknown_predicates:
+        key = key_of_clause(term[1]) if term.__class__ is tuple and term[0] in RETRACTING_PREDICATES else None
+        if key is None or key in reported or key in definable.keys or definable.has_unknown_predicates:
             continue
         # A predicate with clauses from another source, for example a loaded state, has something to retract.
         if program.logic.defines(key) and not _is_empty(program, key):
             continue
         reported.add(key)
-        nearest = nearby.suggest(key, defined.keys)
-        hint = f"; did you mean {nearest}?" if nearest else ""
+        suggestion = suggestions.suggest(key, definable.keys)
+        hint = f"; did you mean {suggestion}?" if suggestion else ""
         yield RuleError(f"nothing asserts {key}, so there is never a clause to retract{hint}", subterm.place)
 
 
 def _is_empty(program: ProgramModel, key: Functor) -> bool:
-    """Return whether a predicate has no clauses; a retract on an unknown predicate leaves an empty dynamic one."""
+    """Return whether a predicate has no clauses. Retracting creates an empty one."""
     predicate = program.logic.database.predicates.get(key)
     return predicate is None or (
         predicate.kind != "builtin" and not predicate.is_library_predicate and not len(predicate)
@@ -198,7 +200,6 @@ def find_unloaded_rule_file(program: ProgramModel) -> Iterator[RuleError]:
         return
     path = program.folder / RULES
     if not os.path.isfile(path) or program.rule_base.files.has_loaded(path):
-        # An unreadable file counts as absent.
         return
     try:
         goals = read_text(program.folder / GOALS)
@@ -212,14 +213,16 @@ def find_unloaded_rule_file(program: ProgramModel) -> Iterator[RuleError]:
 def find_undeclared_states(program: ProgramModel) -> Iterator[RuleError]:
     """Yield states that goals query but nothing declares."""
     declared_functors = [state.form.functor for state in program.states]
-    nearby = FunctorSuggestions()
+    suggestions = FunctorSuggestions()
     for subterm in program.calls():
         key = queried_state(subterm.term)
         if key is None or key in declared_functors or not program.logic.is_system_predicate(subterm.term[0]):
             continue
-        nearest = nearby.suggest(key, declared_functors)
+        suggestion = suggestions.suggest(key, declared_functors)
         hint = (
-            f"; did you mean {nearest}?" if nearest else ": state(S, from(Event), until(Event)) declares one"
+            f"; did you mean {suggestion}?"
+            if suggestion
+            else ": state(S, from(Event), until(Event)) declares one"
         )
         yield RuleError(f"there is no state {key}{hint}", subterm.place)
 
@@ -243,7 +246,7 @@ def find_duplicate_labels(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def find_singletons(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield named variables with a single occurrence in a rule, clause or goal."""
+    """Yield variables without a leading ``_`` that occur once in a rule, clause or goal."""
     for read_term in program.read_terms:
         unreported: Set[Var] = {read_term.names[name] for name in read_term.singletons}
         if not unreported:
@@ -252,7 +255,7 @@ def find_singletons(program: ProgramModel) -> Iterator[RuleError]:
         for subterm in subterms(wrap_term(read_term.term), 1, read_term.place_of):
             term: Any = deref(subterm.term)
             if term.__class__ is Var and term in unreported:
-                # A variable that the reader counted once has one place.
+                # The reader has counted one occurrence, so this is the only place.
                 unreported.discard(term)
                 name = names[term]
                 yield RuleError(

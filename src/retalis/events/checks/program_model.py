@@ -1,9 +1,10 @@
 """Model of a loaded program for the static checks, with source positions.
 
 Loaded rules and clauses do not keep the places of their subterms. `parse_sources_again` therefore parses the files of
-the program a second time and keeps rules, clauses and goals together with functions that give places. Definitions
-without a source file, for example asserted at run time, are taken from the loaded program, with the place of the
-whole.
+the program a second time and keeps rules, clauses and goals together with functions that return places
+(`PlaceLookup`). Definitions without a source file, for example clauses asserted at run time, are taken from the
+loaded program; of these, only the place of the start is known, if any. As in the rest of the package, the *key* of a
+term, event or predicate is its functor.
 
 `closest_name`, `did_you_mean` and `FunctorSuggestions` find similar names for "did you mean" hints within a bounded
 time.
@@ -103,24 +104,24 @@ class SourceTerm(NamedTuple):
 
     Attributes:
         head: the head of a clause; None for a goal.
-        parent: term with the body as argument ``number``.
+        parent: term with the body as argument ``position``.
         place_of: returns the places of its parts.
         place: the place where it starts.
     """
 
     head: Optional[Term]
     parent: CompoundTerm
-    number: int
+    position: int
     place_of: PlaceLookup
     place: Optional[Place]
 
 
 class Subterm(NamedTuple):
-    """Subterm: argument ``number`` of ``parent``."""
+    """Subterm: argument ``position`` of ``parent``."""
 
     term: Any
     parent: CompoundTerm
-    number: int
+    position: int
     place_of: PlaceLookup
 
     @property
@@ -128,7 +129,7 @@ class Subterm(NamedTuple):
         """The place where it starts, or that of the operator for an operator term."""
         if self.term.__class__ is tuple:
             return self.place_of(self.term)
-        return self.place_of(self.parent, self.number)
+        return self.place_of(self.parent, self.position)
 
     @property
     def key(self) -> Optional[Functor]:
@@ -142,9 +143,9 @@ def key_of(term: Any) -> Optional[Functor]:
     return term[0] if term.__class__ is tuple else term.functor if term.__class__ is Atom else None
 
 
-def subterms(parent: CompoundTerm, number: int, place_of: PlaceLookup) -> Iterator[Subterm]:
+def subterms(parent: CompoundTerm, position: int, place_of: PlaceLookup) -> Iterator[Subterm]:
     """Yield an argument of a term and all its subterms, from left to right."""
-    stack = [Subterm(deref(parent[number]), parent, number, place_of)]
+    stack = [Subterm(deref(parent[position]), parent, position, place_of)]
     while stack:
         subterm = stack.pop()
         yield subterm
@@ -162,13 +163,13 @@ def wrap_term(term: Term) -> CompoundTerm:
 
 
 class ParsedSources(NamedTuple):
-    """Contents of the files of a program, with places."""
+    """Contents of the files of a program, with places; ``paths`` are the files that were parsed."""
 
     rules: List[SourceRule]
     clauses: List[SourceTerm]
     goals: List[SourceTerm]
     read_terms: List[ReadTerm]
-    sources: Set[str]
+    paths: Set[str]
 
 
 def parse_sources_again(logic: PrologSystem, folder: Path, loaded_paths: Iterable[Path]) -> ParsedSources:
@@ -182,11 +183,12 @@ def parse_sources_again(logic: PrologSystem, folder: Path, loaded_paths: Iterabl
     sources = ParsedSources([], [], [], [], set())
     real_folder = Path(os.path.realpath(folder))
     goal_files = [folder / GOALS]
+    # `_add_goals` appends the files that a goal file includes.
     for path in goal_files:
         _add_goals(sources, goal_files, path, logic)
     read_paths = {os.path.realpath(path) for path in goal_files}
     paths = [
-        *_loaded_files(sources.goals, folder),
+        *_files_loaded_by(sources.goals, folder),
         *sorted(_path_as_written(path, real_folder, folder) for path in loaded_paths),
     ]
     for path in paths:
@@ -194,23 +196,23 @@ def parse_sources_again(logic: PrologSystem, folder: Path, loaded_paths: Iterabl
             read_paths.add(os.path.realpath(path))
             text = _read_short_text(path)
             if text:
-                sources.sources.add(str(path))
+                sources.paths.add(str(path))
                 _add_file(sources, read_program(text, logic.operators.copy(), str(path), OF_FILES))
     return sources
 
 
 def _path_as_written(path: Path, real_folder: Path, folder: Path) -> Path:
-    """Return a path in the form that the goals of the program use."""
+    """Return a real path relative to the folder as given, as the goals of the program write it."""
     try:
         return folder / path.relative_to(real_folder)
     except ValueError:
         return path
 
 
-def _loaded_files(goals: Iterable[SourceTerm], folder: Path) -> Iterator[Path]:
+def _files_loaded_by(goals: Iterable[SourceTerm], folder: Path) -> Iterator[Path]:
     """Yield the files that goals load, in order."""
     for goal in goals:
-        for subterm in subterms(goal.parent, goal.number, goal.place_of):
+        for subterm in subterms(goal.parent, goal.position, goal.place_of):
             if subterm.term.__class__ is tuple and subterm.key in _LOAD_GOALS:
                 name = _file_name(deref(subterm.term[1]))
                 if name and os.path.isfile(folder / name):
@@ -240,20 +242,21 @@ def _add_goals(sources: ParsedSources, files: List[Path], path: Path, logic: Pro
         goal: Any = goal_of(read_term.term)
         if goal.__class__ is tuple and goal[0] is _INCLUDE:
             included = path.parent / (_file_name(deref(goal[1])) or path.name)
-            # The list grows while it is iterated: included files are read in turn, and cycles end.
+            # The caller iterates over this list while it grows, so included files are read as well. Each file is
+            # added once, so files that include each other end the iteration.
             if included not in files and len(files) < _MAX_FILES:
                 files.append(included)
             continue
         sources.read_terms.append(read_term)
-        sources.goals.append(_source_goal(goal, read_term))
+        sources.goals.append(_create_source_goal(goal, read_term))
 
 
-def _source_goal(goal: Term, read_term: ReadTerm) -> SourceTerm:
+def _create_source_goal(goal: Term, read_term: ReadTerm) -> SourceTerm:
     parent = wrap_term(goal)
 
-    def place_of(part: Term, number: int = 0) -> Place:
+    def place_of(part: Term, position: int = 0) -> Place:
         # The wrapping term is not in the source: its place is that of the goal.
-        return read_term.place_of(goal) if part is parent else read_term.place_of(part, number)
+        return read_term.place_of(goal) if part is parent else read_term.place_of(part, position)
 
     return SourceTerm(None, parent, 1, place_of, read_term.place)
 
@@ -269,13 +272,16 @@ def _add_file(sources: ParsedSources, program: Iterable[Union[ReadTerm, SyntaxFa
             sources.rules.append(SourceRule(definition, read_term.place_of))
         for entry in checker.entries:
             if entry.kind is EntryKind.CLAUSE:
-                sources.clauses.append(clause_of(entry.term, read_term.place_of, read_term.place))
+                sources.clauses.append(source_clause_of(entry.term, read_term.place_of, read_term.place))
             elif entry.kind is EntryKind.DIRECTIVE:
-                sources.goals.append(_source_goal(entry.term, read_term))
+                sources.goals.append(_create_source_goal(entry.term, read_term))
 
 
-def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> SourceTerm:
-    """Return the parts of a clause; for a grammar rule, only its predicate."""
+def source_clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> SourceTerm:
+    """Return the parts of a clause.
+
+    A grammar rule gets the body ``true``, because its goals are known after its translation only.
+    """
     if term.__class__ is tuple and term[0] is NECK:
         return SourceTerm(deref(term[1]), term, 2, place_of, place)
     if term.__class__ is tuple and term[0] is _GRAMMAR:
@@ -287,17 +293,17 @@ def clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -> Sourc
     return SourceTerm(term, wrap_term(TRUE), 1, place_of, place)
 
 
-def clause_at(head: Term, body: Term, place: Optional[Place]) -> SourceTerm:
+def create_clause(head: Term, body: Term, place: Optional[Place]) -> SourceTerm:
     """Return a clause with the place of its start; the places of its subterms are unknown."""
-    return SourceTerm(head, (NECK, head, body), 2, constant_place(place), place)
+    return SourceTerm(head, (NECK, head, body), 2, constant_place_lookup(place), place)
 
 
-def constant_place(place: Optional[Place]) -> PlaceLookup:
-    """Return a function that gives the same place for all parts."""
+def constant_place_lookup(place: Optional[Place]) -> PlaceLookup:
+    """Return a function that returns the same place for all parts."""
     if place is None:
         return no_place
 
-    def place_of(part: Term, number: int = 0) -> Optional[Place]:
+    def place_of(part: Term, position: int = 0) -> Optional[Place]:
         return place
 
     return place_of
@@ -311,8 +317,9 @@ class EventConsumer(NamedTuple):
     """Memory or subscription.
 
     Attributes:
-        term: ``(Functor, Pattern, Conditions, Form, Id or Topic, Size or Id)``.
-        prefix: beginning of messages if its place is unknown.
+        term: the goal: ``memorize(Pattern, Conditions, Template, Id, Size)`` or
+            ``subscribe(Pattern, Conditions, Template, Topic, Id)``.
+        prefix: beginning of warnings about it, which names it if its place is unknown; otherwise empty.
         place_of: returns the places of its parts.
     """
 
@@ -331,26 +338,26 @@ class EventConsumer(NamedTuple):
         """The event pattern and its position; for ``P with S`` the event is P, inside that term."""
         consumed = deref(self.term[1])
         event = subscription_event(consumed) if self.term[0] is SUBSCRIBE else consumed
-        return Subterm(event, self.term if event is consumed else _compound(consumed), 1, self.place_of)
+        return Subterm(event, self.term if event is consumed else _as_compound(consumed), 1, self.place_of)
 
     @property
     def form(self) -> Term:
-        """The form of its records or outputs, as written."""
+        """The template of its records or outputs, as written."""
         return deref(self.term[3])
 
     @property
     def stores_whole_event(self) -> bool:
-        """True if the form is a free variable such as ``_``: then the event itself is stored or sent."""
+        """True if the template is a free variable such as ``_``: then the event itself is stored or sent."""
         return is_event_variable(self.pattern, deref(self.term[2]), self.form)
 
     @property
     def output_term(self) -> Term:
-        """The term that is stored or sent: the form, or the event itself."""
+        """The term that is stored or sent: the template, or the event itself."""
         return self.pattern if self.stores_whole_event else self.form
 
 
 class StateDeclaration(NamedTuple):
-    """Declared state, with a function for the places of its parts and a prefix for messages without a place."""
+    """Declared state, with a function for the places of its parts and a prefix for warnings without a place."""
 
     form: StateForm
     place_of: PlaceLookup
@@ -362,7 +369,7 @@ class ProgramModel:
 
     Args:
         rules: the rules.
-        knowledge: the memories and subscriptions.
+        knowledge: the memories, subscriptions and states.
         definitions: the known message types.
         topics: contents of ``pub_sub.xml``.
         directly_subscribed: topics that node retalis subscribes to itself.
@@ -382,7 +389,7 @@ class ProgramModel:
     ):
         self.rule_base = rules
         self.logic: PrologSystem = rules.logic
-        self._renamed = {
+        self._types_by_event_name = {
             topics.event_of(topic): type_name
             for topic, type_name in topics.subscribed
             if topics.event_of(topic)
@@ -400,35 +407,35 @@ class ProgramModel:
             var: name for read in files.read_terms for name, var in read.names.items()
         }
         self.goals: List[SourceTerm] = files.goals
-        self.rules = [*files.rules, *_other_rules(rules, files.sources)]
-        self.clauses = [*files.clauses, *_other_clauses(self.logic, files.sources)]
-        self.declared = rules.declared.current()
+        self.rules = [*files.rules, *_rules_from_elsewhere(rules, files.paths)]
+        self.clauses = [*files.clauses, *_clauses_from_elsewhere(self.logic, files.paths)]
+        self.declarations = rules.declared.current()
         self.memories: List[EventConsumer] = []
         self.subscriptions: List[EventConsumer] = []
         self.states: List[StateDeclaration] = []
         self._collect_consumers(knowledge)
         self._collect_states(knowledge)
-        self._types: Dict[str, Optional[Definition]] = {}
+        self._definitions_by_type: Dict[str, Optional[Definition]] = {}
 
     def definition(self, type_name: Optional[str]) -> Optional[Definition]:
         """Return the definition of a message type, or None if it is unknown."""
         if type_name is None:
             return None
-        if type_name not in self._types:
+        if type_name not in self._definitions_by_type:
             try:
                 # Unknown types are stored as None, so that their files are searched once.
-                self._types[type_name] = self.definitions.find(type_name)
+                self._definitions_by_type[type_name] = self.definitions.find(type_name)
             except MessageError:
-                self._types[type_name] = None
-        return self._types[type_name]
+                self._definitions_by_type[type_name] = None
+        return self._definitions_by_type[type_name]
 
-    def event_of(self, topic: str) -> str:
+    def event_name_of(self, topic: str) -> str:
         """Return the event name of a topic if it differs from that of its type, else ""."""
         return self.topics.event_of(topic)
 
     def type_of(self, name: str) -> Optional[str]:
         """Return the message type of the events with a name, or None."""
-        return type_name(name) or self._renamed.get(name)
+        return type_name(name) or self._types_by_event_name.get(name)
 
     def message_of(self, term: Any) -> Optional[Definition]:
         """Return the definition of the message type of a term.
@@ -439,11 +446,11 @@ class ProgramModel:
         return definition if definition is not None and len(definition.fields) == len(term) - 1 else None
 
     def patterns(self) -> Iterator[Tuple[Subterm, str]]:
-        """Yield the awaited events, each with a prefix for messages without a place."""
+        """Yield the awaited events, each with a prefix for warnings without a place."""
         for rule in self.rules:
             term = rule.definition.term
             rule_subterms = list(
-                subterms(_wrapped_rule(rule), 1, rule.place_of)
+                subterms(_wrap_rule(rule), 1, rule.place_of)
                 if rule.definition.head is None or term.__class__ is not tuple
                 else subterms(term, 2, rule.place_of)
             )
@@ -453,61 +460,61 @@ class ProgramModel:
         for consumer in (*self.memories, *self.subscriptions):
             yield consumer.event, consumer.prefix
         for form, place_of, prefix in self.states:
-            for part in map(deref, _compound(form.term)[2:4]):
-                parent = _compound(part)
+            for part in map(deref, _as_compound(form.term)[2:4]):
+                parent = _as_compound(part)
                 yield Subterm(deref(parent[1]), parent, 1, place_of), prefix
 
     def calls(self) -> Iterator[Subterm]:
         """Yield the calls in goals of files, bodies of clauses, and goals of rules."""
-        goals = [
-            (goal_or_clause.parent, goal_or_clause.number, goal_or_clause.place_of)
-            for goal_or_clause in (*self.goals, *self.clauses)
+        calls_with_places = [
+            (source_term.parent, source_term.position, source_term.place_of)
+            for source_term in (*self.goals, *self.clauses)
         ]
         for rule in self.rules:
             for part in walk(rule.definition.pattern, negated=True):
                 if not isinstance(part, EventPattern):
-                    goals += [(wrap_term(goal), 1, rule.place_of) for goal in own_terms(part)]
-        for parent, number, place_of in goals:
-            for call in calls(parent, number):
-                yield Subterm(call.term, call.parent, call.number, place_of)
+                    calls_with_places += [(wrap_term(goal), 1, rule.place_of) for goal in own_terms(part)]
+        for parent, position, place_of in calls_with_places:
+            for call in calls(parent, position):
+                yield Subterm(call.term, call.parent, call.position, place_of)
 
     def all_subterms(self) -> Iterator[Subterm]:
         """Yield all subterms of goals, clauses and rules."""
-        for goal_or_clause in (*self.goals, *self.clauses):
-            yield from subterms(goal_or_clause.parent, goal_or_clause.number, goal_or_clause.place_of)
+        for source_term in (*self.goals, *self.clauses):
+            yield from subterms(source_term.parent, source_term.position, source_term.place_of)
         for rule in self.rules:
-            yield from subterms(_wrapped_rule(rule), 1, rule.place_of)
+            yield from subterms(_wrap_rule(rule), 1, rule.place_of)
 
     def _collect_consumers(self, knowledge: KnowledgeBase) -> None:
         """Collect memories and subscriptions, from the files and from the loaded program."""
-        of_files: Set[Tuple[str, Any]] = set()
+        keys_in_files: Set[Tuple[str, Any]] = set()
         for subterm in self.all_subterms():
             term = subterm.term
             if term.__class__ is not tuple or (term[0] not in MEMORIZE and term[0] is not SUBSCRIBE):
                 continue
             if subterm.key is SUBSCRIBE:
                 self.subscriptions.append(EventConsumer(term, "", subterm.place_of))
-                of_files.add((self.topic(term[4]), term_key(deref(term[5]))))
+                keys_in_files.add((self.topic(term[4]), term_key(deref(term[5]))))
             else:
                 self.memories.append(EventConsumer(term, "", subterm.place_of))
-                of_files.add(("", term_key(deref(term[4]))))
+                keys_in_files.add(("", term_key(deref(term[4]))))
         for instance in knowledge.memories:
             # Memories of the files were collected with places already; the others were created at run time.
-            if ("", term_key(instance.id)) not in of_files:
+            if ("", term_key(instance.id)) not in keys_in_files:
                 prefix = f"memory {self.logic.brief(instance.id)}: "
                 self.memories.append(
-                    EventConsumer(_compound(instance.definition), prefix, constant_place(None))
+                    EventConsumer(_as_compound(instance.definition), prefix, constant_place_lookup(None))
                 )
         for (topic, _), subscription in knowledge.subscriptions.items():
-            if (topic, term_key(subscription.id)) not in of_files:
+            if (topic, term_key(subscription.id)) not in keys_in_files:
                 prefix = f"a subscription of topic {topic}: "
                 self.subscriptions.append(
-                    EventConsumer(_compound(subscription.definition), prefix, constant_place(None))
+                    EventConsumer(_as_compound(subscription.definition), prefix, constant_place_lookup(None))
                 )
 
     def _collect_states(self, knowledge: KnowledgeBase) -> None:
         """Collect declared states, from the files and from the loaded program."""
-        of_files = set()
+        keys_in_files = set()
         for subterm in self.all_subterms():
             if declares_state(subterm.term):
                 try:
@@ -516,23 +523,26 @@ class ProgramModel:
                     # Reported when it was declared.
                     continue
                 self.states.append(StateDeclaration(form, subterm.place_of, ""))
-                of_files.add(form.key)
+                keys_in_files.add(form.key)
         for state in knowledge.states:
-            if state.form.key not in of_files:
-                self.states.append(StateDeclaration(state.form, constant_place(None), f"{state.name}: "))
+            if state.form.key not in keys_in_files:
+                self.states.append(
+                    StateDeclaration(state.form, constant_place_lookup(None), f"{state.name}: ")
+                )
 
     def topic(self, term: Term) -> str:
-        """Return the topic of a subscription as text."""
+        """Return the topic of a subscription, which need not be an atom, as text."""
         topic: Any = deref(term)
         return str(topic.name) if hasattr(topic, "name") else self.logic.show(topic, quoted=False)
 
 
-def _compound(term: Any) -> CompoundTerm:
+def _as_compound(term: Any) -> CompoundTerm:
+    """Return a term unchanged; its type is known here and not to mypy."""
     compound: CompoundTerm = term
     return compound
 
 
-def _wrapped_rule(rule: SourceRule) -> CompoundTerm:
+def _wrap_rule(rule: SourceRule) -> CompoundTerm:
     return wrap_term(rule.definition.term)
 
 
@@ -549,24 +559,24 @@ def _locate(rule_subterms: List[Subterm], term: Term, place_of: PlaceLookup) -> 
     return candidates[0] if candidates else Subterm(term, wrap_term(term), 1, place_of)
 
 
-def _other_rules(rules: RuleBase, sources: Set[str]) -> List[SourceRule]:
+def _rules_from_elsewhere(rules: RuleBase, parsed_paths: Set[str]) -> List[SourceRule]:
     """Return the rules that are not in a parsed file."""
     return [
-        SourceRule(rule.definition, constant_place(rule.place))
+        SourceRule(rule.definition, constant_place_lookup(rule.place))
         for rule in rules.rules
-        if rule.place is None or rule.place.source not in sources
+        if rule.place is None or rule.place.source not in parsed_paths
     ]
 
 
-def _other_clauses(logic: PrologSystem, sources: Set[str]) -> List[SourceTerm]:
+def _clauses_from_elsewhere(logic: PrologSystem, parsed_paths: Set[str]) -> List[SourceTerm]:
     """Return the clauses that are not in a parsed file."""
     clauses = []
     for predicate in list(logic.database.predicates.values()):
         # Predicates of libraries are not part of the program.
         if predicate.kind == "user" and not predicate.is_library_predicate:
             for clause in predicate.active_clauses():
-                if clause.place is None or clause.place.source not in sources:
-                    clauses.append(clause_at(clause.head, clause.body, clause.place))
+                if clause.place is None or clause.place.source not in parsed_paths:
+                    clauses.append(create_clause(clause.head, clause.body, clause.place))
     return clauses
 
 

@@ -38,14 +38,14 @@ from ..language.pattern_tree import (
 from ..language.rule_head_parser import ALARMS, TIMER, event_raised_by, schedule_error
 from .program_model import ProgramModel, SourceRule, key_of, subterms, wrap_term
 
-DAY = 86_400
+SECONDS_PER_DAY = 86_400
 _UNIT_HINT = "spans are in seconds"
 _NEW_EVENT_INTERVAL = functor("new_event", 3)
 _UNRESTRICTED, _RECENT, _OFF = atom("unrestricted"), atom("recent"), atom("off")
 
 
-class _Trigger(NamedTuple):
-    """Rule that an event fires on its own, as soon as it occurs."""
+class _TriggerEdge(NamedTuple):
+    """Edge of the graph of events: an event that fires a rule alone and at once, and the head of the rule."""
 
     rule: SourceRule
     head: Term
@@ -54,116 +54,114 @@ class _Trigger(NamedTuple):
 
 def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules by which an event raises itself immediately and without end."""
-    # Removing triggers outside of cycles first keeps the search fast for programs with thousands of rules.
-    triggers = _cyclic_triggers([trigger for rule in program.rules for trigger in _triggers_of_rule(rule)])
-    indices_by_event = _indices_by_event(triggers)
+    # Removing edges outside of cycles first keeps the search fast for programs with thousands of rules.
+    edges = _remove_acyclic_edges([edge for rule in program.rules for edge in _trigger_edges_of(rule)])
+    indices_by_event = _indices_by_event(edges)
     reported: Set[int] = set()
-    for index, trigger in enumerate(triggers):
-        cycle = None if index in reported else _shortest_cycle(triggers, indices_by_event, index)
-        if cycle is None or any(member in reported for member in cycle):
+    for index, edge in enumerate(edges):
+        cycle = None if index in reported else _shortest_cycle(edges, indices_by_event, index)
+        if cycle is None or any(edge_index in reported for edge_index in cycle):
             continue
         reported.update(cycle)
-        names = " <- ".join(str(key_of(triggers[member].head)) for member in reversed([*cycle, cycle[0]]))
+        names = " <- ".join(
+            str(key_of(edges[edge_index].head)) for edge_index in reversed([*cycle, cycle[0]])
+        )
         subject = (
-            f"{key_of(trigger.head)} fires itself"
+            f"{key_of(edge.head)} fires itself"
             if len(cycle) == 1
             else f"these events fire each other ({names})"
         )
         yield RuleError(
             f"{subject}, at once and without end: give the rule a condition (where) or another head",
-            trigger.rule.definition.place,
+            edge.rule.definition.place,
         )
 
 
-def _triggers_of_rule(rule: SourceRule) -> Iterator[_Trigger]:
+def _trigger_edges_of(rule: SourceRule) -> Iterator[_TriggerEdge]:
     head = rule.definition.head
-    # Alarms and queries raise their event later, so they end a cycle without time.
+    # Alarms and queries raise their event later, so a cycle through them takes time.
     if head is None or key_of(head) in ALARMS or event_raised_by(head) is not deref(head):
         return
-    for event in _sole_triggers(rule.definition.pattern):
+    for event in _events_sufficient_for(rule.definition.pattern):
         if key_of(event) is not None and key_of(head) is not None:
-            yield _Trigger(rule, head, event)
+            yield _TriggerEdge(rule, head, event)
 
 
-def _sole_triggers(pattern: Pattern) -> Iterator[Term]:
+def _events_sufficient_for(pattern: Pattern) -> Iterator[Term]:
     """Yield the events that match a pattern on their own and unconditionally."""
     if isinstance(pattern, EventPattern):
         yield pattern.term
     elif isinstance(pattern, OrPattern):
         for branch in pattern.branches:
-            yield from _sole_triggers(branch)
+            yield from _events_sufficient_for(branch)
     elif isinstance(pattern, WithinPattern) or (isinstance(pattern, ActionPattern) and not pattern.every):
-        yield from _sole_triggers(pattern.pattern)
+        yield from _events_sufficient_for(pattern.pattern)
 
 
-def _indices_by_event(triggers: List[_Trigger]) -> Dict[Optional[Functor], List[int]]:
-    """Return the indices of the triggers of each functor."""
+def _indices_by_event(edges: List[_TriggerEdge]) -> Dict[Optional[Functor], List[int]]:
+    """Return the indices of the edges that begin at each functor."""
     indices: Dict[Optional[Functor], List[int]] = {}
-    for index, trigger in enumerate(triggers):
-        indices.setdefault(key_of(trigger.event), []).append(index)
+    for index, edge in enumerate(edges):
+        indices.setdefault(key_of(edge.event), []).append(index)
     return indices
 
 
-def _cyclic_triggers(triggers: List[_Trigger]) -> List[_Trigger]:
-    """Return the triggers that can be part of a cycle: all others are removed in topological order."""
-    producer_counts = Counter(key_of(trigger.head) for trigger in triggers)
-    indices_by_event = _indices_by_event(triggers)
+def _remove_acyclic_edges(edges: List[_TriggerEdge]) -> List[_TriggerEdge]:
+    """Return the edges that can be part of a cycle: all others are removed in topological order."""
+    producer_counts = Counter(key_of(edge.head) for edge in edges)
+    indices_by_event = _indices_by_event(edges)
     removed: Set[int] = set()
-    # Kahn's algorithm: triggers whose event no trigger raises are not part of a cycle.
+    # Kahn's algorithm: an edge that begins at an event without incoming edges is not part of a cycle.
     sources = [key for key in indices_by_event if not producer_counts[key]]
     while sources:
         for index in indices_by_event.get(sources.pop(), ()):
             removed.add(index)
-            key = key_of(triggers[index].head)
+            key = key_of(edges[index].head)
             producer_counts[key] -= 1
             if not producer_counts[key]:
                 sources.append(key)
-    return [trigger for index, trigger in enumerate(triggers) if index not in removed]
+    return [edge for index, edge in enumerate(edges) if index not in removed]
 
 
 def _shortest_cycle(
-    triggers: List[_Trigger], indices_by_event: Dict[Optional[Functor], List[int]], start: int
+    edges: List[_TriggerEdge], indices_by_event: Dict[Optional[Functor], List[int]], start: int
 ) -> Optional[List[int]]:
-    """Return the shortest cycle through a trigger, or None."""
+    """Return the indices of the edges of the shortest cycle through an edge, or None."""
     predecessor: Dict[int, int] = {}
     level = [start]
     while level:
         next_level = []
         for index in level:
-            for next_index in indices_by_event.get(key_of(triggers[index].head), ()):
-                trigger = triggers[next_index]
+            for next_index in indices_by_event.get(key_of(edges[index].head), ()):
+                edge = edges[next_index]
                 # Breadth first, so the first way back is the shortest.
-                if next_index == start and _raises(triggers[index], trigger):
+                if next_index == start and _may_trigger(edges[index], edge):
                     cycle = [index]
                     while cycle[-1] != start:
                         cycle.append(predecessor[cycle[-1]])
                     return cycle[::-1]
-                if (
-                    next_index not in predecessor
-                    and next_index != start
-                    and _raises(triggers[index], trigger)
-                ):
+                if next_index not in predecessor and next_index != start and _may_trigger(edges[index], edge):
                     predecessor[next_index] = index
                     next_level.append(next_index)
         level = next_level
     return None
 
 
-def _raises(trigger: _Trigger, next_trigger: _Trigger) -> bool:
+def _may_trigger(edge: _TriggerEdge, next_edge: _TriggerEdge) -> bool:
     trail: Trail = []
     # The functors are equal; the arguments may exclude each other.
-    unifies = unify(copy(trigger.head), copy(next_trigger.event), trail)
+    unifies = unify(copy(edge.head), copy(next_edge.event), trail)
     undo(trail, 0)
     return bool(unifies)
 
 
-_SAMPLE_INSTANTS = [(at, at) for at in range(3)]
+_SAMPLE_INSTANTS = [(instant, instant) for instant in range(3)]
 _SAMPLE_INTERVALS = list(combinations_with_replacement(range(5), 2))
 
 
 def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
     """Yield joins whose operands can never have the required intervals, because one operand is always an instant."""
-    instants = _Instants(program)
+    instants = _InstantEvents(program)
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):
             if isinstance(node, PairPattern) and node.operator in OPERATORS:
@@ -194,7 +192,7 @@ _REQUIREMENTS = {
 
 
 def _can_match(operator: str, left_is_instant: bool, right_is_instant: bool) -> bool:
-    """Return whether the comparisons of an operator hold for some intervals of the given kinds."""
+    """Return whether the comparisons of an operator hold for some intervals, or instants where required."""
     comparisons = OPERATORS[operator].comparisons
     # The comparisons depend on the order of four end points only, and five values are enough for every order.
     for s1, e1 in _SAMPLE_INSTANTS if left_is_instant else _SAMPLE_INTERVALS:
@@ -213,13 +211,13 @@ def _comparison_holds(comparison: str, values: Dict[str, int]) -> bool:
     ]
 
 
-class _Instants:
+class _InstantEvents:
     """Events that are always instants: messages, alarms, and heads of rules with one such event."""
 
     def __init__(self, program: ProgramModel):
         self._program = program
         self._rules_by_event: Dict[Functor, List[SourceRule]] = {}
-        self._events_of_goals: Set[Functor] = set()
+        self._functors_in_goals: Set[Functor] = set()
         for rule in program.rules:
             key = None if rule.definition.head is None else key_of(event_raised_by(rule.definition.head))
             if key is not None:
@@ -234,9 +232,9 @@ class _Instants:
                 key = key_of(term[1])
                 # ``new_event/3`` sets an interval; a goal with a variable may raise any event.
                 if key is not None and term[0] is not _NEW_EVENT_INTERVAL:
-                    self._events_of_goals.add(key)
+                    self._functors_in_goals.add(key)
                 elif key is None:
-                    self._events_of_goals.add(_ANY_EVENT)
+                    self._functors_in_goals.add(_ANY_EVENT)
 
         self._instant_functors = self._find_instant_heads()
 
@@ -251,14 +249,14 @@ class _Instants:
         return key not in self._rules_by_event and _is_message(self._program, key)
 
     def _find_instant_heads(self) -> Set[Functor]:
-        """Return the heads that are always instants, for chains of rules of any length."""
+        """Return the functors of heads that are always instants, also through chains of rules."""
         missing_instants: Dict[Functor, Set[Functor]] = {}
         dependents: Dict[Functor, List[Functor]] = {}
         for key, rules in self._rules_by_event.items():
             required = (
                 None
-                if key in self._events_of_goals or _ANY_EVENT in self._events_of_goals
-                else _required_instants(rules)
+                if key in self._functors_in_goals or _ANY_EVENT in self._functors_in_goals
+                else _events_that_must_be_instants(rules)
             )
             if required is not None:
                 missing_instants[key] = {
@@ -286,7 +284,7 @@ def _is_message(program: ProgramModel, key: Functor) -> bool:
     return type_name is not None and any(topic_type == type_name for _, topic_type in topics)
 
 
-def _required_instants(rules: List[SourceRule]) -> Optional[Set[Functor]]:
+def _events_that_must_be_instants(rules: List[SourceRule]) -> Optional[Set[Functor]]:
     """Return the events that must be instants for the heads of rules to be instants, or None if they never are."""
     required: Set[Functor] = set()
     for rule in rules:
@@ -301,7 +299,11 @@ def _required_instants(rules: List[SourceRule]) -> Optional[Set[Functor]]:
 
 
 def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
-    """Return the events that are each a match of a pattern, or None if a match has several events or any event."""
+    """Return the functors of the events that each match a pattern alone.
+
+    Returns:
+        None if a match consists of several events, or if any event matches.
+    """
     events: Set[Functor] = set()
     stack: List[Pattern] = [pattern]
     while stack:
@@ -325,7 +327,7 @@ def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
         for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
             term = subterm.term
             if term.__class__ is tuple and OPERATOR_NAMES.get(term[0]) == "within" and len(term) == 3:
-                problem = _long_span_text(deref(term[2]))
+                problem = _explain_long_span(deref(term[2]))
                 if problem:
                     yield RuleError(f"within {problem}", rule.place_of(term, 2))
     labels = {
@@ -338,8 +340,9 @@ def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
                 problem = (
                     "0: nothing but instants is ever matched"
                     if prop.number == 0
-                    else _long_span_text(prop.number)
+                    else _explain_long_span(prop.number)
                 )
+                # A time to live may be long, and 0 turns it off.
                 problem = "" if prop.name == "ttl" else problem
             if problem:
                 rule_of_label = labels.get(key)
@@ -349,10 +352,10 @@ def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
                 )
 
 
-def _long_span_text(span: Any) -> str:
-    if span.__class__ not in (int, float) or not span > DAY:
+def _explain_long_span(span: Any) -> str:
+    if span.__class__ not in (int, float) or not span > SECONDS_PER_DAY:
         return ""
-    return f"{span} is {span / DAY:.3g} days: {_UNIT_HINT}"
+    return f"{span} is {span / SECONDS_PER_DAY:.3g} days: {_UNIT_HINT}"
 
 
 def find_unbounded_waits(program: ProgramModel) -> Iterator[RuleError]:
@@ -415,11 +418,10 @@ def _operators_without_bound(pattern: Pattern) -> Iterator[Pattern]:
         if isinstance(node, (WindowPattern, RatePattern, AbsencePattern)):
             if not is_bounded:
                 yield node
-            # A bound applies to the outputs of the operator, not to its inputs.
+            # A bound above other operators limits their inputs as well; above a stream operator, only its outputs.
             is_bounded = False
         elif isinstance(node, WithinPattern):
             is_bounded = True
-        # A bound above an operator limits its inputs as well, except for stream operators (see above).
         stack += [(child, is_bounded) for child in reversed(children(node, False))]
         if isinstance(node, (NotPattern, AbsencePattern)):
             stack.append((node.negated, False))

@@ -60,18 +60,19 @@ _MESSAGE_PREDICATES = {
 _NUMERIC_AGGREGATES = frozenset(
     functor(name, function.arity) for name, function in AGGREGATES.items() if function.is_numeric
 )
-_ELEMENTWISE = frozenset(name for name, function in AGGREGATES.items() if function.accepts_arrays)
+_ELEMENTWISE_AGGREGATES = frozenset(name for name, function in AGGREGATES.items() if function.accepts_arrays)
 _AGGREGATE, *_ = names_of_kind(OperatorKind.AGGREGATE)
 _WINDOW = functor(_AGGREGATE, 4)
 
 
-class SlotType(NamedTuple):
-    """Type of a variable, from the slot in which it occurs.
+class SlotOccurrence(NamedTuple):
+    """Occurrence of a variable in a typed slot.
 
     Attributes:
         value_type: the type.
         slot: slot and message type, or declared argument and event.
-        is_created: whether the program creates that term: the value then comes from elsewhere and goes into the slot.
+        is_created: whether the program creates the term with the slot. Then the value comes from elsewhere and is put
+            into the slot; otherwise the value comes from the slot.
     """
 
     value_type: ValueType
@@ -79,7 +80,7 @@ class SlotType(NamedTuple):
     is_created: bool
 
     @property
-    def text(self) -> str:
+    def description(self) -> str:
         """A value of the type in words."""
         return self.value_type.description
 
@@ -94,14 +95,14 @@ def find_type_conflicts(program: ProgramModel) -> Iterator[RuleError]:
     for rule in program.rules:
         parent = wrap_term(rule.definition.term)
         names = {**program.names, **rule.definition.names}
-        events = events_of_rule(rule) if program.declared else []
+        events = events_of_rule(rule) if program.declarations else []
         yield from _check_clause(
             program, parent, rule.place_of, names, events, event_raised_by(rule.definition.head)
         )
     for clause in program.clauses:
         # A fact has no parent with head and body, so it is wrapped.
         clause_term = clause.parent if clause.parent[0] is NECK else wrap_term(clause.head or clause.parent)
-        events = events_of_goals(clause) if program.declared else []
+        events = events_of_goals(clause) if program.declarations else []
         yield from _check_clause(program, wrap_term(clause_term), clause.place_of, program.names, events)
     for consumer in (*program.memories, *program.subscriptions):
         events = [event_of_consumer(consumer)]
@@ -117,26 +118,26 @@ def _check_clause(
     place_of: PlaceLookup,
     names: Any,
     events: List[EventTerm],
-    out: Optional[Term] = None,
+    output: Optional[Term] = None,
 ) -> Iterator[RuleError]:
-    """Yield the problems of one rule or clause; ``out`` is the term that it creates."""
+    """Yield the problems of one rule or clause; ``output`` is the event, record or output that it creates."""
     all_subterms = list(subterms(parent, 1, place_of))
-    slots: Dict[Var, SlotType] = {}
+    slots: Dict[Var, SlotOccurrence] = {}
     has_alternatives = any(subterm.key in _ALTERNATIVES for subterm in all_subterms)
-    created = _created_terms(all_subterms, out)
+    created_ids = _ids_of_created_terms(all_subterms, output)
     event_ids = {id(deref(event.term)) for event in events}
     for subterm in all_subterms:
-        is_created = id(subterm.term) in created
-        for position, value_type, slot in _typed_arguments(program, subterm.term, is_created, event_ids):
+        is_created = id(subterm.term) in created_ids
+        for position, value_type, slot in _find_typed_arguments(program, subterm.term, is_created, event_ids):
             value = deref(subterm.term[position])
             if value.__class__ is not Var:
                 continue
-            occurrence = SlotType(value_type, slot, is_created)
+            occurrence = SlotOccurrence(value_type, slot, is_created)
             first_occurrence = slots.setdefault(value, occurrence)
             # In a term with alternatives, the two occurrences may belong to different branches.
             if first_occurrence.value_type.excludes(value_type) and not has_alternatives:
                 yield RuleError(
-                    _type_clash_text(_variable_name(value, names), first_occurrence, occurrence),
+                    _explain_type_clash(_name_variable(value, names), first_occurrence, occurrence),
                     place_of(subterm.term, position),
                 )
                 slots.pop(value)
@@ -148,10 +149,10 @@ def _check_clause(
                 slots[value] = occurrence
     if slots:
         yield from _check_goals(all_subterms, slots, names)
-    yield from _check_array_arguments(program, all_subterms, slots, names)
+    yield from _check_predicate_arguments(program, all_subterms, slots, names)
 
 
-def _typed_arguments(
+def _find_typed_arguments(
     program: ProgramModel, term: Any, is_created: bool, event_ids: Set[int]
 ) -> Iterator[Tuple[int, ValueType, str]]:
     """Yield the arguments of a message or declared event: position, type, name of the slot for error texts."""
@@ -162,34 +163,38 @@ def _typed_arguments(
             if value_type is not None and not (is_created and _accepts_other_types(slot)):
                 yield position, value_type, f"{slot.name} of {definition.name}"
     elif term.__class__ is tuple and id(term) in event_ids:
-        declaration = program.declared.get(term[0].name)
+        declaration = program.declarations.get(term[0].name)
         if declaration is not None and declaration.key is term[0]:
             for position, argument in enumerate(declaration.arguments, 1):
                 yield position, argument.value_type, f"{argument.name} of {declaration.key}"
 
 
-def _created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[int]:
+def _ids_of_created_terms(all_subterms: List[Subterm], output: Optional[Term]) -> Set[int]:
     """Return the ids of the terms that are created.
 
-    These are rule heads, forms of memories and subscriptions, and events of goals.
+    These are the head of a rule, the template of a memory or subscription, and events of goals, with their subterms.
     """
-    makers = [] if output is None else [wrap_term(deref(output))]
-    makers += [subterm.term for subterm in all_subterms if makes_event(subterm.term)]
+    parents = [] if output is None else [wrap_term(deref(output))]
+    parents += [subterm.term for subterm in all_subterms if makes_event(subterm.term)]
     # By identity: an equal term may occur as a pattern as well. The ids stay unique, because the terms are alive.
-    return {id(subterm.term) for maker in makers for subterm in subterms(maker, 1, no_place)}
+    return {id(subterm.term) for parent in parents for subterm in subterms(parent, 1, no_place)}
 
 
-def _type_clash_text(name: str, first: SlotType, second: SlotType) -> str:
-    """Return the message for a variable with two types."""
-    # The message names the source of the value first.
+def _explain_type_clash(name: str, first: SlotOccurrence, second: SlotOccurrence) -> str:
+    """Return the warning for a variable with two types."""
+    # The warning names the source of the value first.
     if first.is_created and not second.is_created:
         first, second = second, first
-    if second.is_created and not first.is_created and second.text == "a text":
-        return f"{name} is {first.text} ({first.slot}) and goes into a text ({second.slot}): {_as_text_advice(name)}"
-    return f"{name} is {first.text} ({first.slot}) and, here, {second.text} ({second.slot}): these are never equal"
+    if second.is_created and not first.is_created and second.description == "a text":
+        advice = _advise_conversion_to_text(name)
+        return f"{name} is {first.description} ({first.slot}) and goes into a text ({second.slot}): {advice}"
+    second_text = f"{second.description} ({second.slot})"
+    return f"{name} is {first.description} ({first.slot}) and, here, {second_text}: these are never equal"
 
 
-def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:
+def _check_goals(
+    all_subterms: List[Subterm], slots: Dict[Var, SlotOccurrence], names: Any
+) -> Iterator[RuleError]:
     reported: Set[Var] = set()
     for subterm in all_subterms:
         key = subterm.key
@@ -210,16 +215,20 @@ def _check_goals(all_subterms: List[Subterm], slots: Dict[Var, SlotType], names:
                 # The arguments of arithmetic functions are numbers as well.
                 operands += [(term, argument_position) for argument_position in range(1, len(term))]
             occurrence = slots.get(term) if term.__class__ is Var else None
-            if occurrence is not None and occurrence.text in _ADVICE and term not in reported:
+            if (
+                occurrence is not None
+                and occurrence.description in _ADVICE_BY_DESCRIPTION
+                and term not in reported
+            ):
                 reported.add(term)
                 yield RuleError(
-                    _not_number_text(_variable_name(term, names), occurrence),
+                    _explain_not_a_number(_name_variable(term, names), occurrence),
                     subterm.place_of(parent, position),
                 )
 
 
-def _check_array_arguments(
-    program: ProgramModel, all_subterms: List[Subterm], slots: Dict[Var, SlotType], names: Any
+def _check_predicate_arguments(
+    program: ProgramModel, all_subterms: List[Subterm], slots: Dict[Var, SlotOccurrence], names: Any
 ) -> Iterator[RuleError]:
     """Yield arguments that are not the array or the message that a predicate takes."""
     for subterm in all_subterms:
@@ -232,8 +241,8 @@ def _check_array_arguments(
         occurrence = slots.get(argument) if argument.__class__ is Var else None
         text = ""
         if occurrence is not None and not occurrence.is_created:
-            value = f"{_variable_name(argument, names)} is {occurrence.text} ({occurrence.slot})"
-            if expected is None and occurrence.text in _SCALAR_DESCRIPTIONS:
+            value = f"{_name_variable(argument, names)} is {occurrence.description} ({occurrence.slot})"
+            if expected is None and occurrence.description in _SCALAR_DESCRIPTIONS:
                 text = f"{value}, not an array: {subterm.key} takes a list of numbers"
             elif expected is not None and occurrence.value_type.message_name != functor_name(expected):
                 text = f"{value}, not a whole message: {subterm.key} takes a {expected}"
@@ -247,49 +256,61 @@ def _check_array_arguments(
 
 _SCALAR_DESCRIPTIONS = ("a number", "true or false", "an atom")
 
-_ADVICE = {
+_ADVICE_BY_DESCRIPTION = {
     "a text": "compare texts with == or \\==",
     "true or false": "write == true or == false",
     "a string": "compare strings with == or \\==",
     "an atom": "compare atoms with == or \\==",
     "a list": "take a number of it, as with nth0/3 or array_min/2",
 }
-"""Advice for values that are not numbers; timestamps count as numbers."""
+"""Advice for values that are not numbers, by `ValueType.description`; timestamps count as numbers."""
 
 
-def _not_number_text(name: str, occurrence: SlotType) -> str:
-    """Return the message for a variable that is used as a number but has another type."""
+def _explain_not_a_number(name: str, occurrence: SlotOccurrence) -> str:
+    """Return the warning for a variable that is used as a number but has another type."""
     if not occurrence.is_created:
-        return f"{name} is {occurrence.text} ({occurrence.slot}), not a number: {_ADVICE[occurrence.text]}"
-    advice = _as_text_advice(name) if occurrence.text == "a text" else "send another variable"
-    return f"{name} is a number here and goes into {occurrence.text} ({occurrence.slot}): {advice}"
+        advice = _ADVICE_BY_DESCRIPTION[occurrence.description]
+        return f"{name} is {occurrence.description} ({occurrence.slot}), not a number: {advice}"
+    advice = (
+        _advise_conversion_to_text(name) if occurrence.description == "a text" else "send another variable"
+    )
+    return f"{name} is a number here and goes into {occurrence.description} ({occurrence.slot}): {advice}"
 
 
-def _as_text_advice(name: str) -> str:
+def _advise_conversion_to_text(name: str) -> str:
     return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
 
 
-def _check_aggregated_terms(subterm: Subterm, slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:
+def _check_aggregated_terms(
+    subterm: Subterm, slots: Dict[Var, SlotOccurrence], names: Any
+) -> Iterator[RuleError]:
     """Yield values of a numeric aggregate that are not numbers."""
-    if subterm.parent[0].name != _AGGREGATE or subterm.number != 1:
+    if subterm.parent[0].name != _AGGREGATE or subterm.position != 1:
         return
     position = len(subterm.term) - 1
     value: Any = deref(subterm.term[position])
-    slot = slots.get(value) if value.__class__ is Var else None
+    occurrence = slots.get(value) if value.__class__ is Var else None
     # Windows aggregate arrays element by element.
     if (
-        slot is not None
-        and slot.text == "a list"
+        occurrence is not None
+        and occurrence.description == "a list"
         and subterm.parent[0] is _WINDOW
-        and subterm.term[0].name in _ELEMENTWISE
+        and subterm.term[0].name in _ELEMENTWISE_AGGREGATES
     ):
         return
-    if slot is not None and slot.text in _ADVICE and not slot.is_created:
-        text = f"{_variable_name(value, names)} is {slot.text} ({slot.slot}): {subterm.term[0].name} collects numbers"
+    if (
+        occurrence is not None
+        and occurrence.description in _ADVICE_BY_DESCRIPTION
+        and not occurrence.is_created
+    ):
+        source = f"{occurrence.description} ({occurrence.slot})"
+        text = f"{_name_variable(value, names)} is {source}: {subterm.term[0].name} collects numbers"
         yield RuleError(text, subterm.place_of(subterm.term, position))
 
 
-def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotType], names: Any) -> Iterator[RuleError]:
+def _check_compared_terms(
+    subterm: Subterm, slots: Dict[Var, SlotOccurrence], names: Any
+) -> Iterator[RuleError]:
     """Yield comparisons of a variable with a constant that it never equals."""
     for position, other_position in ((1, 2), (2, 1)):
         value: Any = deref(subterm.term[position])
@@ -298,31 +319,31 @@ def _check_compared_terms(subterm: Subterm, slots: Dict[Var, SlotType], names: A
         reason = (
             None
             if occurrence is None or occurrence.is_created
-            else _inequality_reason(occurrence.text, constant)
+            else _explain_inequality(occurrence.description, constant)
         )
         if occurrence is not None and reason is not None:
             yield RuleError(
-                f"{_variable_name(value, names)} is {occurrence.text} ({occurrence.slot}): {reason}",
+                f"{_name_variable(value, names)} is {occurrence.description} ({occurrence.slot}): {reason}",
                 subterm.place_of(subterm.term, other_position),
             )
 
 
-def _inequality_reason(type_text: str, constant: Term) -> Optional[str]:
+def _explain_inequality(type_description: str, constant: Term) -> Optional[str]:
     """Return the reason why a value of a type never equals a constant, or None."""
-    if type_text == "a text":
+    if type_description == "a text":
         if isinstance(constant, Atom) and constant.name[:1] != '"' and constant.name != "[]":
             return f"it keeps its quotes in events, write '\"{constant.name}\"'"
         if isinstance(constant, String):
             return f"it keeps its quotes in events, write '\"{constant.text}\"'"
         if isinstance(constant, (int, float)):
             return f"it is never the number {constant}"
-    elif type_text == "a number":
+    elif type_description == "a number":
         if isinstance(constant, String) or (
             isinstance(constant, Atom) and constant.name not in _SPECIAL_NUMBERS
         ):
             constant_text = constant.text if isinstance(constant, String) else constant.name
             return f"it is never {constant_text}"
-    elif type_text == "true or false" and not _may_be_true_or_false(constant):
+    elif type_description == "true or false" and not _may_be_true_or_false(constant):
         return "compare it with true or false"
     return None
 
@@ -336,11 +357,11 @@ def _may_be_true_or_false(constant: Term) -> bool:
 _SPECIAL_NUMBERS = frozenset(("nan", "inf", "infinite"))
 
 
-def _variable_name(var: Var, names: Any) -> str:
+def _name_variable(var: Var, names: Any) -> str:
     return str(names.get(var, "this variable"))
 
 
-_COMPARISONS = {
+_NUMERIC_EQUIVALENTS = {
     functor(name, 2): numeric
     for name, numeric in zip(("==", "=", "\\==", "\\="), ("=:=", "=:=", "=\\=", "=\\="))
 }
@@ -366,15 +387,15 @@ class _NumberSlot(NamedTuple):
 
 def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
     """Yield numbers that no message has in that slot, and comparisons with such slots that never hold."""
-    created = _created_events(program)
+    created_functors = _functors_of_created_events(program)
     for event, prefix in program.patterns():
-        for subterm, definition in _input_messages(program, event, created):
+        for subterm, definition in _find_input_messages(program, event, created_functors):
             for position, slot in enumerate(definition.fields, 1):
                 value, number_type = deref(subterm.term[position]), _number_type(slot)
                 if _has_other_type(value, number_type):
                     fault = (
-                        f"{slot.name} of {definition.name} is {_numeric_type_name(number_type)} in events: "
-                        f"write {_number_advice(number_type, value)}"
+                        f"{slot.name} of {definition.name} is {_describe_number_type(number_type)} in events: "
+                        f"write {_advise_number(number_type, value)}"
                     )
                     yield RuleError(f"{prefix}{fault}", subterm.place_of(subterm.term, position))
     for rule in program.rules:
@@ -382,7 +403,11 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
         event_subterms = [Subterm(deref(term), wrap_term(term), 1, rule.place_of) for term in events]
         rule_subterm = Subterm(None, wrap_term(rule.definition.term), 1, rule.place_of)
         yield from _check_compared_numbers(
-            program, event_subterms, rule_subterm, {**program.names, **rule.definition.names}, created
+            program,
+            event_subterms,
+            rule_subterm,
+            {**program.names, **rule.definition.names},
+            created_functors,
         )
     for consumer in (*program.memories, *program.subscriptions):
         for error in _check_compared_numbers(
@@ -390,32 +415,34 @@ def find_number_type_mismatches(program: ProgramModel) -> Iterator[RuleError]:
             [consumer.event],
             Subterm(None, consumer.term, 2, consumer.place_of),
             program.names,
-            created,
+            created_functors,
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
 
 
-def _created_events(program: ProgramModel) -> Set[Optional[Functor]]:
+def _functors_of_created_events(program: ProgramModel) -> Set[Optional[Functor]]:
     """Return the functors of the events that the program creates; None is included if some are unknown."""
-    created: Set[Optional[Functor]] = set()
+    created_functors: Set[Optional[Functor]] = set()
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
         if head is not None:
-            created.add(key_of(head))
+            created_functors.add(key_of(head))
     for call in program.all_subterms():
         if call.term.__class__ is tuple and call.term[0] in NEW_EVENT:
-            created.add(key_of(call.term[1]))
-    return created
+            created_functors.add(key_of(call.term[1]))
+    return created_functors
 
 
-def _input_messages(
-    program: ProgramModel, event: Subterm, created: Set[Optional[Functor]]
+def _find_input_messages(
+    program: ProgramModel, event: Subterm, created_functors: Set[Optional[Functor]]
 ) -> Iterator[Tuple[Subterm, Definition]]:
-    """Yield the messages in an input event; events of the program itself may contain other numbers."""
-    # The program may raise such events with values that no message has.
-    if event.key in created or None in created or program.message_of(event.term) is None:
+    """Yield the messages in an event pattern if topics are the only source of such events.
+
+    The program may raise other events with numbers that no message has.
+    """
+    if event.key in created_functors or None in created_functors or program.message_of(event.term) is None:
         return
-    for subterm in subterms(event.parent, event.number, event.place_of):
+    for subterm in subterms(event.parent, event.position, event.place_of):
         definition = program.message_of(subterm.term)
         if definition is not None:
             yield subterm, definition
@@ -426,16 +453,16 @@ def _check_compared_numbers(
     events: List[Subterm],
     source: Subterm,
     names: Mapping[Var, str],
-    created: Set[Optional[Functor]],
+    created_functors: Set[Optional[Functor]],
 ) -> Iterator[RuleError]:
     """Yield comparisons that never hold, given the events that contain their variables."""
-    all_subterms = list(subterms(source.parent, source.number, source.place_of))
+    all_subterms = list(subterms(source.parent, source.position, source.place_of))
     # With alternatives, the variable may be bound in another branch.
     if any(subterm.key in _ALTERNATIVES for subterm in all_subterms):
         return
-    slots = _numeric_variables(program, events, created)
+    slots = _find_numeric_variables(program, events, created_functors)
     for subterm in all_subterms:
-        numeric = _COMPARISONS.get(subterm.key) if subterm.key is not None else None
+        numeric = _NUMERIC_EQUIVALENTS.get(subterm.key) if subterm.key is not None else None
         if numeric is None:
             continue
         for position, other_position in ((1, 2), (2, 1)):
@@ -445,19 +472,19 @@ def _check_compared_numbers(
             if slot is not None and _has_other_type(value, slot.number_type):
                 name = names.get(variable, "this variable")
                 yield RuleError(
-                    f"{name} is {_numeric_type_name(slot.number_type)} ({slot.slot}), "
-                    f"never {_numeric_type_name(type(value))}: write {numeric}",
+                    f"{name} is {_describe_number_type(slot.number_type)} ({slot.slot}), "
+                    f"never {_describe_number_type(type(value))}: write {numeric}",
                     subterm.place_of(subterm.term, other_position),
                 )
 
 
-def _numeric_variables(
-    program: ProgramModel, events: List[Subterm], created: Set[Optional[Functor]]
+def _find_numeric_variables(
+    program: ProgramModel, events: List[Subterm], created_functors: Set[Optional[Functor]]
 ) -> Dict[Var, _NumberSlot]:
     """Return the variables of events that are numeric slots."""
     slots: Dict[Var, _NumberSlot] = {}
     for event in events:
-        for subterm, definition in _input_messages(program, event, created):
+        for subterm, definition in _find_input_messages(program, event, created_functors):
             for position, slot in enumerate(definition.fields, 1):
                 value: Any = deref(subterm.term[position])
                 number_type = _number_type(slot)
@@ -476,11 +503,11 @@ def _has_other_type(value: Any, number_type: Optional[type]) -> bool:
     return number_type is not None and value.__class__ in (int, float) and value.__class__ is not number_type
 
 
-def _numeric_type_name(number_type: Optional[type]) -> str:
+def _describe_number_type(number_type: Optional[type]) -> str:
     return "a float" if number_type is float else "an integer"
 
 
-def _number_advice(number_type: Optional[type], value: Any) -> str:
+def _advise_number(number_type: Optional[type], value: Any) -> str:
     """Return what to write instead of a number in a slot of another type: the converted number, or words."""
     if number_type is float:
         return f"{value}.0" if abs(value) < _MAX_EXACT_INTEGER else "it with a point"

@@ -52,16 +52,16 @@ _MAX_HINTS = 50
 
 
 class Subgoal(NamedTuple):
-    """Goal inside a goal, and its position: argument ``number`` of ``parent``."""
+    """Goal inside a goal, and its position: argument ``position`` of ``parent``."""
 
     term: Term
     parent: CompoundTerm
-    number: int
+    position: int
 
 
-def calls(parent: CompoundTerm, number: int) -> Iterator[Subgoal]:
-    """Yield the calls of a goal in argument ``number`` of a term, with control constructs replaced by their goals."""
-    stack = [Subgoal(deref(parent[number]), parent, number)]
+def calls(parent: CompoundTerm, position: int) -> Iterator[Subgoal]:
+    """Yield the calls of the goal in an argument of a term; control constructs are replaced by their goals."""
+    stack = [Subgoal(deref(parent[position]), parent, position)]
     while stack:
         call = stack.pop()
         term = call.term
@@ -72,10 +72,10 @@ def calls(parent: CompoundTerm, number: int) -> Iterator[Subgoal]:
             stack += [Subgoal(deref(term[position]), term, position) for position in reversed(positions)]
 
 
-def required_interval_calls(parent: CompoundTerm, number: int) -> List[Subgoal]:
+def required_interval_calls(parent: CompoundTerm, position: int) -> List[Subgoal]:
     """Return the calls of ``t1/1`` and ``t2/1`` that a goal, an argument of a term, needs for a solution."""
     interval_calls: List[Subgoal] = []
-    stack = [Subgoal(deref(parent[number]), parent, number)]
+    stack = [Subgoal(deref(parent[position]), parent, position)]
     while stack:
         call = stack.pop()
         term = call.term

@@ -243,18 +243,18 @@ def _value_type_notations() -> str:
 
 
 class ValuePart(NamedTuple):
-    """Value with a declared type, and its position: argument ``number`` of ``parent``, or an item of a list."""
+    """Value with a declared type, and its position: argument ``position`` of ``parent``, or an item of a list."""
 
     value: Term
     value_type: ValueType
     parent: CompoundTerm
-    number: int
+    position: int
     is_item: bool = False
 
 
-def parts_of_value(parent: CompoundTerm, number: int, value_type: ValueType) -> Iterator[ValuePart]:
-    """Yield argument ``number`` of a term, which has a declared type, and all items of lists in it."""
-    stack = [ValuePart(deref(parent[number]), value_type, parent, number)]
+def parts_of_value(parent: CompoundTerm, position: int, value_type: ValueType) -> Iterator[ValuePart]:
+    """Yield argument ``position`` of a term, which has a declared type, and all items of lists in it."""
+    stack = [ValuePart(deref(parent[position]), value_type, parent, position)]
     while stack:
         part = stack.pop()
         yield part
@@ -459,7 +459,7 @@ class Declarations:
         # ``rev(E)`` retracts an event: its argument is checked as an event, not as an argument of an event.
         error_text = "" if key is _REV else self.functor_error(key)
         if error_text:
-            place = place_of(term) if term.__class__ is tuple else place_of(event.parent, event.number)
+            place = place_of(term) if term.__class__ is tuple else place_of(event.parent, event.position)
             yield RuleError(error_text, place)
             return
         declaration = self._declarations.get(key.name)
@@ -476,9 +476,9 @@ class Declarations:
                     else self._type_error(part, subject, declaration)
                 )
                 if text:
-                    yield RuleError(text, place_of(part.parent, part.number) or place_of(term, position))
+                    yield RuleError(text, place_of(part.parent, part.position) or place_of(term, position))
                 elif part.value_type is _EVENT and not is_var:
-                    inner_events.append(EventTerm(part.value, part.parent, part.number))
+                    inner_events.append(EventTerm(part.value, part.parent, part.position))
 
     def _type_error(self, part: ValuePart, subject: str, declaration: Optional[Declaration]) -> str:
         """Return the error for a value that does not have its type, or ""."""
@@ -531,14 +531,14 @@ class VariableTypes:
         return f"{name} is {previous_text} and, here, {value_type.description} ({subject}): these are never equal"
 
 
-def head_event(parent: CompoundTerm, number: int) -> EventTerm:
+def head_event(parent: CompoundTerm, position: int) -> EventTerm:
     """Return the event in a rule head: the head itself, or the event inside an alarm, query or ``do``."""
-    term = deref(parent[number])
+    term = deref(parent[position])
     while isinstance(term, tuple) and (
         term[0] in ALARMS or term[0] in SYNCHRONIZED or OPERATOR_NAMES.get(term[0]) == "do"
     ):
-        parent, number, term = term, 1, deref(term[1])
-    return EventTerm(term, parent, number)
+        parent, position, term = term, 1, deref(term[1])
+    return EventTerm(term, parent, position)
 
 
 def calls_in_query(head: Term) -> List[Subgoal]:

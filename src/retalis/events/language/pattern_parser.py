@@ -55,7 +55,7 @@ PlaceLookup = Callable[..., Optional[Place]]
 """Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
 
 
-def no_place(part: Term, number: int = 0) -> Optional[Place]:
+def no_place(part: Term, position: int = 0) -> Optional[Place]:
     """Return None as the place of a part; for terms that were not read from a text."""
     return None
 
@@ -67,11 +67,11 @@ _ABSENT = "absent"
 
 
 class EventTerm(NamedTuple):
-    """Term that is an event or an event pattern, and its position: argument ``number`` of ``parent``."""
+    """Term that is an event or an event pattern, and its position: argument ``position`` of ``parent``."""
 
     term: Term
     parent: CompoundTerm
-    number: int
+    position: int
 
 
 class PatternReader:
@@ -108,15 +108,15 @@ class PatternReader:
         self.windows: List[Tuple[WindowPattern, Term]] = []
         self.absences: List[CompoundTerm] = []
 
-    def read(self, parent: CompoundTerm, number: int) -> Pattern:
-        """Return the pattern in argument ``number`` of a term.
+    def read(self, parent: CompoundTerm, position: int) -> Pattern:
+        """Return the pattern in argument ``position`` of a term.
 
         Raises:
             RuleError: if the pattern cannot match.
         """
-        term = deref(parent[number])
+        term = deref(parent[position])
         if term.__class__ is not tuple:
-            return self._read_event(parent, number)
+            return self._read_event(parent, position)
         head = term[0]
         if head in ARROWS:
             self.nested_rules.append(term)
@@ -127,7 +127,7 @@ class PatternReader:
         if name is None or is_event(term):
             run = None if is_event(term) else RUN_OPERATORS.get(head)
             if run is None:
-                return self._read_event(parent, number)
+                return self._read_event(parent, position)
             subject = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
             message = f"{subject} can only be the right side of a {SEQ}"
             if run.kind is OperatorKind.AGGREGATE:
@@ -159,23 +159,23 @@ class PatternReader:
         pattern = self.operand(term, 1, name)
         return ActionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].calls_for_all_solutions)
 
-    def operand(self, parent: CompoundTerm, number: int, operator: str) -> Pattern:
+    def operand(self, parent: CompoundTerm, position: int, operator: str) -> Pattern:
         """Return the pattern of an operand; see `read`."""
-        term = deref(parent[number])
+        term = deref(parent[position])
         if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
             raise self.error(f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term)
-        return self.read(parent, number)
+        return self.read(parent, position)
 
-    def _read_event(self, parent: CompoundTerm, number: int) -> EventPattern:
-        term = deref(parent[number])
+    def _read_event(self, parent: CompoundTerm, position: int) -> EventPattern:
+        term = deref(parent[position])
         if term.__class__ not in (tuple, Atom, Var):
             class_name = "a string" if term.__class__ is String else "a number"
             message = f"an event is an atom or a compound term, not {class_name}"
-            raise self.error(message, parent, number)
+            raise self.error(message, parent, position)
         warning = event_warning(term)
         if warning is not None:
-            self._warn(self.error(warning, *((parent, number) if term.__class__ is Atom else (term, 0))))
-        self.events.append(EventTerm(term, parent, number))
+            self._warn(self.error(warning, *((parent, position) if term.__class__ is Atom else (term, 0))))
+        self.events.append(EventTerm(term, parent, position))
         return EventPattern(term)
 
     def _parse_sequence(self, term: CompoundTerm) -> Pattern:
@@ -230,12 +230,12 @@ class PatternReader:
         # with thousands of them, more than the recursion limit of Python.
         pending = [(term, 2), (term, 1)]
         while pending:
-            parent, number = pending.pop()
-            branch = deref(parent[number])
+            parent, position = pending.pop()
+            branch = deref(parent[position])
             if branch.__class__ is tuple and OPERATOR_NAMES.get(branch[0]) == name:
                 pending += [(branch, 2), (branch, 1)]
             else:
-                branches.append(self.operand(parent, number, name))
+                branches.append(self.operand(parent, position, name))
         return OrPattern(tuple(branches))
 
     def _parse_window(self, name: str, term: CompoundTerm) -> WindowPattern:
@@ -303,23 +303,23 @@ class PatternReader:
             )
         return from_seconds(seconds)
 
-    def goal(self, parent: CompoundTerm, number: int, operator: str) -> Term:
-        """Return the goal in argument ``number`` of a term, and record its calls.
+    def goal(self, parent: CompoundTerm, position: int, operator: str) -> Term:
+        """Return the goal in argument ``position`` of a term, and record its calls.
 
         Raises:
             RuleError: if the goal or a part of it is not callable.
         """
-        for call in calls(parent, number):
+        for call in calls(parent, position):
             if call.term.__class__ not in (tuple, Atom, Var):
-                raise self.error(f"{operator} needs a goal", call.parent, call.number)
+                raise self.error(f"{operator} needs a goal", call.parent, call.position)
             self.goals.append(call)
         if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].has_interval_predicates:
-            self.interval_calls += required_interval_calls(parent, number)
-        return deref(parent[number])
+            self.interval_calls += required_interval_calls(parent, position)
+        return deref(parent[position])
 
-    def error(self, message: str, term: Term, number: int = 0) -> RuleError:
+    def error(self, message: str, term: Term, position: int = 0) -> RuleError:
         """Return an error at a term, or at one of its arguments."""
-        return RuleError(message, self.place(term, number))
+        return RuleError(message, self.place(term, position))
 
     _parsers: Dict[OperatorKind, Callable[["PatternReader", str, CompoundTerm], Pattern]] = {
         OperatorKind.PAIR: _parse_pair,

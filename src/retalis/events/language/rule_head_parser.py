@@ -289,7 +289,7 @@ def _check_query(head: Any, place_of: PlaceLookup) -> None:
     """Check the query of a ``synchronized`` head, and the memories that it waits for."""
     for call in calls(head, 2):
         if call.term.__class__ not in (tuple, Atom, Var):
-            raise RuleError(f"{head[0].name} needs a goal", place_of(call.parent, call.number))
+            raise RuleError(f"{head[0].name} needs a goal", place_of(call.parent, call.position))
     items, tail = list_parts(head[3])
     if not (tail is NIL or tail.__class__ is Var) or not all(_may_be_pair(item) for item in items):
         raise RuleError(f"{head[0].name} takes a list of [Memory, Time]", place_of(head, 3))

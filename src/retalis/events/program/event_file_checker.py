@@ -239,7 +239,7 @@ class FileChecker:
             return
         head = term[0]
         if head is RULE or head is COLON:
-            error = label_error(term, lambda part, number=0: place_of(part, number) or place)
+            error = label_error(term, lambda part, position=0: place_of(part, position) or place)
             if error is not None:
                 raise error
             if head is RULE or _is_labelled(deref(term[2])):
@@ -314,7 +314,7 @@ class FileChecker:
         single_variables = (var for var, number in occurrences([rule], None).items() if number == 1)
         anonymous = frozenset(var for var in single_variables if var not in self._names)
         reader = PatternReader(
-            lambda part, number=0: place_of(part, number) or place, self.warnings.append, anonymous
+            lambda part, position=0: place_of(part, position) or place, self.warnings.append, anonymous
         )
         # A rule P do G has no head.
         if rule[0] not in ARROWS:
@@ -328,7 +328,7 @@ class FileChecker:
             head_place = place_of(head) if head.__class__ is tuple else place_of(rule, 1)
             check_head(
                 head,
-                lambda part, number=0: place_of(part, number) or place,
+                lambda part, position=0: place_of(part, position) or place,
                 head_place or place,
                 self.warnings.append,
             )
@@ -390,7 +390,7 @@ class FileChecker:
             if term.__class__ is Var and counts[term] == sum(subgoal.term is term for subgoal in goals):
                 name = self._names.get(term, "this variable")
                 raise RuleError(
-                    f"{name} never gets a goal to call", place_of(call.parent, call.number) or place
+                    f"{name} never gets a goal to call", place_of(call.parent, call.position) or place
                 )
             self._record_call(call, place_of, place)
 
@@ -401,7 +401,7 @@ class FileChecker:
         if term.__class__ is tuple:
             self.calls.append(PredicateCall(term[0], place_of(term) or place, "", _advice_for(term), module))
         elif term.__class__ is Atom:
-            goal_place = place_of(call.parent, call.number) or place
+            goal_place = place_of(call.parent, call.position) or place
             self.calls.append(PredicateCall(term.functor, goal_place, module=module))
 
     def _check_head_variables(self, head: Term, pattern: Pattern, place: Optional[Place]) -> None:

@@ -149,6 +149,6 @@ class FileDeclarations:
         if self._declarations:
             variable_types = VariableTypes(names, reports_clashes=not has_alternatives(term))
             for error in self._declarations.declaration_errors(
-                events, lambda part, number=0: place_of(part, number) or place, variable_types
+                events, lambda part, position=0: place_of(part, position) or place, variable_types
             ):
                 self._errors.append(error)
