@@ -101,7 +101,7 @@ def _run_fits(node: KleeneNode, run: Any) -> bool:
         first.fits(run.first)
         and len(run.values) == width
         and (run.fixed_values is None or len(run.fixed_values) == len(node.fixed_vars))
-        and len(run.free_vars) == len(node.open_vars)
+        and len(run.free_vars) == len(node.free_vars)
         and len(run.repetitions) == len(run.step_values)
         and run.valid_count <= len(run.repetitions)
         and (run.state is None if node.aggregate is None else node.aggregate.is_state(run.state))
@@ -132,19 +132,19 @@ def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, cursor: RunCu
     return cursor.prefix_length <= number and len(cursor.values) == first.width and first.fits(cursor.first)
 
 
-def _negation_shapes(absence: NegationBuffer, node: NetworkNode) -> List[Any]:
+def _negation_shapes(negation: NegationBuffer, node: NetworkNode) -> List[Any]:
     """Return the shapes for `NegationBuffer.buffers`."""
-    return [MatchShape(node), *_shapes_of_negations(absence.deferred_negations)]
+    return [MatchShape(node), *_shapes_of_negations(negation.deferred_negations)]
 
 
 def _shapes_of_negations(negations: Iterable[Tuple[NegationBuffer, NetworkNode]]) -> List[Any]:
-    return [shape for absence, node in negations for shape in _negation_shapes(absence, node)]
+    return [shape for negation, node in negations for shape in _negation_shapes(negation, node)]
 
 
 def buffer_shapes(node: Any, saved: Any) -> List[Any]:
     """Return the shape of the matches for each buffer that a node has after it has restored its state ``saved``."""
     if isinstance(node, JoinNode):
-        negations = [*zip(node.absences, node.negated), *node.deferred_negations]
+        negations = [*zip(node.negations, node.negated_nodes), *node.deferred_negations]
         return [MatchShape(node.left), MatchShape(node.right), *_shapes_of_negations(negations)]
     if isinstance(node, KleeneNode):
         negations = _shapes_of_negations(node.deferred_negations)
@@ -156,7 +156,7 @@ def buffer_shapes(node: Any, saved: Any) -> List[Any]:
             for times in node.buffer_lengths(saved)
         ]
     if isinstance(node, NotNode):
-        return _negation_shapes(node.absence, node.negated)
+        return _negation_shapes(node.negation, node.negated)
     if isinstance(node, (EarlyTestNode, StreamNode)):
         return _shapes_of_negations(node.deferred_negations)
     return [_NoMatches() for _ in node.buffers()]

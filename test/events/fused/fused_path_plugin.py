@@ -38,7 +38,7 @@ PATHS = {
     ),
     "questions": (pending_queries, "query_action", lambda *arguments: None),
     "sides": (join_node, "fused_side", lambda side, pair, choice, rule, plain, emit: plain_action(plain)),
-    "absences": (join_node, "fused_absence", lambda absence, rule, whole, plain: plain_action(plain)),
+    "negations": (join_node, "fused_negation", lambda negation, rule, whole, plain: plain_action(plain)),
     "windows": (stream_node, "fused_window", lambda window, limit, node, plain, *rest: plain_action(plain)),
 }
 """By path: where it is bound, and what to bind there to switch it off."""

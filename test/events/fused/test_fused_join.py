@@ -138,7 +138,7 @@ def compare(seed):
     events = stream(source, source.random() < 0.3)
     posted = source.random() < 0.7
     quick = run(text, goals, events, cap, cut, change, posted)
-    with patch.object(*PATHS["sides"]), patch.object(*PATHS["absences"]):
+    with patch.object(*PATHS["sides"]), patch.object(*PATHS["negations"]):
         plain = run(text, goals, events, cap, cut, change, posted)
     assert quick == plain, (seed, text, goals, change, posted)
 

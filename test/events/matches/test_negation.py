@@ -10,13 +10,13 @@ from retalis.events.matches.expiration import SLICE_ENTRIES
 from retalis.events.matches.negation import NegationBuffer
 
 
-def _absences(program):
+def _negations(program):
     (rule,) = program.engine.rules.rules
     return [
-        absence
+        negation
         for node, _, _ in rule.nodes
-        for absence in getattr(node, "absences", ())
-        if isinstance(absence, NegationBuffer)
+        for negation in getattr(node, "negations", ())
+        if isinstance(negation, NegationBuffer)
     ]
 
 
@@ -24,19 +24,19 @@ def test_keys_under_which_nothing_waits_any_more_are_forgotten():
     program = Program("d(X) <- (a(X) seq b(X)) cnot c(X) within 5.")
     for number in range(3000):
         program.feed(f"c({number})@{number}")
-    (absence,) = _absences(program)
-    assert len(absence.buffer.newest) < 10
-    assert len(absence.frontiers) < 1100
+    (negation,) = _negations(program)
+    assert len(negation.buffer.newest) < 10
+    assert len(negation.frontiers) < 1100
     assert program.feed("a(1)@3000 a(2)@3000 c(1)@3001 b(1)@3002 b(2)@3002") == "d(2)@3000-3002"
 
 
 def test_what_an_interrupt_leaves_half_done_is_made_anew():
     program = Program("d(X) <- (a(X) seq b(X)) cnot c(X).")
     assert program.feed("a(1)@1 c(1)@2 c(1)@3 c(1)@4") == ""
-    absence = _absences(program)[0]
-    for border in absence.frontiers.values():
+    negation = _negations(program)[0]
+    for border in negation.frontiers.values():
         del border.ends[:], border.starts[1:]
-    absence.buffer.repair()
+    negation.buffer.repair()
     assert program.feed("b(1)@5 a(1)@6 b(1)@7") == "d(1)@6-7"
 
 
@@ -254,8 +254,8 @@ def test_the_index_of_absent_events_does_not_keep_those_that_have_left(rule, fir
     walk = "walk(1)" if "(X)" in rule else "walk"
     for at in range(20_000):
         program.engine.event(walk if first and at % first == 0 else "temp", at)
-    (absence,) = _absences(program)
-    (border,) = absence.frontiers.values()
+    (negation,) = _negations(program)
+    (border,) = negation.frontiers.values()
     assert len(border.matches) < (1100 if "within" in rule else 12_000)
 
 

@@ -6,7 +6,7 @@ at most one partner is needed. All other cases call the general path before a ma
 clock of the rule may have advanced.
 
 A generated function performs these steps: compute the join key, advance the clock and expire matches, look up the
-partner, compare intervals, run conditions and absences, then emit the pair or store the match.
+partner, compare intervals, run conditions and negations, then emit the pair or store the match.
 
 Names in the generated source: ``term`` is the event with the interval from ``event_start`` to ``event_end``,
 ``match`` its match, ``partner`` the stored match of the other operand, and ``pair_values`` the values of both with
@@ -51,7 +51,7 @@ class FusedPair(NamedTuple):
         span: maximum interval of a pair in ns; None for no limit.
         value_sources: variables of a pair, each with the source of its value: ``lv[0]`` is the first value of the
             left match.
-        negation_tests: for each absence a function that returns whether it prevents the pair.
+        negation_tests: for each negation a function that returns whether it prevents the pair.
         tests: conditions of a pair.
         condition_vars: additional variables that the conditions bind.
         computed_values: returns the values of a pair that belong to its identity but are not passed on; see
@@ -113,31 +113,31 @@ def fused_side(
         "join_other": None if choice is None else choice.join_other,
         "ComputedValues": ComputedValues,
     }
-    names.update((f"absence{index}", function) for index, function in enumerate(pair.negation_tests))
+    names.update((f"negation{index}", function) for index, function in enumerate(pair.negation_tests))
     names.update((f"test{index}", function) for index, function in enumerate(pair.tests))
     return _OperandGenerator(side, pair, rule).action(choice, names)
 
 
-def fused_absence(
-    absence: NegationBuffer, rule: Any, values_are_arguments: bool, general_path: EventAction
+def fused_negation(
+    negation: NegationBuffer, rule: Any, values_are_arguments: bool, general_path: EventAction
 ) -> EventAction:
     """Return the action for a negated event, used if no negated event is stored under its key; see `fused_side`.
 
     Args:
-        absence: the buffer of the negated events.
+        negation: the buffer of the negated events.
         rule: the rule.
         values_are_arguments: whether the values are the arguments of the event.
         general_path: the general path.
     """
-    generator = _ActionGenerator(absence.buffer, rule, values_are_arguments)
-    names = {**_common_names(rule, absence.buffer, general_path), "absence": absence}
+    generator = _ActionGenerator(negation.buffer, rule, values_are_arguments)
+    names = {**_common_names(rule, negation.buffer, general_path), "negation": negation}
     return generator.compile_action(
         [
-            *generator.key_statements([index for index, _ in absence.shared]),
+            *generator.key_statements([index for index, _ in negation.shared]),
             # A stored event without a key may be a duplicate of this one or may dominate it; the general path
             # compares them.
             Block("if key in own_newest or None in own_newest:", [generator.general_path]),
-            Block("if absence.frontiers:", ["absence.frontiers.pop(key, None)"]),
+            Block("if negation.frontiers:", ["negation.frontiers.pop(key, None)"]),
             *generator.clock_statements(True),
             *generator.store_statements(False),
             _RETURN_FRAME,
@@ -463,13 +463,13 @@ class _OperandGenerator(_ActionGenerator):
         )
 
     def _test_statements(self) -> List[Statement]:
-        """Return statements for absences and conditions; they set ``pair_values`` to None if one fails."""
+        """Return statements for negations and conditions; they set ``pair_values`` to None if one fails."""
         end_of_first, start_of_second = (
             ("event_end", "partner.start") if self.side.is_left else ("partner.end", "event_start")
         )
         steps: List[Statement] = [
             Block(
-                f"if absence{index}(pair_values, {end_of_first}, {start_of_second}):", ["pair_values = None"]
+                f"if negation{index}(pair_values, {end_of_first}, {start_of_second}):", ["pair_values = None"]
             )
             for index in range(len(self.pair.negation_tests))
         ]

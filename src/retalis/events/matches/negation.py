@@ -103,14 +103,14 @@ DeferredNegations = List[Tuple["NegationBuffer", "NetworkNode"]]
 class NegationBuffer:
     """Stored matches of a negated pattern, by the variables that it shares with the pair that it can prevent.
 
-    For a gap ``(e1, s2)`` the buffer tells whether a match has ``e1 < start`` and ``end < s2``. If ``ever`` is set,
-    the gap has no beginning: any match that ended before ``s2`` counts.
+    For a gap ``(e1, s2)`` the buffer answers whether a match has ``e1 < start`` and ``end < s2``. If it
+    ``is_unbounded``, the gap has no beginning: any match that ended before ``s2`` counts.
 
     Args:
         rule: the rule that owns the buffer.
         shared: pairs of positions of the shared variables: in the values of the negated match, and in the values of
             the pair.
-        ever: whether any time before the gap's end counts.
+        is_unbounded: whether a match at any time before the gap's end counts.
 
     Attributes:
         condition: tests the values of the pair together with a negated match, if the negated pattern has conditions
@@ -119,14 +119,14 @@ class NegationBuffer:
         frontiers: frontiers by key.
     """
 
-    def __init__(self, rule: "EventRule", shared: Sequence[Tuple[int, int]], ever: bool):
+    def __init__(self, rule: "EventRule", shared: Sequence[Tuple[int, int]], is_unbounded: bool):
         self.rule = rule
         self.shared = tuple(shared)
-        self.ever = ever
+        self.is_unbounded = is_unbounded
         self.condition: Optional[Callable[[Values, PartialMatch], bool]] = None
         self.deferred_negations: DeferredNegations = []
         self.buffer = MatchBuffer(rule, tuple(position for position, _ in self.shared))
-        self.buffer.partner_bounds = BEFORE if ever else BETWEEN
+        self.buffer.partner_bounds = BEFORE if is_unbounded else BETWEEN
         self.buffer.is_negated = True
         self.pair_buffer = MatchBuffer(rule, tuple(pair_position for _, pair_position in self.shared))
         self.frontiers: Dict[Hashable, _Frontier] = {}
@@ -143,14 +143,14 @@ class NegationBuffer:
 
     def bind_deferred_negations(self, options: NetworkOptions) -> None:
         """Connect the negation buffers that the conditions contain."""
-        for absence, node in self.deferred_negations:
-            absence.bind(node, options)
+        for negation, node in self.deferred_negations:
+            negation.bind(node, options)
 
     def buffers(self) -> List[MatchBuffer]:
         """Return the buffers of negated matches, including those of its conditions."""
         return [
             self.buffer,
-            *(buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()),
+            *(buffer for negation, _ in self.deferred_negations for buffer in negation.buffers()),
         ]
 
     def on_match(self, match: PartialMatch, frame: Frame) -> Frame:
@@ -169,7 +169,7 @@ class NegationBuffer:
         newest_match = self.buffer.newest.get(key)
         # If the gap has no beginning, the match that ends first dominates all others, so at most one is stored for
         # each key.
-        if self.ever:
+        if self.is_unbounded:
             if newest_match is None:
                 return True
             older = newest_match.newer
@@ -239,7 +239,7 @@ class NegationBuffer:
             key = self.pair_buffer.key(values)
         except ValueError:
             key = None
-        if key is not None and not self.ever and None not in buffer.newest and self.uses_frontiers():
+        if key is not None and not self.is_unbounded and None not in buffer.newest and self.uses_frontiers():
             newest_match = buffer.newest.get(key)
             if newest_match is None:
                 self.frontiers.pop(key, None)
@@ -261,7 +261,7 @@ class NegationBuffer:
             if meter is not None and meter(1):
                 # Pattern work is stopped: a pair that may be ruled out must not produce a result.
                 return True
-            if match.end < gap_end and (self.ever or gap_start < match.start):
+            if match.end < gap_end and (self.is_unbounded or gap_start < match.start):
                 negated_match, pair_values = match, values
                 if not has_equal_key(key, match):
                     sides = unify_sides(match, pair, self.shared)
@@ -289,13 +289,13 @@ class RuledOutSweep:
 
     Args:
         first_buffer: buffer of the first operands.
-        absence: buffer of the negated matches. It shares variables with first operands only and has no conditions.
+        negation: buffer of the negated matches. It shares variables with first operands only and has no conditions.
         positions: positions of the shared variables in the values of a first operand.
     """
 
-    def __init__(self, first_buffer: MatchBuffer, absence: NegationBuffer, positions: Sequence[int]):
+    def __init__(self, first_buffer: MatchBuffer, negation: NegationBuffer, positions: Sequence[int]):
         self.first_buffer = first_buffer
-        self.absence = absence
+        self.negation = negation
         self._compute_key = key_function(tuple(positions))
         self._ruled_out: Deque[PartialMatch] = deque()
         self._negated: Deque[PartialMatch] = deque()
@@ -318,7 +318,7 @@ class RuledOutSweep:
 
     def visit_match(self, match: PartialMatch) -> None:
         """Process the next match of the rule, in order of arrival."""
-        if match.buffer is self.absence.buffer:
+        if match.buffer is self.negation.buffer:
             if match.key is not None and match.order <= self._last_order:
                 self._negated.append(match)
         elif match.buffer is self.first_buffer and self._is_ruled_out(match):
@@ -328,7 +328,7 @@ class RuledOutSweep:
 
     def _is_ruled_out(self, match: PartialMatch) -> bool:
         try:
-            return self.absence.rules_out(self._compute_key(match.values), match.end)
+            return self.negation.rules_out(self._compute_key(match.values), match.end)
         except ValueError:
             # A first operand with variables in shared values would need unification to find what rules it out. It is
             # kept, and so are all negated matches that start after its end.

@@ -3,11 +3,11 @@
 A condition is tested at the lowest node that knows its variables, as in predicate pushdown. In a rule such as ``a(X)
 seq (b(Y) where Y > X)`` the condition belongs to ``b`` but uses a variable of a pattern further left. It is
 *deferred*: the values and the interval that it needs are passed on with each match, and the join with the left
-operand tests it (`deferred_test`). Negations with conditions on outer variables are deferred in the same way; their
-gap is passed on, and the node that knows all variables owns the `NegationBuffer`.
+operand tests it (`compile_deferred_test`). Negations with conditions on outer variables are deferred in the same way;
+their gap is passed on, and the node that knows all variables owns the `NegationBuffer`.
 
-If some branches of a pattern bind the variables earlier, the test is also tried there (`early_test`). A match that
-has passed is marked by replacing the start of its interval by a variable, so it is not tested twice.
+If some branches of a pattern bind the variables earlier, the test is also tried there (`compile_early_test`). A match
+that has passed is marked by replacing the start of its interval by a variable, so it is not tested twice.
 
 A condition on each repetition of a run is deferred together with a list of the values of all repetitions
 (`RepetitionItems`).
@@ -46,7 +46,7 @@ from ..language.pattern_tree import (
 from ..matches.negation import DeferredNegations, NegationBuffer
 from ..matches.partial_matches import PartialMatch
 from ..matches.shared_run_buffer import NO_ITEMS
-from .goal_evaluation import RuleGoal, Test, goal_test
+from .goal_evaluation import RuleGoal, Test, compile_condition_test
 from .pattern_nodes import EventNode, NetworkNode
 
 if TYPE_CHECKING:
@@ -64,29 +64,33 @@ class BuiltPattern(NamedTuple):
     Attributes:
         node: the node.
         deferred: conditions below that have not been tested.
-        joined: event nodes whose events complete matches of several events, in the order of dispatch.
-        single: event nodes whose matches are passed on one by one.
-        branches: all event nodes of an ``or``, branch by branch; else None.
+        joined_leaves: event nodes whose events complete matches of several events, in the order of dispatch.
+        single_leaves: event nodes whose matches are passed on one by one.
+        branch_leaves: all event nodes of an ``or``, branch by branch; else None.
     """
 
     node: NetworkNode
-    deferred: "List[DeferredConditions]"
-    joined: List[EventNode]
-    single: List[EventNode]
-    branches: Optional[List[EventNode]] = None
+    deferred: "List[DeferredCondition]"
+    joined_leaves: List[EventNode]
+    single_leaves: List[EventNode]
+    branch_leaves: Optional[List[EventNode]] = None
 
     @property
     def leaves(self) -> List[EventNode]:
         """All event nodes, in the order of dispatch; those of an ``or`` branch by branch."""
-        return [*self.joined, *self.single] if self.branches is None else self.branches
+        if self.branch_leaves is not None:
+            return self.branch_leaves
+        return [*self.joined_leaves, *self.single_leaves]
 
     def with_negated(
-        self, node: NetworkNode, deferred: "List[DeferredConditions]", negated: "BuiltPattern"
+        self, node: NetworkNode, deferred: "List[DeferredCondition]", negated: "BuiltPattern"
     ) -> "BuiltPattern":
         """Return the result for a node above this one and above a negated pattern."""
-        joined = [*self.joined, *negated.leaves]
-        branches = None if self.branches is None else [*self.branches, *negated.leaves]
-        return BuiltPattern(node, deferred, joined, self.single, branches)
+        joined_leaves = [*self.joined_leaves, *negated.leaves]
+        branch_leaves = self.branch_leaves
+        if branch_leaves is not None:
+            branch_leaves = [*branch_leaves, *negated.leaves]
+        return BuiltPattern(node, deferred, joined_leaves, self.single_leaves, branch_leaves)
 
 
 class RepetitionItems:
@@ -94,14 +98,14 @@ class RepetitionItems:
 
     Attributes:
         var: variable that is bound to the list, newest repetition first.
-        names: variables that have separate values in each repetition.
-        same: variables with one value in the whole match, because they are used elsewhere in the rule.
+        item_vars: variables that have separate values in each repetition.
+        match_vars: variables with one value in the whole match, because they are used elsewhere in the rule.
     """
 
-    def __init__(self, same: Set[Var]):
+    def __init__(self, match_vars: Set[Var]):
         self.var = Var()
-        self.names: List[Var] = []
-        self.same = same
+        self.item_vars: List[Var] = []
+        self.match_vars = match_vars
 
 
 class NegatedPattern:
@@ -144,50 +148,52 @@ class NegatedPattern:
         self._copies.append((copy, self.first))
         return copy
 
-    def needs(self, context: AbstractSet[Var], known_vars: Set[Var]) -> Set[Var]:
+    def find_missing_vars(self, context: AbstractSet[Var], known_vars: Set[Var]) -> Set[Var]:
         """Return the variables of a context that the pattern uses and that are not known."""
         mentioned = set(self.first.node.vars)
         for condition in self.first.deferred:
-            mentioned |= condition.needs
+            mentioned |= condition.required_vars
         return (mentioned & context) - known_vars
 
 
-class DeferredConditions(NamedTuple):
+class DeferredCondition(NamedTuple):
     """A condition on variables of patterns further left, which is tested where those are known.
 
     Attributes:
-        needs: variables that it requires.
+        required_vars: variables of patterns further left that it uses.
         goal: the goal; None for a negation.
-        timed: whether the goal uses ``t1/1`` and ``t2/1``.
-        absent: for a negation the negated pattern, and whether its matches at any earlier time count, not only those
-            in the gap.
-        start: variable that is bound to the start of its pattern's interval.
-        end: variable that is bound to the end of its pattern's interval.
-        items: for a condition on each repetition of a run, the layout of their values.
-        each: the condition on one repetition.
+        uses_interval: whether the goal uses ``t1/1`` and ``t2/1``.
+        start: variable that is bound to the start of its pattern's interval; for a negation, to that of the gap.
+        end: variable that is bound to the end of its pattern's interval; for a negation, to that of the gap.
+        negated: the negated pattern of a negation; None for a goal.
+        is_unbounded: whether a match of the negated pattern at any earlier time counts, not only one in the gap.
+        items: for a condition on each repetition of a run, the layout of their values; else None.
+        repetition_condition: for a condition on each repetition, the condition on a single one; else None.
     """
 
-    needs: Set[Var]
+    required_vars: Set[Var]
     goal: Optional[Term]
-    timed: bool
-    absent: "Optional[Tuple[NegatedPattern, bool]]"
+    uses_interval: bool
     start: Var
     end: Var
+    negated: Optional[NegatedPattern] = None
+    is_unbounded: bool = False
     items: Optional[RepetitionItems] = None
-    each: "Optional[DeferredConditions]" = None
+    repetition_condition: "Optional[DeferredCondition]" = None
 
-    def of_each(self, items: RepetitionItems) -> "DeferredConditions":
-        """Return the same condition for each repetition of a run."""
-        return self._replace(items=items, each=self)
+    def for_each_repetition(self, items: RepetitionItems) -> "DeferredCondition":
+        """Return the condition that requires this one of each repetition of a run."""
+        return self._replace(items=items, repetition_condition=self)
 
-    def may_be_tried(self, value_vars: List[Var]) -> bool:
+    def may_be_testable(self, value_vars: List[Var]) -> bool:
         """Return whether a match with these variables may already bind all variables that the condition requires."""
-        return self.items is None and self.needs.issubset(value_vars)
+        # A condition on each repetition is tested only where the run is complete.
+        return self.items is None and self.required_vars.issubset(value_vars)
 
 
-def split_ready(
-    deferred: List[DeferredConditions], always_bound: Set[Var], context: AbstractSet[Var]
-) -> Tuple[List[DeferredConditions], List[DeferredConditions]]:
+def split_testable(
+    deferred: List[DeferredCondition], always_bound: Set[Var], context: AbstractSet[Var]
+) -> Tuple[List[DeferredCondition], List[DeferredCondition]]:
     """Divide conditions into those that can be tested at a node, and those that stay deferred.
 
     Variables that no pattern further left could bind are not required.
@@ -197,17 +203,18 @@ def split_ready(
         always_bound: variables that every match of the node binds.
         context: variables that patterns further left may bind.
     """
-    ready: List[DeferredConditions] = []
-    later: List[DeferredConditions] = []
+    testable: List[DeferredCondition] = []
+    still_deferred: List[DeferredCondition] = []
     for condition in deferred:
-        if (condition.needs - always_bound) & context:
-            later.append(condition)
+        if (condition.required_vars - always_bound) & context:
+            still_deferred.append(condition)
         else:
-            ready.append(condition)
+            testable.append(condition)
+            # A goal that is tested binds its variables, so conditions after it may be testable too.
             always_bound = (
                 always_bound if condition.goal is None else always_bound | set(variables(condition.goal))
             )
-    return ready, later
+    return testable, still_deferred
 
 
 def append_item(items: Term, values: Values) -> Term:
@@ -215,8 +222,8 @@ def append_item(items: Term, values: Values) -> Term:
     return (_ITEMS, (functor(ITEM_FUNCTOR_NAME, len(values) + 1), 0, *values), items)
 
 
-def deferred_test(
-    rule: "EventRule", negations: DeferredNegations, condition: DeferredConditions, value_vars: List[Var]
+def compile_deferred_test(
+    rule: "EventRule", negations: DeferredNegations, condition: DeferredCondition, value_vars: List[Var]
 ) -> Tuple[Test, List[Var]]:
     """Return the test of a condition at a node that knows all of its variables, and the variables after it.
 
@@ -226,36 +233,38 @@ def deferred_test(
         condition: the condition.
         value_vars: variables that are known there.
     """
-    if condition.items is not None and condition.each is not None:
-        return _test_of_each(rule, negations, condition.items, condition.each, value_vars)
+    if condition.items is not None and condition.repetition_condition is not None:
+        return _compile_repetition_test(
+            rule, negations, condition.items, condition.repetition_condition, value_vars
+        )
     interval_positions = (value_vars.index(condition.start), value_vars.index(condition.end))
     if condition.goal is not None:
-        call = RuleGoal(rule, condition.goal, value_vars)
-        return goal_test(call, condition.timed, interval_positions), call.result_vars
-    assert condition.absent is not None
-    negated, ever = condition.absent
-    built = negated.next_copy()
-    absence = negation_buffer_for(rule, built, value_vars, ever)
-    negations.append((absence, built.node))
-    return _absence_test(absence, interval_positions, ever), value_vars
+        rule_goal = RuleGoal(rule, condition.goal, value_vars)
+        test = compile_condition_test(rule_goal, condition.uses_interval, interval_positions)
+        return test, rule_goal.result_vars
+    assert condition.negated is not None
+    built = condition.negated.next_copy()
+    negation = create_negation_buffer(rule, built, value_vars, condition.is_unbounded)
+    negations.append((negation, built.node))
+    return _compile_negation_test(negation, interval_positions), value_vars
 
 
-def early_test(
-    rule: "EventRule", negations: DeferredNegations, condition: DeferredConditions, value_vars: List[Var]
+def compile_early_test(
+    rule: "EventRule", negations: DeferredNegations, condition: DeferredCondition, value_vars: List[Var]
 ) -> Tuple[Test, List[Var]]:
-    """Return a test like `deferred_test`, for a node where some required variables may be unbound.
+    """Return a test like `compile_deferred_test`, for a node where some required variables may be unbound.
 
-    A match with such variables is passed on untested. A match that has passed is marked, and is not tested further
-    up.
+    A match in which a required variable is unbound is passed on untested; a node further up tests it. A match that
+    has passed the test is marked, so that it is not tested again.
     """
-    test, result_vars = deferred_test(rule, negations, condition, value_vars)
+    test, result_vars = compile_deferred_test(rule, negations, condition, value_vars)
     position_of = positions(value_vars)
-    needed = [position_of[var] for var in condition.needs]
+    required_positions = [position_of[var] for var in condition.required_vars]
     start_position = position_of[condition.start]
     new_vars = result_vars[len(value_vars) :]
 
     def test_or_pass(values: Values, start: int, end: int) -> Optional[Values]:
-        if any(deref(values[position]).__class__ is Var for position in needed):
+        if any(deref(values[position]).__class__ is Var for position in required_positions):
             return values + tuple([Var() for _ in new_vars])
         result = test(values, start, end)
         # The mark: a variable in place of the start. The tests above read it as "in a branch that was not taken"
@@ -265,90 +274,95 @@ def early_test(
     return test_or_pass, result_vars
 
 
-def _test_of_each(
+def _compile_repetition_test(
     rule: "EventRule",
     negations: DeferredNegations,
     items: RepetitionItems,
-    condition: DeferredConditions,
+    condition: DeferredCondition,
     value_vars: List[Var],
 ) -> Tuple[Test, List[Var]]:
-    # Each repetition is tested with its own values after those of the match. Bindings of variables that belong to
-    # the whole match are passed from one repetition to the next.
+    # The values of a repetition are appended to those of the match. Bindings of variables that belong to the whole
+    # match are passed from one repetition to the next.
     list_position = value_vars.index(items.var)
-    mentioned = [] if condition.goal is None else variables(condition.goal)
-    match_vars = set(value_vars)
-    known_vars = [*value_vars, *(var for var in mentioned if var in items.same and var not in match_vars)]
-    width = len(known_vars)
-    test_one, result_vars = deferred_test(rule, negations, condition, [*known_vars, *items.names])
-    items.names = result_vars[width:]
+    goal_vars = [] if condition.goal is None else variables(condition.goal)
+    known_at_node = set(value_vars)
+    bound_by_condition = [var for var in goal_vars if var in items.match_vars and var not in known_at_node]
+    known_vars = [*value_vars, *bound_by_condition]
+    known_count = len(known_vars)
+    test_repetition, result_vars = compile_deferred_test(
+        rule, negations, condition, [*known_vars, *items.item_vars]
+    )
+    items.item_vars = result_vars[known_count:]
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
         remaining_items = values[list_position]
-        base = values + tuple([Var() for _ in known_vars[len(values) :]])
+        match_values = values + tuple([Var() for _ in known_vars[len(values) :]])
         if remaining_items.__class__ is Var:
-            return base
-        oldest_first = []
+            # The match comes from a branch without this repetition.
+            return match_values
+        items_newest_first = []
         # The list ends with NO_ITEMS.
         while remaining_items.__class__ is tuple:
-            oldest_first.append(remaining_items[1][2:])
+            # An item is a functor, a zero and the values; see `append_item`.
+            items_newest_first.append(remaining_items[1][2:])
             remaining_items = remaining_items[2]
         tested_items: Term = NO_ITEMS
-        for item in reversed(oldest_first):
-            result = test_one((*base, *item), start, end)
+        for item in reversed(items_newest_first):
+            result = test_repetition((*match_values, *item), start, end)
             if result is None:
                 return None
-            base = result[:width]
-            tested_items = append_item(tested_items, result[width:])
-        return (*base[:list_position], tested_items, *base[list_position + 1 :])
+            match_values = result[:known_count]
+            tested_items = append_item(tested_items, result[known_count:])
+        return (*match_values[:list_position], tested_items, *match_values[list_position + 1 :])
 
     return test, known_vars
 
 
-def negation_buffer_for(
-    rule: "EventRule", negated: BuiltPattern, value_vars: List[Var], ever: bool
+def create_negation_buffer(
+    rule: "EventRule", negated: BuiltPattern, value_vars: List[Var], is_unbounded: bool
 ) -> NegationBuffer:
-    """Return the negation buffer for the matches of a negated node.
+    """Create the negation buffer for the matches of a negated pattern.
 
     Args:
         rule: the rule that owns it.
         negated: result of building the negated pattern.
         value_vars: variables of the match that the negation may suppress; deferred conditions of the negated pattern
             use them.
-        ever: whether a match of the negated pattern at any earlier time counts, not only one in the gap.
+        is_unbounded: whether a match of the negated pattern at any earlier time counts, not only one in the gap.
     """
-    conditions = negated.deferred
     own_vars = negated.node.vars
     position_of = positions(value_vars)
     shared = [(position, position_of[var]) for position, var in enumerate(own_vars) if var in position_of]
-    absence = NegationBuffer(rule, shared, ever)
-    if not conditions:
-        return absence
+    negation = NegationBuffer(rule, shared, is_unbounded)
+    if not negated.deferred:
+        return negation
     new_vars = [var for var in own_vars if var not in position_of]
     new_positions = [position for position, var in enumerate(own_vars) if var not in position_of]
     known_vars = [*value_vars, *new_vars]
     tests = []
-    for deferred in conditions:
-        test, known_vars = deferred_test(rule, absence.deferred_negations, deferred, known_vars)
+    for condition in negated.deferred:
+        test, known_vars = compile_deferred_test(rule, negation.deferred_negations, condition, known_vars)
         tests.append(test)
     tracker = rule.network.tracker
 
-    def condition(values: Values, match: PartialMatch) -> bool:
-        pair_values: Any = values + tuple([match.values[index] for index in new_positions])
+    def holds_for(values: Values, match: PartialMatch) -> bool:
+        known_values: Any = values + tuple([match.values[position] for position in new_positions])
         previous_blocker = tracker.blocking_match
         for test in tests:
-            pair_values = test(pair_values, match.start, match.end)
-            if pair_values is None:
-                # This match is suppressed by a negation of its own, which is not what blocks the pair.
+            known_values = test(known_values, match.start, match.end)
+            if known_values is None:
+                # If a negation of the negated pattern itself failed, it has replaced what blocks the other match.
                 tracker.blocking_match = previous_blocker
                 return False
         return True
 
-    absence.condition = condition
-    return absence
+    negation.condition = holds_for
+    return negation
 
 
-def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], ever: bool) -> Test:
+def _compile_negation_test(negation: NegationBuffer, interval_positions: Tuple[int, int]) -> Test:
     """Return the test of a negation whose gap is among the values."""
+    is_unbounded = negation.is_unbounded
 
     def test(values: Values, start: int, end: int) -> Optional[Values]:
         # An instant, or a variable in a branch that was not taken.
@@ -356,7 +370,7 @@ def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], 
         gap_end: Any = values[interval_positions[1]]
         if gap_start.__class__ is Var:
             return values
-        if absence.forbids_pair(values, gap_start, gap_start if ever else gap_end):
+        if negation.forbids_pair(values, gap_start, gap_start if is_unbounded else gap_end):
             return None
         return values
 
@@ -364,16 +378,23 @@ def _absence_test(absence: NegationBuffer, interval_positions: Tuple[int, int], 
 
 
 VarSet = FrozenSet[Var]
-TestedCondition = Union[ConditionPattern, DeferredConditions]
+TestedCondition = Union[ConditionPattern, DeferredCondition]
 
 
-class Wrapping(NamedTuple):
-    """An operator and the conditions that belong to it, inner ones first."""
+class UnwrappedPattern(NamedTuple):
+    """A pattern without the ``within`` bounds, conditions and negation that surround it.
 
-    core: Pattern
+    Attributes:
+        pattern: the event or operator below them.
+        span: smallest ``within`` bound in ns; None for no bound.
+        conditions: the conditions, inner ones first.
+        negated: the negation in the gap of a pair; None if there is none.
+    """
+
+    pattern: Pattern
     span: Optional[int]
     conditions: List[ConditionPattern]
-    absent: Optional[NotPattern]
+    negated: Optional[NotPattern]
 
 
 def may_be_revived(pattern: Pattern) -> bool:
@@ -382,7 +403,7 @@ def may_be_revived(pattern: Pattern) -> bool:
     return any(isinstance(part, operators) for part in walk(pattern))
 
 
-def goal_variables(conditions: List[ConditionPattern]) -> VarSet:
+def find_condition_vars(conditions: List[ConditionPattern]) -> VarSet:
     """Return the variables of conditions."""
     return frozenset(var for condition in conditions for var in variables(condition.goal))
 
@@ -390,32 +411,34 @@ def goal_variables(conditions: List[ConditionPattern]) -> VarSet:
 def order_by_result_use(
     conditions: Sequence[TestedCondition], known_vars: Sequence[Var], result: Sequence[Var]
 ) -> List[Tuple[bool, TestedCondition]]:
-    """Return the conditions of an aggregate, and for each whether it depends on the result.
+    """Return pairs of a boolean and a condition of an aggregate: whether the condition depends on the result.
 
-    A condition depends on the result also if it uses a variable that such a condition binds.
+    Those that do not depend on it come first.
+
+    A condition also depends on the result if it uses a variable that such a condition binds.
     """
     result_vars = set(result)
-    early, late = [], []
+    independent, dependent = [], []
     for condition in conditions:
-        mentioned = set() if condition.goal is None else set(variables(condition.goal))
-        if mentioned & result_vars:
-            result_vars |= mentioned.difference(known_vars)
-            late.append((True, condition))
+        goal_vars = set() if condition.goal is None else set(variables(condition.goal))
+        if goal_vars & result_vars:
+            result_vars |= goal_vars.difference(known_vars)
+            dependent.append((True, condition))
         else:
-            early.append((False, condition))
-    return [*early, *late]
+            independent.append((False, condition))
+    return [*independent, *dependent]
 
 
-def dispatch_order(is_unordered: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
+def order_for_dispatch(is_unordered: bool, left: BuiltPattern, right: BuiltPattern) -> List[EventNode]:
     """Return the event nodes of a pair in the order in which they receive an event that matches several of them.
 
     In a sequence, the right operand comes first: it completes a pair before the left one is stored. Otherwise nodes
-    that complete matches of several events precede those of single events; of the former the left operand is first,
-    of single events the right one.
+    that complete matches of several events precede those of single events. Of the former, the left operand is first;
+    of single events, the right one.
     """
     if not is_unordered:
         return [*right.leaves, *left.leaves]
-    return [*left.joined, *right.joined, *right.single, *left.single]
+    return [*left.joined_leaves, *right.joined_leaves, *right.single_leaves, *left.single_leaves]
 
 
 def may_share_event(left: BuiltPattern, right: BuiltPattern) -> bool:
@@ -434,23 +457,23 @@ def may_share_event(left: BuiltPattern, right: BuiltPattern) -> bool:
     )
 
 
-def unwrap(pattern: Pattern) -> Wrapping:
-    """Return the operator below the conditions of a pattern, together with these conditions."""
+def unwrap(pattern: Pattern) -> UnwrappedPattern:
+    """Return the event or operator below the bounds, conditions and negation of a pattern, together with these."""
     span: Optional[int] = None
     conditions: List[ConditionPattern] = []
-    absent: Optional[NotPattern] = None
+    negated: Optional[NotPattern] = None
     while True:
         if isinstance(pattern, ConditionPattern):
             conditions.append(pattern)
         elif isinstance(pattern, WithinPattern):
             span = pattern.span if span is None else min(span, pattern.span)
         elif isinstance(pattern, NotPattern) and pattern.inside:
-            absent = pattern
+            negated = pattern
         else:
-            return Wrapping(pattern, span, conditions[::-1], absent)
+            return UnwrappedPattern(pattern, span, conditions[::-1], negated)
         pattern = pattern.pattern
 
 
-def shared_variables(terms: List[Term], pattern: Pattern) -> Set[Var]:
+def find_shared_vars(terms: List[Term], pattern: Pattern) -> Set[Var]:
     """Return the variables that occur more than once in terms and a pattern."""
-    return {var for var, number in occurrences(terms, pattern).items() if number > 1}
+    return {var for var, count in occurrences(terms, pattern).items() if count > 1}

@@ -209,7 +209,8 @@ class EventRule:
         for node, span, retentions in self.nodes:
             retention = retentions.late if options.out_of_order else retentions.in_order
             node.set_span(
-                smaller_bound(span, window) if node.tests_window else span, smaller_bound(retention, window)
+                smaller_bound(span, window) if node.tests_label_window else span,
+                smaller_bound(retention, window),
             )
             self.maintains_clock = self.maintains_clock or any(
                 buffer.retention is not None for buffer in node.buffers()

@@ -11,7 +11,7 @@ its other variables. If a value contains variables, a second form of the goal ta
 the solution may bind any of them.
 
 An error in a goal is reported and counts as failure; the engine continues. A condition may make events, whose rules
-have conditions that make events; the depth of this is limited. `Evaluators` compiles the expressions and goals of
+may have conditions that make events; this nesting is limited. `Evaluators` compiles the expressions and goals of
 aggregates and windows.
 
 `TimedNode` is the protocol of nodes with alarms, which rules and subscriptions have.
@@ -68,11 +68,11 @@ class ConditionState:
 
 
 Test = Callable[[Values, int, int], Optional[Values]]
-"""Takes values and interval of a match; returns the values with those that were found, or None if the test fails."""
+"""Takes values and interval of a match; returns the values with those that the test binds, or None if it fails."""
 
 
 _MAX_CONDITION_DEPTH = 30
-"""Maximum depth of conditions that make events whose rules have conditions that make events."""
+"""Maximum nesting of conditions that make events whose rules have conditions that make events."""
 _FINDALL = functor("findall", 3)
 
 
@@ -92,16 +92,15 @@ class RuleGoal:
         self.rule = rule
         self.goal = goal
         self.match_vars = list(match_vars)
-        mentioned = positions(variables(goal))
+        goal_vars = positions(variables(goal))
         position_of = positions(self.match_vars)
-        inputs = [var for var in self.match_vars if var in mentioned]
-        self.positions = tuple(position_of[var] for var in inputs)
+        inputs = [var for var in self.match_vars if var in goal_vars]
+        self._input_positions = tuple(position_of[var] for var in inputs)
         self._takes_all_values = inputs == self.match_vars
-        self.outputs = [var for var in mentioned if var not in position_of]
+        self.outputs = [var for var in goal_vars if var not in position_of]
         self.result_vars = [*self.match_vars, *self.outputs]
-        self._from_outside = (
-            rule.network.logic.is_serving_client
-        )  # read here, because the other forms of the goal are compiled later
+        # Read here, because the other forms of the goal are compiled later, outside of the client's request.
+        self._comes_from_client = rule.network.logic.is_serving_client
         self._compiled: Dict[Tuple[object, ...], CompiledGoal] = {}
         self._inputs = inputs
         self._ground_goal = self._compile(inputs, self.outputs, False)
@@ -119,7 +118,7 @@ class RuleGoal:
         try:
             if condition_state.condition_depth > _MAX_CONDITION_DEPTH:
                 raise resource_error("conditions_that_make_events")
-            inputs = tuple([values[position] for position in self.positions])
+            inputs = tuple([values[position] for position in self._input_positions])
             if are_ground(inputs):
                 solution = self._ground_goal.first_solution(inputs)
                 if solution is None:
@@ -157,7 +156,9 @@ class RuleGoal:
             frame: the frame to continue with.
         """
         inputs = (
-            values if self._takes_all_values else tuple([values[position] for position in self.positions])
+            values
+            if self._takes_all_values
+            else tuple([values[position] for position in self._input_positions])
         )
         # With ground inputs, the goal returns only its other variables; the values of the match are passed beside
         # it.
@@ -210,7 +211,7 @@ class RuleGoal:
         frame: Frame,
     ) -> Frame:
         """Return the frame that continues with ``on_solution`` for each solution, in order; see `call_once`."""
-        inputs = tuple([values[position] for position in self.positions])
+        inputs = tuple([values[position] for position in self._input_positions])
         ground = ground or are_ground(inputs)
         # All solutions are computed first: events that follow from the first solution must not change the later
         # ones.
@@ -241,22 +242,23 @@ class RuleGoal:
         """
         return self._dispatcher.caused_by((self.rule, match), on_solution, frame)
 
-    def _open_goal(self, every: bool = False) -> CompiledGoal:
-        """Return the goal for values with variables; it returns all values, as its solution leaves them."""
-        return self._compile(self.match_vars, self.result_vars, every)
+    def _open_goal(self, collects_all: bool = False) -> CompiledGoal:
+        """Return the goal for values with variables; it returns all values, because a solution may bind any."""
+        return self._compile(self.match_vars, self.result_vars, collects_all)
 
-    def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], every: bool) -> CompiledGoal:
-        key = (tuple(inputs), tuple(outputs), every)
+    def _compile(self, inputs: Sequence[Var], outputs: Sequence[Var], collects_all: bool) -> CompiledGoal:
+        """Return the goal for some inputs and outputs; with ``collects_all`` its output is a list of solutions."""
+        key = (tuple(inputs), tuple(outputs), collects_all)
         compiled = self._compiled.get(key)
         if compiled is None:
             goal, requested_outputs = self.goal, list(outputs)
-            if every:
+            if collects_all:
                 all_solutions = Var()
                 goal = (_FINDALL, make_list(outputs), goal, all_solutions)
                 requested_outputs = [all_solutions]
             rule = self.rule
             compiled = self._compiled[key] = rule.network.logic.compile_goal(
-                goal, list(inputs), requested_outputs, rule.place, rule.name, self._from_outside
+                goal, list(inputs), requested_outputs, rule.place, rule.name, self._comes_from_client
             )
         return compiled
 
@@ -268,38 +270,40 @@ class RuleGoal:
         self.rule.network.goal_failed(self.rule, self.goal, error)
 
 
-def goal_test(call: RuleGoal, timed: bool, interval_positions: Optional[Tuple[int, int]]) -> Test:
+def compile_condition_test(
+    rule_goal: RuleGoal, uses_interval: bool, interval_positions: Optional[Tuple[int, int]]
+) -> Test:
     """Return the test of a condition.
 
     Args:
-        call: the goal.
-        timed: whether ``t1/1`` and ``t2/1`` are available in it.
+        rule_goal: the goal.
+        uses_interval: whether it uses ``t1/1`` and ``t2/1``.
         interval_positions: positions of the interval of the condition's pattern among the values, if it is tested
             further up; a variable there means that the pattern is in a branch that was not taken.
     """
-    goal = call.extend_values
-    condition_state = call.rule.network.condition_state
-    missing_vars = [Var for _ in call.outputs]
+    extend_values = rule_goal.extend_values
+    condition_state = rule_goal.rule.network.condition_state
+    new_var_count = len(rule_goal.outputs)
 
     def without_interval(values: Values, start: int, end: int) -> Optional[Values]:
-        return goal(values)
+        return extend_values(values)
 
     def with_interval(values: Values, start: Any, end: Any) -> Optional[Values]:
         if interval_positions is not None:
             start, end = values[interval_positions[0]], values[interval_positions[1]]
             if start.__class__ is Var:
-                return values + tuple([make() for make in missing_vars])
-        if not timed:
-            return goal(values)
+                return values + tuple([Var() for _ in range(new_var_count)])
+        if not uses_interval:
+            return extend_values(values)
         # Conditions nest: the event that a condition makes may cause another timed condition.
         previous_interval = condition_state.condition_interval
         condition_state.condition_interval = (start, end)
         try:
-            return goal(values)
+            return extend_values(values)
         finally:
             condition_state.condition_interval = previous_interval
 
-    return with_interval if timed or interval_positions is not None else without_interval
+    return with_interval if uses_interval or interval_positions is not None else without_interval
 
 
 _IS = functor("is", 2)
@@ -323,7 +327,7 @@ class Evaluators:
         self._rule = rule
 
     def compile_expression(
-        self, aggregate: str, measured: Term, value_vars: Sequence[Var], may_be_array: bool = False
+        self, aggregate: str, expression: Term, value_vars: Sequence[Var], may_be_array: bool = False
     ) -> Evaluate:
         """Return a function that evaluates the expression of an aggregate by `is`.
 
@@ -332,32 +336,34 @@ class Evaluators:
 
         Args:
             aggregate: name of the aggregate.
-            measured: the expression in the rule.
+            expression: the expression in the rule.
             value_vars: variables of the matches.
             may_be_array: whether a variable may have an array as its value, which is returned unchanged.
         """
-        # In an expression, a list would have the arithmetic value of its only item.
-        may_be_array = may_be_array and deref(measured).__class__ is Var
-        number, expression = Var(), Var()
-        goal: List[CompiledGoal] = []
+        # `is` evaluates a list of one item to the value of that item, so only a plain variable may be an array.
+        may_be_array = may_be_array and deref(expression).__class__ is Var
+        result_var, expression_var = Var(), Var()
+        compiled_goal: List[CompiledGoal] = []
         position_of = positions(value_vars)
-        inputs = [position_of[var] for var in variables(measured) if var in position_of]
-        is_suitable = (
+        input_positions = [position_of[var] for var in variables(expression) if var in position_of]
+        is_valid_input = (
             is_number_expression if AGGREGATES[aggregate].value_rule.accepts_expressions else is_number
         )
 
         def evaluate(term: Term, values: Values) -> Term:
             if may_be_array and array_length(term) is not None:
                 return term
-            for position in inputs:
-                if not is_suitable(values[position]):
+            for position in input_positions:
+                if not is_valid_input(values[position]):
                     raise value_error(aggregate, values[position])
             # Compiled at the first use: most expressions are variables whose values are numbers already.
-            if not goal:
+            if not compiled_goal:
                 logic = self._rule.network.logic
-                goal.append(logic.compile_goal((_IS, number, expression), [expression], [number]))
+                compiled_goal.append(
+                    logic.compile_goal((_IS, result_var, expression_var), [expression_var], [result_var])
+                )
             try:
-                solution = goal[0].first_solution((term,))
+                solution = compiled_goal[0].first_solution((term,))
             except PrologError as error:
                 record_caught_error(error)
                 raise RuleError(f"{value_error(aggregate, term).message}: {error.message}") from error
@@ -368,7 +374,7 @@ class Evaluators:
         return evaluate
 
     def compile_test(self, goal: Term, value_vars: Sequence[Var], title: str) -> GoalTest:
-        """Return a function that calls a goal, given the values of some variables."""
+        """Return a function that calls a goal, given the values of some variables; errors begin with ``title``."""
         compiled = self._rule.network.logic.compile_goal(goal, list(value_vars), [])
 
         def is_satisfied(values: Values) -> bool:
@@ -381,30 +387,29 @@ class Evaluators:
         return is_satisfied
 
     def compile_fold(self, predicate_names: Tuple[Atom, Atom, Atom]) -> FoldFunction:
-        """Return a function that calls the predicates of a user-defined aggregate.
+        """Return a function that calls the predicates of a user-defined aggregate; it returns None if one fails.
 
-        It returns None if one predicate fails.
-
-        The first predicate returns the initial state, the second one takes a value and a state and returns the next
-        state, and the third one takes a state and returns the result.
+        Args:
+            predicate_names: names of three predicates. The first returns the initial state, the second takes a value
+                and a state and returns the next state, and the third takes a state and returns the result.
         """
         logic = self._rule.network.logic
         value, state, output = Var(), Var(), Var()
-        initial = logic.compile_goal((functor(predicate_names[0].name, 1), output), [], [output])
-        next_state = logic.compile_goal(
+        initial_goal = logic.compile_goal((functor(predicate_names[0].name, 1), output), [], [output])
+        step_goal = logic.compile_goal(
             (functor(predicate_names[1].name, 3), value, state, output), [value, state], [output]
         )
-        final_result = logic.compile_goal(
+        result_goal = logic.compile_goal(
             (functor(predicate_names[2].name, 2), state, output), [state], [output]
         )
 
         def fold(values: Sequence[Term]) -> Optional[Term]:
             try:
-                current = initial.first_solution(())
+                current = initial_goal.first_solution(())
                 for element in values:
                     # A failing step makes the whole aggregate fail.
-                    current = None if current is None else next_state.first_solution((element, current[0]))
-                result = None if current is None else final_result.first_solution((current[0],))
+                    current = None if current is None else step_goal.first_solution((element, current[0]))
+                result = None if current is None else result_goal.first_solution((current[0],))
             except PrologError as error:
                 record_caught_error(error)
                 raise RuleError(f"aggregate fold: {error.message}") from error

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, Li
 from ...foundation.codegen import shared_function
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Var
-from ..fused.fused_join import FusedPair, PartnerChoice, fused_absence, fused_side
+from ..fused.fused_join import FusedPair, PartnerChoice, fused_negation, fused_side
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
     Emit,
@@ -64,17 +64,19 @@ class JoinNode(NetworkNode):
         operator: defines which pairs are results, and their interval.
         left: node of the left operand.
         right: node of the right operand.
-        shared_vars: variables that are used elsewhere in the rule.
+        shared_vars: variables that occur more than once in the rule.
         gap: variables that receive the gap between the operands, for a negation that is tested further up; or None.
         interval_vars: pairs of variables that receive the interval of the result, for conditions tested further up.
         shares_events: whether one event may be in both operands.
         identity_functions: functions that return the identity of the matches of the left and of the right operand.
 
     Attributes:
-        can_be_revived: whether a match of the left and of the right operand can be revived by a retraction.
+        left_can_be_revived: whether a match of the left operand can be revived by a retraction.
+        right_can_be_revived: whether a match of the right operand can be revived by a retraction.
     """
 
-    can_be_revived = (False, False)
+    left_can_be_revived = False
+    right_can_be_revived = False
 
     def __init__(
         self,
@@ -96,16 +98,14 @@ class JoinNode(NetworkNode):
         self.shared_vars = shared_vars
         self._identity_functions = identity_functions
         position_in_left, position_in_right = positions(left.vars), positions(right.vars)
-        self.shared_positions = tuple(
+        self.join_positions = tuple(
             (position, position_in_right[var])
             for var, position in position_in_left.items()
             if var in position_in_right
         )
-        self.left_buffer = MatchBuffer(
-            rule, tuple(left_position for left_position, _ in self.shared_positions)
-        )
+        self.left_buffer = MatchBuffer(rule, tuple(left_position for left_position, _ in self.join_positions))
         self.right_buffer = MatchBuffer(
-            rule, tuple(right_position for _, right_position in self.shared_positions)
+            rule, tuple(right_position for _, right_position in self.join_positions)
         )
         # Values of the result as source expressions: variables that nothing above uses are dropped here (projection).
         value_sources = [
@@ -118,12 +118,12 @@ class JoinNode(NetworkNode):
         ]
         if gap is not None:
             value_sources += [("e1", gap[0]), ("s2", gap[1])]
-        for first, last in interval_vars:
-            value_sources += [("start", first), ("end", last)]
+        for start_var, end_var in interval_vars:
+            value_sources += [("start", start_var), ("end", end_var)]
         self.value_sources = [source for source, _ in value_sources]
         self.vars = [var for _, var in value_sources]
-        self.absences: List[NegationBuffer] = []
-        self.negated: List[NetworkNode] = []
+        self.negations: List[NegationBuffer] = []
+        self.negated_nodes: List[NetworkNode] = []
         self.deferred_negations: DeferredNegations = []
         self.tests: List[Test] = []
         self.completed: Dict[Hashable, None] = {}
@@ -136,15 +136,15 @@ class JoinNode(NetworkNode):
         self.tests.append(test)
         self.vars = list(value_vars)
 
-    def add_absence(self, absence: NegationBuffer, negated: NetworkNode) -> None:
+    def add_negation(self, negation: NegationBuffer, negated: NetworkNode) -> None:
         """Add a pattern that must not match between the operands."""
-        self.absences.append(absence)
-        self.negated.append(negated)
+        self.negations.append(negation)
+        self.negated_nodes.append(negated)
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        absences = [*self.absences, *(absence for absence, _ in self.deferred_negations)]
-        negated = [buffer for absence in absences for buffer in absence.buffers()]
+        negations = [*self.negations, *(negation for negation, _ in self.deferred_negations)]
+        negated = [buffer for negation in negations for buffer in negation.buffers()]
         return (self.left_buffer, self.right_buffer, *negated)
 
     def sweeps(self, options: NetworkOptions) -> List[RuledOutSweep]:
@@ -153,13 +153,13 @@ class JoinNode(NetworkNode):
             # A first operand may arrive after the match that rules it out, or that match may be retracted.
             return []
         sweeps = []
-        for absence in self.absences:
-            sources = [self.value_sources[position] for _, position in absence.shared]
+        for negation in self.negations:
+            sources = [self.value_sources[position] for _, position in negation.shared]
             # If the negated pattern shares a variable with the second operand, different second operands have
             # different negated matches, and no first operand is ruled out for all of them.
-            if absence.uses_frontiers() and all(source.startswith("lv[") for source in sources):
-                positions = [int(source[3:-1]) for source in sources]
-                sweeps.append(RuledOutSweep(self.left_buffer, absence, positions))
+            if negation.uses_frontiers() and all(source.startswith("lv[") for source in sources):
+                left_positions = [int(source[3:-1]) for source in sources]
+                sweeps.append(RuledOutSweep(self.left_buffer, negation, left_positions))
         return sweeps
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
@@ -167,8 +167,8 @@ class JoinNode(NetworkNode):
         self.span = span
         self.left_buffer.retention = self.right_buffer.retention = retention
         accepts_late = self.rule.options.out_of_order
-        for absence in self.absences:
-            absence.buffer.retention = retention_for_late(span, retention) if accepts_late else retention
+        for negation in self.negations:
+            negation.buffer.retention = retention_for_late(span, retention) if accepts_late else retention
 
     def snapshot(self) -> Any:
         """Return the state of the node; see `NetworkNode.snapshot`."""
@@ -176,9 +176,9 @@ class JoinNode(NetworkNode):
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        completed, sides = saved
+        completed, retained = saved
         self.completed.update(dict.fromkeys(completed))
-        self.retained_matches.restore(sides)
+        self.retained_matches.restore(retained)
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node, and the join nodes on its left; see `NetworkNode.bind`."""
@@ -198,21 +198,21 @@ class JoinNode(NetworkNode):
         self.left_buffer.partner_bounds = interval_bounds(operator.name, self.span, False)
         self.right_buffer.partner_bounds = interval_bounds(operator.name, self.span, True)
         self.left_buffer.min_end_for = None
-        for absence in self.absences:
+        for negation in self.negations:
             # Without shared variables the bound is the same for all first operands, so the search can use it.
-            if absence.uses_frontiers() and not absence.shared:
-                self.left_buffer.min_end_for = absence.min_first_end
+            if negation.uses_frontiers() and not negation.shared:
+                self.left_buffer.min_end_for = negation.min_first_end
         identify_left, identify_right = (
             self._identity_functions if options.policy.replaces_identical else (None, None)
         )
         self.left_buffer.set_identity_function(None if operator.joins_all_left else identify_left)
         self.right_buffer.set_identity_function(None if self._retains_right(options) else identify_right)
         left_action = self._bind_sides(self._left_side(), self._right_side(options), emit, options)
-        for negated, absence in zip(self.negated, self.absences):
-            _bind(negated, absence.on_match, options, self._fuse_absence(negated, absence, options))
-            absence.bind_deferred_negations(options)
-        for absence, node in self.deferred_negations:
-            absence.bind(node, options)
+        for node, negation in zip(self.negated_nodes, self.negations):
+            _bind(node, negation.on_match, options, self._fuse_negation(node, negation, options))
+            negation.bind_deferred_negations(options)
+        for negation, node in self.deferred_negations:
+            negation.bind(node, options)
         return left_action
 
     def _accepts_late_left(self, options: NetworkOptions) -> bool:
@@ -227,12 +227,12 @@ class JoinNode(NetworkNode):
 
     def _retains_right(self, options: NetworkOptions) -> bool:
         """Return whether second operands are kept for a first one that a retraction may revive."""
-        return self._revives_operands(options) and self.can_be_revived[0]
+        return self._revives_operands(options) and self.left_can_be_revived
 
     def _left_side(self) -> MatchSide:
         # A left operand is always stored, even after it has joined with a partner: later right operands may use it.
         return MatchSide(
-            self.left_buffer, self.right_buffer, self.join_pair, self.shared_positions, True, True, False
+            self.left_buffer, self.right_buffer, self.join_pair, self.join_positions, True, True, False
         )
 
     def _right_side(self, options: NetworkOptions) -> MatchSide:
@@ -242,10 +242,10 @@ class JoinNode(NetworkNode):
             self._retains_right(options),
         )
         flipped_positions = tuple(
-            (right_position, left_position) for left_position, right_position in self.shared_positions
+            (right_position, left_position) for left_position, right_position in self.join_positions
         )
         join = self._compile_join(False)
-        if self._revives_operands(options) and self.can_be_revived[1]:
+        if self._revives_operands(options) and self.right_can_be_revived:
             join = join_in_order(self.rule.network.tracker, join)
         stores_unmatched, stores_matched = (
             is_unordered or accepts_late or retains_right,
@@ -275,17 +275,17 @@ class JoinNode(NetworkNode):
         """
         policy, operator, accepts_late = options.policy, self.operator, self._accepts_late_left(options)
         is_unordered = operator.completes_in_any_order
-        store_left = store_only(left), self._fuse(left, False, emit, options)
+        left_action: Tuple[Emit, Optional[Fuse]] = store_only(left), self._fuse(left, False, emit, options)
         if self._retains_right(options):
             tracker = self.rule.network.tracker
-            store_left = (
+            left_action = (
                 join_revived_first(tracker, left, policy.consumes_partners, operator.joins_all_left, emit),
                 None,
             )
         if operator.joins_all_left:
             self.right.bind(join_all_at_once(right, True, emit), options)
             if not accepts_late:
-                return store_left
+                return left_action
             if policy.consumes_partners:
                 return join_one_partner(left, policy.prefers_newest, True, emit), self._fuse(
                     left, True, emit, options
@@ -297,7 +297,7 @@ class JoinNode(NetworkNode):
             return (
                 (join_all_partners(left, emit), self._fuse(left, True, emit, options))
                 if is_unordered or accepts_late
-                else store_left
+                else left_action
             )
         # `and` with one event in both operands: each event may complete one pair only.
         completed_events = (
@@ -310,12 +310,12 @@ class JoinNode(NetworkNode):
             fuse,
         )
         if not is_unordered and not accepts_late:
-            return store_left
-        on_match = join_one_partner(left, policy.prefers_newest, True, emit, completed_events)
+            return left_action
+        join_left = join_one_partner(left, policy.prefers_newest, True, emit, completed_events)
         # The event of a right operand is stored when it has been tried as a left operand too; see `_store_later`.
         if right.store and is_unordered:
-            return self._store_deferred_first(on_match), None
-        return on_match, self._fuse(left, True, emit, options)
+            return self._store_deferred_first(join_left), None
+        return join_left, self._fuse(left, True, emit, options)
 
     def _fuse(self, side: MatchSide, joins: bool, emit: Emit, options: NetworkOptions) -> Optional[Fuse]:
         """Return the function that fuses an operand with the dispatch of its events; None if it cannot be fused.
@@ -336,7 +336,7 @@ class JoinNode(NetworkNode):
             self.operator,
             self.span,
             list(zip(self.vars, self.value_sources)),
-            [absence.forbids_pair for absence in self.absences],
+            [negation.forbids_pair for negation in self.negations],
             self.tests,
             self.vars[len(self.value_sources) :],
             computed_values_getter(self.vars, len(self.value_sources), self.shared_vars),
@@ -357,13 +357,13 @@ class JoinNode(NetworkNode):
         )
         return not is_inspected and not rule.collects_garbage
 
-    def _fuse_absence(
-        self, negated: NetworkNode, absence: NegationBuffer, options: NetworkOptions
+    def _fuse_negation(
+        self, negated: NetworkNode, negation: NegationBuffer, options: NetworkOptions
     ) -> Optional[Fuse]:
         rule = self.rule
         if not self._may_fuse(options):
             return None
-        return lambda general_path: fused_absence(absence, rule, negated.values_are_arguments, general_path)
+        return lambda general_path: fused_negation(negation, rule, negated.values_are_arguments, general_path)
 
     def _store_later(self, match: PartialMatch, key: Hashable) -> None:
         """Store a right operand when its event has been tried as a left operand too.
@@ -415,9 +415,9 @@ class JoinNode(NetworkNode):
         lines.append(
             f"    values = ({', '.join(self.value_sources)}{',' if len(self.value_sources) == 1 else ''})"
         )
-        for number, absence in enumerate(self.absences):
-            namespace[f"absence{number}"] = absence.forbids_pair
-            lines += [f"    if absence{number}(values, e1, s2):", "        return None"]
+        for number, negation in enumerate(self.negations):
+            namespace[f"negation{number}"] = negation.forbids_pair
+            lines += [f"    if negation{number}(values, e1, s2):", "        return None"]
         for number, test in enumerate(self.tests):
             namespace[f"test{number}"] = test
             lines += [
@@ -435,7 +435,7 @@ class JoinNode(NetworkNode):
         join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
             "\n".join(lines) + "\n", namespace, f"join by {operator.name}"
         )
-        if self.rule.network.options.tracks_events and (self.absences or self.deferred_negations):
+        if self.rule.network.options.tracks_events and (self.negations or self.deferred_negations):
             return self._record_suppressed_joins(join, left_arrives)
         return join
 

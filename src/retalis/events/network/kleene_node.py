@@ -10,9 +10,9 @@ Conditions are divided by the data that they need:
 
 * *step tests* use one repetition and the start; they decide whether the repetition extends the run;
 * *tests* use the run as a whole and are part of the match: a repetition that fails one does not extend the run;
-* *late tests* use the result of an aggregate: the repetition extends the run, but the result is not emitted;
-* conditions that need patterns further left are tested by nodes further up (see `deferred_conditions`). Their values
-  are passed on as a list of items, one for each repetition (see `RepetitionItems`).
+* *result tests* use the result of an aggregate: the repetition extends the run, but the result is not emitted;
+* conditions that use variables of patterns further left are tested by nodes further up (see `deferred_conditions`).
+  Their values are passed on as a list of items, one for each repetition (see `RepetitionItems`).
 
 If an event is retracted, the repetitions that contain it are removed and the run is computed again
 (`KleeneNode.recompute_results`).
@@ -79,7 +79,9 @@ class KleeneValues(NetworkNode):
 
     Attributes:
         step_vars: variables that the step tests of a repetition know, and those that these tests bind.
-        fixed_vars: those of them that have one value in a run, because they are used elsewhere in the rule.
+        fixed_vars: those of them, without variables of the start, that have one value in a run, because they are
+            used elsewhere in the rule.
+        free_vars: variables of the aggregated term that no repetition binds and that are used elsewhere in the rule.
     """
 
     _computed_values: Callable[[Values], Values]
@@ -92,19 +94,19 @@ class KleeneValues(NetworkNode):
         self.new_result_vars: List[Var] = []
         self._interval_count = 0
         self.tests: List[Test] = []
-        self.late_tests: List[Test] = []
+        self.result_tests: List[Test] = []
         first_vars = set(first.vars)
         self.step_vars = [*first.vars, *(var for var in repeated.vars if var not in first_vars)]
-        self.open_vars: List[Var] = []
+        self.free_vars: List[Var] = []
 
-    def set_open_vars(self, value_vars: Sequence[Var]) -> None:
+    def set_free_vars(self, value_vars: Sequence[Var]) -> None:
         """Add variables that no repetition binds and that are used elsewhere.
 
         They are the same in all repetitions.
         """
         known_vars = set(self.step_vars)
-        self.open_vars = [var for var in value_vars if var not in known_vars]
-        self.step_vars = [*self.step_vars, *self.open_vars]
+        self.free_vars = [var for var in value_vars if var not in known_vars]
+        self.step_vars = [*self.step_vars, *self.free_vars]
 
     def set_result_layout(
         self,
@@ -135,14 +137,14 @@ class KleeneValues(NetworkNode):
         result_vars = [*first_vars, *self.fixed_vars]
         if items is not None:
             known_vars = set(result_vars)
-            items.names = [var for var in self.step_vars if var not in known_vars]
-            self._item_positions = [position_in_step[var] for var in items.names]
+            items.item_vars = [var for var in self.step_vars if var not in known_vars]
+            self._item_positions = [position_in_step[var] for var in items.item_vars]
             result_vars.insert(self._first_computed_position, items.var)
             self._first_computed_position += 1
         position_by_var = positions(result_vars)
-        self._open_positions = [position_by_var[var] for var in self.open_vars]
+        self._free_positions = [position_by_var[var] for var in self.free_vars]
         if aggregate is not None and result is not None:
-            self.is_result_variable = result.__class__ is Var and result not in position_by_var
+            self.result_is_variable = result.__class__ is Var and result not in position_by_var
             self.new_result_vars = [var for var in variables(result) if var not in position_by_var]
             self._result_position = len(result_vars)
             result_vars += self.new_result_vars
@@ -154,13 +156,16 @@ class KleeneValues(NetworkNode):
         self.vars = [*self.vars, start, end]
         self._interval_count += 1
 
-    def add_test(self, test: Test, value_vars: Sequence[Var], late: bool) -> None:
-        """Add a condition; ``value_vars`` are the variables after it.
+    def add_test(self, test: Test, value_vars: Sequence[Var], uses_result: bool) -> None:
+        """Add a condition.
 
-        A condition on an aggregate's result (``late``) decides whether the result is emitted; any other is part of
-        the match.
+        Args:
+            test: the condition.
+            value_vars: variables of the values that it returns.
+            uses_result: whether it uses the result of an aggregate. Such a condition decides whether the result is
+                emitted; any other decides whether the repetition extends the run.
         """
-        (self.late_tests if late else self.tests).append(test)
+        (self.result_tests if uses_result else self.tests).append(test)
         self.vars = list(value_vars)
 
     def _result_without_repetitions(self, run: Run) -> Optional[PartialMatch]:
@@ -172,14 +177,14 @@ class KleeneValues(NetworkNode):
         return None if values is None else self.result_of(run, values)
 
     def _apply_tests(
-        self, first: Values, items: Term, fixed: Optional[Values], start: int, end: int
+        self, first_values: Values, items: Term, fixed_values: Optional[Values], start: int, end: int
     ) -> Optional[Values]:
-        """Return the values of a run after its conditions, with the result unbound; None if a condition fails."""
-        values: Any = first
+        """Return the values of a run after its tests, with variables for the result; None if a test fails."""
+        values: Any = first_values
         if self.items is not None:
             values += (items,)
         if self.fixed_vars:
-            values += tuple([Var() for _ in self.fixed_vars]) if fixed is None else fixed
+            values += tuple([Var() for _ in self.fixed_vars]) if fixed_values is None else fixed_values
         if self.new_result_vars:
             values += tuple([Var() for _ in self.new_result_vars])
         if self._interval_count:
@@ -197,10 +202,10 @@ class KleeneValues(NetworkNode):
         aggregate = self.aggregate
         if aggregate is not None:
             value = aggregate.result(run.state)
-            if self.open_vars:
-                result_values, value = self._bind_open_vars(run, result_values, value)
+            if self.free_vars:
+                result_values, value = self._bind_free_vars(run, result_values, value)
             result_values = self._insert_result(result_values, value)
-            for test in self.late_tests:
+            for test in self.result_tests:
                 if result_values is None:
                     return None
                 result_values = test(result_values, start, end)
@@ -209,13 +214,13 @@ class KleeneValues(NetworkNode):
         computed_values = ComputedValues(self._computed_values(result_values))
         event = run.event if run.fixed_values is None else None
         # The `RepetitionChain` is needed even if it is empty: without it, `explanation_terms` would take the parts
-        # for those of a condition around the start.
+        # for those of a `FilterNode` above the node of the start.
         return PartialMatch(result_values, start, end, event, None, (run.first, run.tracked, computed_values))
 
-    def _bind_open_vars(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
+    def _bind_free_vars(self, run: Run, values: Values, value: Term) -> Tuple[Values, Term]:
         """Bind the variables that no repetition binds by the values that conditions gave them."""
         trail: Trail = []
-        for var, position in zip(run.free_vars, self._open_positions):
+        for var, position in zip(run.free_vars, self._free_positions):
             unify(var, values[position], trail)
         bound = tuple([resolve(element) for element in values]), resolve(value)
         undo(trail, 0)
@@ -223,7 +228,7 @@ class KleeneValues(NetworkNode):
 
     def _insert_result(self, values: Values, value: Term) -> Optional[Values]:
         """Put the result in the place of its variables in the values."""
-        if self.is_result_variable:
+        if self.result_is_variable:
             position = self._result_position
             return (*values[:position], value, *values[position + 1 :])
         return self._unify_result(values, value)
@@ -247,13 +252,15 @@ class KleeneNode(KleeneValues):
         repeated: node of Q.
         shares_events: whether one event may be in both.
         identity_functions: functions that return the identity of the matches of P and of Q.
-        outside_vars: variables that are used elsewhere in the rule.
+        shared_vars: variables that occur more than once in the rule.
 
     Attributes:
-        can_be_revived: whether a match of P and of Q can be revived by a retraction.
+        first_can_be_revived: whether a match of P can be revived by a retraction.
+        repeated_can_be_revived: whether a match of Q can be revived by a retraction.
     """
 
-    can_be_revived = (False, False)
+    first_can_be_revived = False
+    repeated_can_be_revived = False
 
     def __init__(
         self,
@@ -262,22 +269,22 @@ class KleeneNode(KleeneValues):
         repeated: NetworkNode,
         shares_events: bool,
         identity_functions: Tuple[IdentityFunction, IdentityFunction],
-        outside_vars: AbstractSet[Var],
+        shared_vars: AbstractSet[Var],
     ):
         super().__init__(first, repeated)
         self.rule = rule
         self._identify_first, self._identify_repeated = identity_functions
-        self._outside_vars = outside_vars
+        self._shared_vars = shared_vars
         self.shares_events = shares_events
         position_in_first, position_in_repeated = positions(first.vars), positions(repeated.vars)
-        self.shared_positions = tuple(
+        self.join_positions = tuple(
             (position, position_in_repeated[var])
             for var, position in position_in_first.items()
             if var in position_in_repeated
         )
-        self.buffer = MatchBuffer(rule, tuple(first_position for first_position, _ in self.shared_positions))
+        self.buffer = MatchBuffer(rule, tuple(first_position for first_position, _ in self.join_positions))
         self.repetition_buffer = MatchBuffer(
-            rule, tuple(repeated_position for _, repeated_position in self.shared_positions)
+            rule, tuple(repeated_position for _, repeated_position in self.join_positions)
         )
         self.step_tests: List[Test] = []
         self.deferred_negations: DeferredNegations = []
@@ -288,7 +295,7 @@ class KleeneNode(KleeneValues):
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        negated = [buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()]
+        negated = [buffer for negation, _ in self.deferred_negations for buffer in negation.buffers()]
         return (self.buffer, self.repetition_buffer, *negated)
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
@@ -318,8 +325,8 @@ class KleeneNode(KleeneValues):
         self.defers_storage = self.accepts_late_starts and self.shares_events and policy.replaces_identical
         revises = options.emits_revisions and not self.accepts_late_starts
         self.retains_repetitions, self.joins_in_order = (
-            revises and self.can_be_revived[0],
-            revises and self.can_be_revived[1],
+            revises and self.first_can_be_revived,
+            revises and self.repeated_can_be_revived,
         )
         self.buffer.partner_bounds = interval_bounds(SEQ, self.span, False)
         self.repetition_buffer.partner_bounds = interval_bounds(SEQ, self.span, True)
@@ -332,7 +339,7 @@ class KleeneNode(KleeneValues):
             self._identify_repeated if policy.replaces_identical and not self.retains_repetitions else None
         )
         self._computed_values = computed_values_getter(
-            self.vars, self._first_computed_position, self._outside_vars
+            self.vars, self._first_computed_position, self._shared_vars
         )
         self.emit = emit
         # The repetitions are connected first: an event that is both starts a run only after it has extended earlier
@@ -342,8 +349,8 @@ class KleeneNode(KleeneValues):
         else:
             self.repeated.bind(self._extend_all_action(emit), options)
         self.first.bind(self._start_action(emit), options)
-        for absence, negated in self.deferred_negations:
-            absence.bind(negated, options)
+        for negation, negated in self.deferred_negations:
+            negation.bind(negated, options)
 
     def _start_action(self, emit: Emit) -> Emit:
         buffer = self.buffer
@@ -351,7 +358,7 @@ class KleeneNode(KleeneValues):
         emits_empty_result = aggregate is None or aggregate.empty_result is not None
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
-            run = Run(match, self.initial_state, len(self.open_vars))
+            run = Run(match, self.initial_state, len(self.free_vars))
             key = buffer.key_of(run)
             older = buffer.find_identical(run, key)
             # The same occurrence may arrive twice, for example by two branches of an `or`; it must not reset its
@@ -457,13 +464,16 @@ class KleeneNode(KleeneValues):
 
         return on_match
 
-    def extend(self, run: Run, match: PartialMatch, keyed: bool) -> Tuple[bool, Optional[PartialMatch]]:
+    def extend(
+        self, run: Run, match: PartialMatch, shares_values: bool
+    ) -> Tuple[bool, Optional[PartialMatch]]:
         """Extend a run if the match satisfies all tests; return whether it did, and the result to emit.
 
         Args:
             run: the run.
             match: the repetition.
-            keyed: whether the shared variables are known to have the same values.
+            shares_values: whether run and match are known to have the same values of the shared variables; otherwise
+                these are unified.
         """
         # `star_times` requires each repetition to follow the one before it; an aggregate only requires it to follow
         # the start.
@@ -474,8 +484,8 @@ class KleeneNode(KleeneValues):
         if span is not None and last - run.start > span:
             return False, None
         values: Any = run.values
-        if not keyed:
-            sides = unify_sides(run, match, self.shared_positions)
+        if not shares_values:
+            sides = unify_sides(run, match, self.join_positions)
             if sides is None:
                 return False, None
             values, match = sides[0].values, sides[1]
@@ -494,7 +504,7 @@ class KleeneNode(KleeneValues):
         return extended, result
 
     def _extend_and_record(
-        self, run: Run, match: PartialMatch, keyed: bool
+        self, run: Run, match: PartialMatch, shares_values: bool
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Extend a run as `extend` does.
 
@@ -502,7 +512,7 @@ class KleeneNode(KleeneValues):
         """
         tracker = self.rule.network.tracker
         tracker.blocking_match = None
-        extended, result = self.extend(run, match, keyed)
+        extended, result = self.extend(run, match, shares_values)
         if not extended and tracker.blocking_match is not None:
             tracker.record_suppressed(self, (run, match))
         return extended, result
@@ -511,17 +521,17 @@ class KleeneNode(KleeneValues):
         self, run: Run, match: PartialMatch, values: Values, step_values: Values, last: int
     ) -> Tuple[bool, Optional[PartialMatch]]:
         """Add a repetition to a run if the values together satisfy the tests; return as `extend`."""
-        fixed: Any = tuple([step_values[position] for position in self.fixed_positions])
+        fixed_values: Any = tuple([step_values[position] for position in self.fixed_positions])
         if run.fixed_values is not None:
-            fixed = unify_values(run.fixed_values, fixed)
-            if fixed is None:
+            fixed_values = unify_values(run.fixed_values, fixed_values)
+            if fixed_values is None:
                 return False, None
         items: Term = NO_ITEMS
         if self.items is not None:
             items = append_item(
                 run.items, tuple([step_values[position] for position in self._item_positions])
             )
-        tested_values = self._apply_tests(values, items, fixed, run.start, last)
+        tested_values = self._apply_tests(values, items, fixed_values, run.start, last)
         if tested_values is None:
             return False, None
         state = run.state
@@ -531,8 +541,8 @@ class KleeneNode(KleeneValues):
             except RuleError as error:
                 self.rule.network.rule_failed(self.rule, error)
                 return False, None
-        # All tests have passed. From here on the run must not stay half extended, see `Run.commit`.
-        run.commit(last, fixed, items, values, state)
+        # All tests have passed. From here on, an interrupt must not leave the run half extended, see `Run.commit`.
+        run.commit(last, fixed_values, items, values, state)
         if self.tracks_events:
             run.repetitions.append(match)
             run.tracked = RepetitionChain(match, run.tracked)
@@ -551,7 +561,9 @@ class KleeneNode(KleeneValues):
         """
         if is_retracted(run.first):
             return []
-        repetitions = [pair for pair in zip(run.repetitions, run.step_values) if is_valid(pair[0])]
+        repetitions = [
+            (match, step) for match, step in zip(run.repetitions, run.step_values) if is_valid(match)
+        ]
         if len(repetitions) == len(run.repetitions):
             return []
         # Results before the first retracted repetition remain valid and are not emitted again.

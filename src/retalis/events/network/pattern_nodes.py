@@ -70,21 +70,29 @@ class MatchKeys:
     """Identity functions for the matches of the patterns of one rule.
 
     Args:
-        shared: variables that occur in the rule more than once.
+        shared_vars: variables that occur in the rule more than once.
 
     Attributes:
         passed_on_vars: variables of the rule that are passed on from node to node.
     """
 
-    def __init__(self, shared: AbstractSet[Var]):
-        self.passed_on_vars: Set[Var] = set(shared)
+    def __init__(self, shared_vars: AbstractSet[Var]):
+        self.passed_on_vars: Set[Var] = set(shared_vars)
         self._event_bound_vars: Dict[int, FrozenSet[Var]] = {}
 
     def identity_function(self, value_vars: Sequence[Var], pattern: Pattern) -> IdentityFunction:
-        """Return the identity function of a pattern's matches, given the variables of their values."""
-        carried = [(position, var) for position, var in enumerate(value_vars) if var in self.passed_on_vars]
+        """Return the identity function of the matches of a pattern.
+
+        Args:
+            value_vars: variables of the values of the matches, in order.
+            pattern: the pattern.
+        """
         return identity_by_values(
-            [position for position, var in carried if var not in self._vars_bound_by_events(pattern)]
+            [
+                position
+                for position, var in enumerate(value_vars)
+                if var in self.passed_on_vars and var not in self._vars_bound_by_events(pattern)
+            ]
         )
 
     def _vars_bound_by_events(self, pattern: Pattern) -> FrozenSet[Var]:
@@ -124,7 +132,7 @@ def computed_values_getter(
 
     Args:
         value_vars: variables of its values.
-        received_count: number of values that it received.
+        received_count: number of leading values that the node received from below.
         passed_on_vars: variables that are passed on, and belong to the identity of stored matches.
     """
     hidden_positions = [
@@ -138,11 +146,11 @@ def computed_values_getter(
 
 
 Fuse = Callable[[EventAction], EventAction]
-"""Makes a fused action from the plain one; see `Dispatcher.listen`."""
+"""Returns a fused action, given the plain one that it replaces; see `ListenerIndex.listen`."""
 
 
 class NetworkNode:
-    """One part of a rule's pattern.
+    """Node for one part of a rule's pattern.
 
     Attributes:
         position: position among the nodes of the rule; a node follows those below it.
@@ -152,8 +160,8 @@ class NetworkNode:
 
     vars: List[Var]
     position = 0
-    tests_window = True
-    """True if the window of a label is tested here."""
+    tests_label_window = True
+    """True if the longest interval that the rule's label allows is tested here."""
     is_single_event = False
     """True if the pattern is one event with conditions and goals, so that values are passed instead of matches."""
     values_are_arguments = False
@@ -176,13 +184,15 @@ class NetworkNode:
         return ()
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
-        """Set the longest interval of the node's matches, and the retention time of stored ones, in ns.
+        """Set the bounds of the node.
 
-        None for no bound.
+        Args:
+            span: longest interval of its matches in ns; None for no bound.
+            retention: retention time of stored matches in ns; None for no bound.
         """
 
     def sweeps(self, options: NetworkOptions) -> Sequence[RuledOutSweep]:
-        """Return the sweeps that remove matches of the node that can hardly complete, if there are many."""
+        """Return the sweeps that remove ruled-out matches of the node, if there are many; see `RuledOutSweep`."""
         return ()
 
     def clear(self) -> None:
@@ -296,7 +306,7 @@ class FilterNode(NetworkNode):
         self.child = child
         self.shared_vars = shared_vars
         self.is_single_event = child.is_single_event
-        self.tests_window = False
+        self.tests_label_window = False
         self.vars = list(value_vars)
         self.tests = list(tests)
         self.span: Optional[int] = None
@@ -371,12 +381,12 @@ class OrNode(NetworkNode):
 
     def __init__(self, children: Sequence[NetworkNode], shared_vars: AbstractSet[Var]):
         self.children = children
-        shared: Dict[Var, None] = {}
+        emitted_vars: Dict[Var, None] = {}
         for child in children:
             for var in child.vars:
                 if var in shared_vars:
-                    shared.setdefault(var)
-        self.vars = list(shared)
+                    emitted_vars.setdefault(var)
+        self.vars = list(emitted_vars)
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
@@ -401,19 +411,21 @@ class ActionNode(NetworkNode):
     """Calls a goal for each match: once, or for all of its solutions.
 
     Attributes:
-        may_fire: tells for the start of a match whether it may fire; None except for the first goal after the whole
-            pattern.
+        may_fire: returns for the start of a match whether it may fire; None except for the first goal after the
+            whole pattern.
     """
 
-    def __init__(self, child: NetworkNode, call: RuleGoal, every: bool, shared_vars: AbstractSet[Var]):
+    def __init__(
+        self, child: NetworkNode, rule_goal: RuleGoal, calls_for_all: bool, shared_vars: AbstractSet[Var]
+    ):
         self.child = child
         self.shared_vars = shared_vars
         self.is_single_event = child.is_single_event
-        self.tests_window = False
-        self.call = call
-        self.every = every
+        self.tests_label_window = False
+        self.rule_goal = rule_goal
+        self.calls_for_all = calls_for_all
         self.may_fire: Optional[Callable[[int], bool]] = None
-        self.vars = list(call.result_vars)
+        self.vars = list(rule_goal.result_vars)
         self.span: Optional[int] = None
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
@@ -422,18 +434,18 @@ class ActionNode(NetworkNode):
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
-        call = self.call
-        call_goal = call.call_for_all if self.every else call.call_once
+        rule_goal = self.rule_goal
+        call_goal = rule_goal.call_for_all if self.calls_for_all else rule_goal.call_once
         tracked = options.tracks_events
         span = self.span
         computed_values = computed_values_getter(self.vars, len(self.child.vars), self.shared_vars)
-        consists_of_ground_event = call.rule.network.dispatcher.consists_of_ground_event
+        consists_of_ground_event = rule_goal.rule.network.dispatcher.consists_of_ground_event
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
             if span is not None and match.end - match.start > span:
                 return frame
 
-            def solved(term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+            def emit_solution(term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
                 return emit(
                     PartialMatch(
                         values,
@@ -447,7 +459,9 @@ class ActionNode(NetworkNode):
                 )
 
             # Events that the goal makes are derived from this match, so that they are retracted together with it.
-            continuation = call.with_cause(match, solved, frame) if tracked else (solved, frame)
+            continuation = (
+                rule_goal.with_cause(match, emit_solution, frame) if tracked else (emit_solution, frame)
+            )
             return call_goal(
                 match.term,
                 match.values,
@@ -467,20 +481,22 @@ class ActionNode(NetworkNode):
 
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
-        call = self.call
-        call_goal = call.call_for_all if self.every else call.call_once
+        rule_goal = self.rule_goal
+        call_goal = rule_goal.call_for_all if self.calls_for_all else rule_goal.call_once
         complete = completion.action
         span = self.span
-        # Conditions and goals below may return values with variables although the event has none.
-        only_of_event = isinstance(self.child, EventNode)
-        dispatcher = call.rule.network.dispatcher
+        # A condition or goal in between may return values with variables although the event has none.
+        is_above_event = isinstance(self.child, EventNode)
+        dispatcher = rule_goal.rule.network.dispatcher
 
         def on_values(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            return call_goal(term, values, start, end, only_of_event and dispatcher.ground(), complete, frame)
+            return call_goal(
+                term, values, start, end, is_above_event and dispatcher.ground(), complete, frame
+            )
 
         continuation = (
-            call.continuation_for_event(completion)
-            if only_of_event and not self.every
+            rule_goal.continuation_for_event(completion)
+            if is_above_event and not self.calls_for_all
             else Continuation(on_values)
         )
         act_once = continuation.action
@@ -496,21 +512,21 @@ class ActionNode(NetworkNode):
 class NotNode(NetworkNode):
     """Passes on a match if no match of another pattern ended before it started."""
 
-    def __init__(self, rule: "EventRule", child: NetworkNode, negated: NetworkNode, absence: NegationBuffer):
+    def __init__(self, rule: "EventRule", child: NetworkNode, negated: NetworkNode, negation: NegationBuffer):
         self.child = child
         self.negated = negated
-        self.absence = absence
+        self.negation = negation
         self.rule = rule
         self.vars = child.vars
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""
-        absence = self.absence
+        negation = self.negation
         tracker = self.rule.network.tracker
         tracked = options.tracks_events
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
-            if absence.forbids_pair(match.values, match.start, match.start):
+            if negation.forbids_pair(match.values, match.start, match.start):
                 if tracked:
                     tracker.record_suppressed(self, match)
                 return frame
@@ -518,20 +534,18 @@ class NotNode(NetworkNode):
 
         self.retry = _ignore_skipped(self, on_match)
         self.child.bind(on_match, options)
-        absence.bind(self.negated, options)
+        negation.bind(self.negated, options)
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        return self.absence.buffers()
+        return self.negation.buffers()
 
 
 class EarlyTestNode(NetworkNode):
-    """Tests a deferred negation on the matches for which all of its variables are known.
-
-    Others are tested further up.
+    """Tests a deferred negation on the matches that bind all of its variables; others are tested further up.
 
     Attributes:
-        test: the test; see `early_test`.
+        test: the test; see `compile_early_test`.
         deferred_negations: negation buffers of the test, with the nodes of their negated patterns.
     """
 
@@ -560,12 +574,12 @@ class EarlyTestNode(NetworkNode):
 
         self.retry = _ignore_skipped(self, on_match)
         self.child.bind(on_match, options)
-        for absence, negated in self.deferred_negations:
-            absence.bind(negated, options)
+        for negation, negated in self.deferred_negations:
+            negation.bind(negated, options)
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        return [buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()]
+        return [buffer for negation, _ in self.deferred_negations for buffer in negation.buffers()]
 
 
 def _ignore_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:

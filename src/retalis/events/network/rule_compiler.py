@@ -43,25 +43,25 @@ from ..matches.expiration import UNLIMITED, Retention
 from ..streams.aggregates import SequenceAggregate
 from .deferred_conditions import (
     BuiltPattern,
-    DeferredConditions,
+    DeferredCondition,
     NegatedPattern,
     RepetitionItems,
     TestedCondition,
+    UnwrappedPattern,
     VarSet,
-    Wrapping,
-    deferred_test,
-    dispatch_order,
-    early_test,
-    goal_variables,
+    compile_deferred_test,
+    compile_early_test,
+    create_negation_buffer,
+    find_condition_vars,
+    find_shared_vars,
     may_be_revived,
     may_share_event,
-    negation_buffer_for,
     order_by_result_use,
-    shared_variables,
-    split_ready,
+    order_for_dispatch,
+    split_testable,
     unwrap,
 )
-from .goal_evaluation import Evaluators, RuleGoal, Test, goal_test
+from .goal_evaluation import Evaluators, RuleGoal, Test, compile_condition_test
 from .join_node import JoinNode
 from .kleene_node import KleeneNode
 from .pattern_nodes import (
@@ -92,11 +92,11 @@ class RuleCompiler(StreamCompiler):
 
     Args:
         rule: the rule at run time.
-        head: the terms besides the pattern that use its variables.
+        head: the head of the rule in a list; empty for a rule without a head.
         pattern: the pattern.
 
     Attributes:
-        nodes: all nodes, each with its own interval bound and the retention of its stored matches.
+        nodes: all nodes, each with its interval bound in ns (None for no bound) and the retention of its matches.
         stream_nodes: the operators on streams in the order of their alarms. As for events, the right
             operand of a pair precedes the left one: a match is completed before it is replaced.
         copies: further copies of negated patterns, each with the first one.
@@ -105,13 +105,13 @@ class RuleCompiler(StreamCompiler):
     def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
         super().__init__(rule)
         self.pattern = pattern
-        self.shared_vars = shared_variables(head, pattern)
-        self._counts = occurrences(head, pattern)
+        self.shared_vars = find_shared_vars(head, pattern)
+        self._occurrence_counts = occurrences(head, pattern)
         self._match_keys = MatchKeys(self.shared_vars)
         self.nodes: List[Tuple[NetworkNode, Optional[int], Retention]] = []
         self.stream_nodes: List[StreamNode] = []
         self.copies: List[Tuple[BuiltPattern, BuiltPattern]] = []
-        self._bound_by: Dict[int, VarSet] = {}
+        self._bindable_vars_cache: Dict[int, VarSet] = {}
 
     def build(self) -> NetworkNode:
         """Return the root of the tree."""
@@ -127,8 +127,9 @@ class RuleCompiler(StreamCompiler):
             for leaf, first_leaf in zip(built_copy.leaves, first.leaves):
                 leaf.rank = first_leaf.rank
         node = root = built.node
+        # Filters and goals of the whole pattern see only complete matches, so they test the window of the label.
         while isinstance(node, (ActionNode, FilterNode)):
-            node.tests_window = True
+            node.tests_label_window = True
             node = node.child
         return root
 
@@ -140,82 +141,87 @@ class RuleCompiler(StreamCompiler):
             context: variables of the patterns to its left.
             retention: smallest interval bounds above it; None for none.
         """
-        pairs: List[Tuple[PairPattern, Wrapping, Retention]] = []
+        pairs: List[Tuple[PairPattern, UnwrappedPattern, Retention]] = []
         first_left_stream = len(self.stream_nodes)
         while True:
-            wrapping = unwrap(pattern)
-            span = wrapping.span
-            retention = inner = retention.within(span)
-            core = wrapping.core
-            if not isinstance(core, PairPattern):
+            unwrapped = unwrap(pattern)
+            retention = retention.within(unwrapped.span)
+            pattern = unwrapped.pattern
+            if not isinstance(pattern, PairPattern):
                 break
-            pairs.append((core, wrapping, inner))
-            pattern = core.left
-        built = self._build_core(core, wrapping, context, inner)
+            pairs.append((pattern, unwrapped, retention))
+            pattern = pattern.left
+        built = self._build_operand(unwrapped, context, retention)
         # Innermost pair first.
         while pairs:
-            pair, wrapping, inner = pairs.pop()
-            built = self._build_join(pair, wrapping, context, inner, built, first_left_stream)
+            pair, unwrapped, retention = pairs.pop()
+            built = self._build_join(pair, unwrapped, context, retention, built, first_left_stream)
         return built
 
-    def _build_core(
-        self, core: Pattern, wrapping: Wrapping, context: VarSet, inner: Retention
+    def _build_operand(
+        self, unwrapped: UnwrappedPattern, context: VarSet, retention: Retention
     ) -> BuiltPattern:
         """Build a pattern that is not a pair."""
-        if isinstance(core, (KleenePattern, AggregatePattern)):
-            return self._build_kleene(core, wrapping, context, inner)
-        if isinstance(core, RepeatedPattern):
-            return self._build_repeat(core, context, inner)
-        if isinstance(core, EventPattern):
-            leaf = self._add(EventNode(self.rule, core.term), None, UNLIMITED)
+        pattern = unwrapped.pattern
+        if isinstance(pattern, (KleenePattern, AggregatePattern)):
+            return self._build_kleene(pattern, unwrapped, context, retention)
+        if isinstance(pattern, RepeatedPattern):
+            return self._build_repeat(pattern, context, retention)
+        if isinstance(pattern, EventPattern):
+            leaf = self._add(EventNode(self.rule, pattern.term), None, UNLIMITED)
             built = BuiltPattern(leaf, [], [], [leaf])
-        elif isinstance(core, OrPattern):
-            branches = [self._build(branch, context, inner) for branch in core.branches]
+        elif isinstance(pattern, OrPattern):
+            branches = [self._build(branch, context, retention) for branch in pattern.branches]
             node: NetworkNode = OrNode([branch.node for branch in branches], self.shared_vars)
             deferred = [condition for branch in branches for condition in branch.deferred]
-            joined = [leaf for branch in branches for leaf in branch.joined]
-            single = [leaf for branch in branches for leaf in branch.single]
-            in_order = [leaf for branch in branches for leaf in branch.leaves]
-            built = BuiltPattern(self._add(node, None, inner), deferred, joined, single, in_order)
-        elif isinstance(core, NotPattern):
-            built = self._build_not(core, context, inner)
-        elif isinstance(core, (WindowPattern, RatePattern, AbsencePattern)):
-            built = self._build_stream(core, context, inner.part)
-        else:
-            assert isinstance(core, ActionPattern)
-            below = self._build(core.pattern, context, inner)
-            node = ActionNode(
-                below.node, RuleGoal(self.rule, core.goal, below.node.vars), core.every, self.shared_vars
+            joined_leaves = [leaf for branch in branches for leaf in branch.joined_leaves]
+            single_leaves = [leaf for branch in branches for leaf in branch.single_leaves]
+            branch_leaves = [leaf for branch in branches for leaf in branch.leaves]
+            built = BuiltPattern(
+                self._add(node, None, retention), deferred, joined_leaves, single_leaves, branch_leaves
             )
-            built = below._replace(node=self._add(node, None, inner))
-        return self._add_filter(built, wrapping, context)
+        elif isinstance(pattern, NotPattern):
+            built = self._build_not(pattern, context, retention)
+        elif isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern)):
+            built = self._build_stream(pattern, context, retention.part)
+        else:
+            assert isinstance(pattern, ActionPattern)
+            below = self._build(pattern.pattern, context, retention)
+            node = ActionNode(
+                below.node,
+                RuleGoal(self.rule, pattern.goal, below.node.vars),
+                pattern.every,
+                self.shared_vars,
+            )
+            built = below._replace(node=self._add(node, None, retention))
+        return self._add_filter(built, unwrapped, context)
 
-    def _build_repeat(self, core: RepeatedPattern, context: VarSet, retention: Retention) -> BuiltPattern:
+    def _build_repeat(self, repeated: RepeatedPattern, context: VarSet, retention: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
-        if core.repeats_single_events():
+        if repeated.repeats_single_events():
             # If the pattern has deferred conditions, the nodes built so far are discarded, and the sequence is
             # built instead.
             node_count = len(self.nodes)
-            built = self._build(core.pattern, context | self._bindable_vars(core.pattern), retention)
+            built = self._build(repeated.pattern, context | self._bindable_vars(repeated.pattern), retention)
             if not built.deferred:
-                identity_functions = partial(self._match_keys.identity_function, pattern=core.pattern)
+                identity_functions = partial(self._match_keys.identity_function, pattern=repeated.pattern)
                 repeat_node = RepeatNode(
-                    self.rule, built.node, core.times, self.shared_vars, identity_functions
+                    self.rule, built.node, repeated.times, self.shared_vars, identity_functions
                 )
                 node = self._add(repeat_node, None, retention)
                 return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[node_count:]
-        return self._build(core.as_sequence(), context, retention)
+        return self._build(repeated.as_sequence(), context, retention)
 
     def _bindable_vars(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
-        bound = self._bound_by.get(id(pattern))
+        bound = self._bindable_vars_cache.get(id(pattern))
         if bound is None:
-            if isinstance(pattern, PairPattern) and id(pattern.left) in self._bound_by:
+            if isinstance(pattern, PairPattern) and id(pattern.left) in self._bindable_vars_cache:
                 bound = self._bindable_vars(pattern.left).union(bound_by(pattern.right))
             else:
                 bound = frozenset(bound_by(pattern))
-            self._bound_by[id(pattern)] = bound
+            self._bindable_vars_cache[id(pattern)] = bound
         return bound
 
     def _identity_function(self, built: BuiltPattern, pattern: Pattern) -> IdentityFunction:
@@ -227,9 +233,9 @@ class RuleCompiler(StreamCompiler):
         self.nodes.append((node, span, retention))
         return node
 
-    def _add_filter(self, built: BuiltPattern, wrapping: Wrapping, context: VarSet) -> BuiltPattern:
+    def _add_filter(self, built: BuiltPattern, unwrapped: UnwrappedPattern, context: VarSet) -> BuiltPattern:
         """Add a node with the conditions of an event, ``or`` or action above its node."""
-        conditions, newly_deferred = self._split(wrapping.conditions, wrapping.core, context)
+        conditions, newly_deferred = self._split(unwrapped.conditions, unwrapped.pattern, context)
         node = built.node
         for deferred in newly_deferred:
             node = self._add_bind_node(node, deferred)
@@ -240,33 +246,33 @@ class RuleCompiler(StreamCompiler):
             if compiled_test is not None:
                 tests.append(compiled_test[0])
                 value_vars = compiled_test[1]
-        if tests or wrapping.span is not None:
-            node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), wrapping.span, UNLIMITED)
+        if tests or unwrapped.span is not None:
+            node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), unwrapped.span, UNLIMITED)
         return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
 
     def _split(
-        self, conditions: List[ConditionPattern], core: Pattern, context: VarSet
-    ) -> Tuple[List[TestedCondition], List[DeferredConditions]]:
-        """Divide the conditions of an operator into those that it can test and those that are deferred.
+        self, conditions: List[ConditionPattern], pattern: Pattern, context: VarSet
+    ) -> Tuple[List[TestedCondition], List[DeferredCondition]]:
+        """Divide the conditions of a pattern into those that it can test and those that are deferred.
 
         Returns:
-            All conditions in order, deferred ones as `DeferredConditions`, and the deferred ones alone.
+            All conditions in order, deferred ones as `DeferredCondition`, and the deferred ones alone.
         """
         if not conditions:
             return [], []
         assigned: List[TestedCondition] = []
         # A variable that only some branches bind counts as unbound: the condition must then wait for the left
         # operand.
-        known_vars = always_bound_by(core, False, True)
+        known_vars = always_bound_by(pattern, False, True)
         for condition in conditions:
-            mentioned = set(variables(condition.goal))
-            needs = (mentioned & context) - known_vars
-            if needs:
-                assigned.append(self._defer(condition.goal, condition.timed, None, needs))
+            goal_vars = set(variables(condition.goal))
+            missing_vars = (goal_vars & context) - known_vars
+            if missing_vars:
+                assigned.append(self._defer(missing_vars, condition.goal, condition.timed))
             else:
                 assigned.append(condition)
-                known_vars |= mentioned
-        return assigned, [part for part in assigned if isinstance(part, DeferredConditions)]
+                known_vars |= goal_vars
+        return assigned, [condition for condition in assigned if isinstance(condition, DeferredCondition)]
 
     def _compile_test(
         self, node: Any, condition: TestedCondition, value_vars: List[Var]
@@ -275,22 +281,23 @@ class RuleCompiler(StreamCompiler):
 
         A deferred condition is tried at a node that may bind all variables that it requires.
         """
-        if isinstance(condition, DeferredConditions):
+        if isinstance(condition, DeferredCondition):
             return (
-                early_test(self.rule, node.deferred_negations, condition, value_vars)
-                if condition.may_be_tried(value_vars)
+                compile_early_test(self.rule, node.deferred_negations, condition, value_vars)
+                if condition.may_be_testable(value_vars)
                 else None
             )
-        call = RuleGoal(self.rule, condition.goal, value_vars)
-        return goal_test(call, condition.timed, None), call.result_vars
+        rule_goal = RuleGoal(self.rule, condition.goal, value_vars)
+        return compile_condition_test(rule_goal, condition.timed, None), rule_goal.result_vars
 
     def _defer(
         self,
-        goal: Optional[Term],
-        timed: bool,
-        absent: Optional[Tuple[NegatedPattern, bool]],
-        needs: Set[Var],
-    ) -> DeferredConditions:
+        required_vars: Set[Var],
+        goal: Optional[Term] = None,
+        uses_interval: bool = False,
+        negated: Optional[NegatedPattern] = None,
+    ) -> DeferredCondition:
+        """Return a condition that is tested further up: a goal, or a negation without a first operand."""
         start, end = Var(), Var()
         self.shared_vars |= {start, end}
         # Matches may differ in the node that binds these variables.
@@ -298,9 +305,12 @@ class RuleCompiler(StreamCompiler):
             mentioned = variables(goal)
             self.shared_vars.update(mentioned)
             self._match_keys.passed_on_vars.update(mentioned)
-        return DeferredConditions(needs, goal, timed, absent, start, end)
+        # Without a first operand, the gap of a negation has no beginning.
+        return DeferredCondition(
+            required_vars, goal, uses_interval, start, end, negated, is_unbounded=negated is not None
+        )
 
-    def _add_bind_node(self, node: NetworkNode, deferred: DeferredConditions) -> NetworkNode:
+    def _add_bind_node(self, node: NetworkNode, deferred: DeferredCondition) -> NetworkNode:
         """Add a node that passes on the interval of a match, for a condition."""
         return self._add(BindNode(node, deferred.start, deferred.end), None, UNLIMITED)
 
@@ -318,133 +328,146 @@ class RuleCompiler(StreamCompiler):
 
     def _build_join(
         self,
-        core: PairPattern,
-        wrapping: Wrapping,
+        pair: PairPattern,
+        unwrapped: UnwrappedPattern,
         context: VarSet,
         retention: Retention,
         left: BuiltPattern,
         first_left_stream: int,
     ) -> BuiltPattern:
-        inner_context = context | self._bindable_vars(core.left)
-        right = self._build_right(core.right, inner_context, retention, first_left_stream)
-        below = [*left.deferred, *right.deferred]
+        """Build a pair whose left operand is built; its streams begin at ``first_left_stream``."""
+        inner_context = context | self._bindable_vars(pair.left)
+        right = self._build_right(pair.right, inner_context, retention, first_left_stream)
+        deferred_below = [*left.deferred, *right.deferred]
         always_bound: Set[Var] = set()
-        # Only then: the analysis visits the whole left operand.
-        if below or wrapping.absent is not None:
-            always_bound = always_bound_by(core, False, True)
-        ready, deferred = split_ready(below, always_bound, context) if below else ([], [])
-        conditions, newly_deferred = self._split(wrapping.conditions, core, context)
+        # Computed only if it is needed, because the analysis visits the whole left operand.
+        if deferred_below or unwrapped.negated is not None:
+            always_bound = always_bound_by(pair, False, True)
+        testable, deferred = (
+            split_testable(deferred_below, always_bound, context) if deferred_below else ([], [])
+        )
+        conditions, newly_deferred = self._split(unwrapped.conditions, pair, context)
         negated: Optional[NegatedPattern] = None
-        needs: Set[Var] = set()
-        if wrapping.absent is not None:
-            inner = inner_context | frozenset(bound_by(core.right)) | goal_variables(wrapping.conditions)
-            negated = self._negated(wrapping.absent, inner, retention.of_negated(wrapping.span))
+        required_vars: Set[Var] = set()
+        if unwrapped.negated is not None:
+            negation_context = inner_context | frozenset(bound_by(pair.right))
+            negation_context |= find_condition_vars(unwrapped.conditions)
+            negated = self._make_negated(
+                unwrapped.negated, negation_context, retention.of_negated(unwrapped.span)
+            )
             known_vars = set(left.node.vars) | set(right.node.vars)
-            needs = negated.needs(inner, known_vars) | negated.needs(context, always_bound)
-        gap = (Var(), Var()) if needs else None
+            required_vars = negated.find_missing_vars(
+                negation_context, known_vars
+            ) | negated.find_missing_vars(context, always_bound)
+        gap = (Var(), Var()) if required_vars else None
         self.shared_vars |= set(gap or ())
         node = JoinNode(
             self.rule,
-            OPERATORS[core.operator],
+            OPERATORS[pair.operator],
             left.node,
             right.node,
             self.shared_vars,
             gap,
             [(condition.start, condition.end) for condition in newly_deferred],
             may_share_event(left, right),
-            (self._identity_function(left, core.left), self._identity_function(right, core.right)),
+            (self._identity_function(left, pair.left), self._identity_function(right, pair.right)),
         )
-        node.can_be_revived = (may_be_revived(core.left), may_be_revived(core.right))
-        self._add(node, wrapping.span, retention)
+        node.left_can_be_revived = may_be_revived(pair.left)
+        node.right_can_be_revived = may_be_revived(pair.right)
+        self._add(node, unwrapped.span, retention)
         if negated is not None and gap is None:
             built = negated.next_copy()
-            node.add_absence(negation_buffer_for(self.rule, built, node.vars, False), built.node)
-        self._test_joined(node, below, ready, conditions)
+            node.add_negation(create_negation_buffer(self.rule, built, node.vars, False), built.node)
+        self._test_joined(node, deferred_below, testable, conditions)
         deferred += newly_deferred
         if negated is not None and gap is not None:
             deferred += self._test_gap(
-                node, DeferredConditions(needs, None, False, (negated, False), *gap), conditions
+                node, DeferredCondition(required_vars, None, False, *gap, negated), conditions
             )
-        joined = dispatch_order(OPERATORS[core.operator].completes_in_any_order, left, right)
+        joined_leaves = order_for_dispatch(OPERATORS[pair.operator].completes_in_any_order, left, right)
         if negated is not None:
-            joined += negated.first.leaves
-        return BuiltPattern(node, deferred, joined, [])
+            joined_leaves += negated.first.leaves
+        return BuiltPattern(node, deferred, joined_leaves, [])
 
-    def _negated(
-        self, absent: Union[NotPattern, AbsencePattern], context: VarSet, retention: Retention
+    def _make_negated(
+        self, pattern: Union[NotPattern, AbsencePattern], context: VarSet, retention: Retention
     ) -> NegatedPattern:
         return NegatedPattern(
-            lambda: self._build(absent.negated, context, retention), self.copies, self.nodes
+            lambda: self._build(pattern.negated, context, retention), self.copies, self.nodes
         )
 
     def _test_joined(
         self,
         node: JoinNode,
-        below: List[DeferredConditions],
-        ready: List[DeferredConditions],
+        deferred_below: List[DeferredCondition],
+        testable: List[DeferredCondition],
         conditions: Sequence[TestedCondition],
     ) -> None:
         """Add the conditions that the operands of a pair have deferred, and those of the pair itself."""
-        for deferred in below:
-            if deferred in ready:
-                node.add_test(*deferred_test(self.rule, node.deferred_negations, deferred, node.vars))
-            elif deferred.may_be_tried(node.vars):
-                node.add_test(*early_test(self.rule, node.deferred_negations, deferred, node.vars))
+        for deferred in deferred_below:
+            if deferred in testable:
+                node.add_test(*compile_deferred_test(self.rule, node.deferred_negations, deferred, node.vars))
+            elif deferred.may_be_testable(node.vars):
+                node.add_test(*compile_early_test(self.rule, node.deferred_negations, deferred, node.vars))
         for condition in conditions:
             compiled_test = self._compile_test(node, condition, node.vars)
             if compiled_test is not None:
                 node.add_test(*compiled_test)
 
     def _test_gap(
-        self, node: JoinNode, gap_condition: DeferredConditions, conditions: Sequence[TestedCondition]
-    ) -> List[DeferredConditions]:
+        self, node: JoinNode, gap_condition: DeferredCondition, conditions: Sequence[TestedCondition]
+    ) -> List[DeferredCondition]:
         """Test a negation with conditions on outer variables, or return it for the nodes above."""
-        if not gap_condition.needs - goal_variables(
+        if not gap_condition.required_vars - find_condition_vars(
             [test for test in conditions if isinstance(test, ConditionPattern)]
         ):
             # The conditions of the pair bind all of its variables.
-            node.add_test(*deferred_test(self.rule, node.deferred_negations, gap_condition, node.vars))
+            node.add_test(
+                *compile_deferred_test(self.rule, node.deferred_negations, gap_condition, node.vars)
+            )
             return []
-        if gap_condition.may_be_tried(node.vars):
-            node.add_test(*early_test(self.rule, node.deferred_negations, gap_condition, node.vars))
+        if gap_condition.may_be_testable(node.vars):
+            node.add_test(*compile_early_test(self.rule, node.deferred_negations, gap_condition, node.vars))
         return [gap_condition]
 
-    def _build_not(self, core: NotPattern, context: VarSet, retention: Retention) -> BuiltPattern:
-        below = self._build(core.pattern, context, retention)
-        inner_context = context | frozenset(bound_by(core.pattern))
-        negated = self._negated(core, inner_context, UNLIMITED)
-        always_bound = always_bound_by(core.pattern, False, True)
-        needs = negated.needs(inner_context, set(below.node.vars)) | negated.needs(context, always_bound)
+    def _build_not(self, pattern: NotPattern, context: VarSet, retention: Retention) -> BuiltPattern:
+        below = self._build(pattern.pattern, context, retention)
+        inner_context = context | frozenset(bound_by(pattern.pattern))
+        negated = self._make_negated(pattern, inner_context, UNLIMITED)
+        always_bound = always_bound_by(pattern.pattern, False, True)
+        missing_vars = negated.find_missing_vars(
+            inner_context, set(below.node.vars)
+        ) | negated.find_missing_vars(context, always_bound)
         # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
-        if not needs:
+        if not missing_vars:
             built = negated.next_copy()
-            absence = negation_buffer_for(self.rule, built, below.node.vars, True)
+            negation = create_negation_buffer(self.rule, built, below.node.vars, True)
             node: NetworkNode = self._add(
-                NotNode(self.rule, below.node, built.node, absence), None, UNLIMITED
+                NotNode(self.rule, below.node, built.node, negation), None, UNLIMITED
             )
             return below.with_negated(node, below.deferred, negated.first)
-        gap_condition = self._defer(None, False, (negated, True), needs)
+        gap_condition = self._defer(missing_vars, negated=negated)
         node = self._add_bind_node(below.node, gap_condition)
-        if gap_condition.may_be_tried(node.vars):
+        if gap_condition.may_be_testable(node.vars):
             node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
-            node.test, _ = early_test(self.rule, node.deferred_negations, gap_condition, node.vars)
+            node.test, _ = compile_early_test(self.rule, node.deferred_negations, gap_condition, node.vars)
         return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
 
     def _build_kleene(
         self,
-        core: Union[KleenePattern, AggregatePattern],
-        wrapping: Wrapping,
+        kleene: Union[KleenePattern, AggregatePattern],
+        unwrapped: UnwrappedPattern,
         context: VarSet,
         retention: Retention,
     ) -> BuiltPattern:
-        inner_context = context | frozenset(bound_by(core.first))
-        pattern = core.repeated if isinstance(core, KleenePattern) else core.collected
+        inner_context = context | frozenset(bound_by(kleene.first))
+        repeated_pattern = kleene.repeated if isinstance(kleene, KleenePattern) else kleene.collected
         first_left_stream = len(self.stream_nodes)
-        first = self._build(core.first, context, retention)
-        repeated = self._build_right(pattern, inner_context, retention, first_left_stream)
+        first = self._build(kleene.first, context, retention)
+        repeated = self._build_right(repeated_pattern, inner_context, retention, first_left_stream)
         identity_functions = (
-            self._identity_function(first, core.first),
-            self._identity_function(repeated, pattern),
+            self._identity_function(first, kleene.first),
+            self._identity_function(repeated, repeated_pattern),
         )
         node = KleeneNode(
             self.rule,
@@ -454,52 +477,63 @@ class RuleCompiler(StreamCompiler):
             identity_functions,
             self.shared_vars,
         )
-        node.can_be_revived = (may_be_revived(core.first), may_be_revived(pattern))
-        self._add(node, wrapping.span, retention)
-        measured = [core.value] if isinstance(core, AggregatePattern) and core.value is not None else []
-        outside = self._outside(pattern, measured)
-        for value in measured:
-            node.set_open_vars([var for var in variables(value) if var in outside])
-        items = RepetitionItems(outside)
-        always_bound = always_bound_by(core.first, False, True) | always_bound_by(pattern, False, True)
+        node.first_can_be_revived = may_be_revived(kleene.first)
+        node.repeated_can_be_revived = may_be_revived(repeated_pattern)
+        self._add(node, unwrapped.span, retention)
+        aggregated = (
+            [kleene.value] if isinstance(kleene, AggregatePattern) and kleene.value is not None else []
+        )
+        outside_vars = self._find_outside_vars(repeated_pattern, aggregated)
+        for value in aggregated:
+            node.set_free_vars([var for var in variables(value) if var in outside_vars])
+        items = RepetitionItems(outside_vars)
+        always_bound = always_bound_by(kleene.first, False, True) | always_bound_by(
+            repeated_pattern, False, True
+        )
         # Conditions on a repetition that use variables of the context are tested above, on the list of all
         # repetitions.
-        ready, further = split_ready(repeated.deferred, always_bound, context)
-        for pending in ready:
-            test, node.step_vars = deferred_test(self.rule, node.deferred_negations, pending, node.step_vars)
+        testable, still_deferred = split_testable(repeated.deferred, always_bound, context)
+        for condition in testable:
+            test, node.step_vars = compile_deferred_test(
+                self.rule, node.deferred_negations, condition, node.step_vars
+            )
             node.step_tests.append(test)
-        deferred = [*first.deferred, *(pending.of_each(items) for pending in further)]
-        carried = items if further else None
+        deferred = [*first.deferred, *(condition.for_each_repetition(items) for condition in still_deferred)]
+        passed_on_items = items if still_deferred else None
         self.shared_vars.add(items.var)
-        if isinstance(core, AggregatePattern):
+        if isinstance(kleene, AggregatePattern):
             node.set_result_layout(
-                outside, self._sequence_aggregate(core, node.step_vars), core.result, carried
+                outside_vars, self._sequence_aggregate(kleene, node.step_vars), kleene.result, passed_on_items
             )
         else:
-            node.set_result_layout(outside, None, None, carried)
-        conditions, newly_deferred = self._split(wrapping.conditions, wrapping.core, context)
-        for pending in newly_deferred:
-            node.add_interval_vars(pending.start, pending.end)
-        for pending in first.deferred:
-            if pending.may_be_tried(node.vars):
-                node.add_test(*early_test(self.rule, node.deferred_negations, pending, node.vars), False)
-        for late, condition in order_by_result_use(conditions, node.vars, node.new_result_vars):
-            compiled_test = self._compile_test(node, condition, node.vars)
+            node.set_result_layout(outside_vars, None, None, passed_on_items)
+        conditions, newly_deferred = self._split(unwrapped.conditions, unwrapped.pattern, context)
+        for condition in newly_deferred:
+            node.add_interval_vars(condition.start, condition.end)
+        for condition in first.deferred:
+            if condition.may_be_testable(node.vars):
+                node.add_test(
+                    *compile_early_test(self.rule, node.deferred_negations, condition, node.vars), False
+                )
+        for uses_result, tested_condition in order_by_result_use(conditions, node.vars, node.new_result_vars):
+            compiled_test = self._compile_test(node, tested_condition, node.vars)
             if compiled_test is not None:
-                node.add_test(*compiled_test, late)
+                node.add_test(*compiled_test, uses_result)
         return BuiltPattern(
-            node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined], first.single
+            node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined_leaves], first.single_leaves
         )
 
-    def _outside(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
+    def _find_outside_vars(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
         """Return the variables that are used in the rule outside of a pattern and of the given terms."""
         inside = occurrences(list(values), pattern)
-        return {var for var, number in self._counts.items() if number > inside.get(var, 0)}
+        return {var for var, count in self._occurrence_counts.items() if count > inside.get(var, 0)}
 
-    def _sequence_aggregate(self, core: AggregatePattern, value_vars: List[Var]) -> SequenceAggregate:
-        if core.value is None:
-            return SequenceAggregate(core.kind, lambda values: NIL, lambda term, values: term)
-        value = compile_builder(core.value, value_vars, "value of an aggregate")
+    def _sequence_aggregate(self, aggregate: AggregatePattern, value_vars: List[Var]) -> SequenceAggregate:
+        if aggregate.value is None:
+            return SequenceAggregate(aggregate.kind, lambda values: NIL, lambda term, values: term)
+        value = compile_builder(aggregate.value, value_vars, "value of an aggregate")
         return SequenceAggregate(
-            core.kind, value, Evaluators(self.rule).compile_expression(core.kind, core.value, value_vars)
+            aggregate.kind,
+            value,
+            Evaluators(self.rule).compile_expression(aggregate.kind, aggregate.value, value_vars),
         )

@@ -56,7 +56,7 @@ from ..streams.windows import (
     SlidingTimeWindow,
     TumblingCountWindow,
 )
-from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, negation_buffer_for
+from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, create_negation_buffer
 from .goal_evaluation import Evaluate, Evaluators, FoldFunction, GoalTest
 from .pattern_nodes import MatchKeys
 from .stream_node import Result, StreamNode, StreamNodeSpec
@@ -433,10 +433,10 @@ class StreamCompiler:
     def _add(self, node: StreamNode, span: Optional[int], retention: Retention) -> StreamNode:
         raise NotImplementedError
 
-    def _outside(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
+    def _find_outside_vars(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
         raise NotImplementedError
 
-    def _negated(self, absent: AbsencePattern, context: VarSet, retention: Retention) -> NegatedPattern:
+    def _make_negated(self, pattern: AbsencePattern, context: VarSet, retention: Retention) -> NegatedPattern:
         raise NotImplementedError
 
     def _build_stream(
@@ -475,7 +475,7 @@ class StreamCompiler:
                 "a condition of a step uses a pattern to the left of what is measured", self.rule.place
             )
         values = [value for value in core.values if value is not None]
-        outside_vars = self._outside(pattern, [*values, *core.window.navigated_vars])
+        outside_vars = self._find_outside_vars(pattern, [*values, *core.window.navigated_vars])
         key_vars = [var for var in value_vars if var in outside_vars]
         own_vars, result = window_result(core, key_vars)
         evaluators = Evaluators(self.rule)
@@ -491,18 +491,20 @@ class StreamCompiler:
         """Build a pattern after which another one must not happen for some time."""
         below = self._build(core.pattern, context, UNLIMITED)
         inner_context = context | frozenset(bound_by(core.pattern))
-        negated = self._negated(core, inner_context, UNLIMITED)
+        negated = self._make_negated(core, inner_context, UNLIMITED)
         always_bound = always_bound_by(core.pattern, False, True)
         value_vars = below.node.vars
         # The timeout has no left operand whose variables could become known later.
-        if negated.needs(inner_context, set(value_vars)) | negated.needs(context, always_bound):
+        if negated.find_missing_vars(inner_context, set(value_vars)) | negated.find_missing_vars(
+            context, always_bound
+        ):
             message = "the pattern of absent uses a variable that the pattern before it does not bind"
             raise RuleError(message, self.rule.place)
         built = negated.next_copy()
-        absence = negation_buffer_for(self.rule, built, value_vars, False)
+        negation = create_negation_buffer(self.rule, built, value_vars, False)
         identity_of = self._match_keys.identity_function(value_vars, core.pattern)
-        spec = absence_node_spec(core.span, value_vars, built.node.vars, absence.condition, identity_of)
+        spec = absence_node_spec(core.span, value_vars, built.node.vars, negation.condition, identity_of)
         node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, core)
-        node.deferred_negations = absence.deferred_negations
+        node.deferred_negations = negation.deferred_negations
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

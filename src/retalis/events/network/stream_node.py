@@ -375,8 +375,8 @@ class StreamNode(NetworkNode):
         self._connect(emit, options)
         for channel, child in enumerate(self.children):
             child.bind(self._input_action(channel, options), options)
-        for absence, node in self.deferred_negations:
-            absence.bind(node, options)
+        for negation, node in self.deferred_negations:
+            negation.bind(node, options)
 
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
@@ -465,7 +465,7 @@ class StreamNode(NetworkNode):
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        return [buffer for absence, _ in self.deferred_negations for buffer in absence.buffers()]
+        return [buffer for negation, _ in self.deferred_negations for buffer in negation.buffers()]
 
     def _input_action(self, channel: int, options: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""
