@@ -146,6 +146,7 @@ def test_an_engine_shows_operators_and_what_is_there():
     assert engine.brief(topic) == "out"
 
 
+@pytest.mark.slow
 def test_what_there_is_is_shown():
     assert {*retalis.__all__} <= {*dir(retalis)}
     names = {}

@@ -183,6 +183,7 @@ def test_taking_events_back_counts_and_leaves_nothing_of_what_is_gone(caplog):
     assert is_alive(engine)
 
 
+@pytest.mark.slow
 def test_an_event_with_too_many_consequences_is_not_taken_back(caplog):
     engine = make(REVISED, 1_000_000)
     send(engine, *[f"a({at})" for at in range(1000)], "b(1)")

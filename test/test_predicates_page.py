@@ -72,6 +72,7 @@ def test_example(keys, errors, example, answer):
 WRONG = [Var, lambda: (functor("foo", 1), 1), lambda: 1]
 
 
+@pytest.mark.slow
 def test_errors_of_wrong_arguments_are_listed():
     systems = PrologSystem(), Engine().logic
     for logic in systems:

@@ -97,6 +97,7 @@ def test_what_is_no_checkout_is_said(alternating, tmp_path):
         alternating.main([str(tmp_path)], tmp_path)
 
 
+@pytest.mark.slow
 def test_this_checkout_beside_itself(alternating, capsys):
     """A run of one case is no measurement: what it says of the change is left open."""
     assert alternating.main([str(ROOT), "--case", "join_seq_1000", "--runs", "1", "--most", "1000"]) == 0

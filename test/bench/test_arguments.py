@@ -38,6 +38,7 @@ def test_a_wrong_argument_is_named(arguments, problem, tmp_path):
     assert "Traceback" not in ran.stderr
 
 
+@pytest.mark.slow
 def test_a_file_without_figures_is_named(tmp_path):
     (tmp_path / "wrong.json").write_text('{"rows": []}')
     command = [sys.executable, str(BENCH / "events.py"), "--from", "wrong.json"]

@@ -20,6 +20,7 @@ def snapshots(monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_two_checkouts_are_compared(snapshots, capsys):
     few = ["--sizes", "5", "--runs", "1", "--repeats", "1"]
     assert snapshots.main([str(ROOT), *few, "--most", "1000"]) == 0

@@ -85,6 +85,7 @@ def test_no_topic_is_direct_on_request(bag, reads_tf, capsys):
     assert "no topic" in shown.err or "no producer of" in shown.err
 
 
+@pytest.mark.slow
 def test_many_bags_have_the_same_direct_topics(bag, reads_tf, capsys):
     for options, lines in ((["--direct", "false"], False), ([], True)):
         assert main(["bag", str(bag), "--program", reads_tf, "--jobs", "1", *options]) == 0

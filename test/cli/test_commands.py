@@ -50,6 +50,7 @@ def test_the_version_imports_no_engine():
     assert {name.split(".")[1] for name in found} == {"cli", "foundation"}
 
 
+@pytest.mark.slow
 def test_a_command_imports_no_other_command_and_bags_only_if_it_reads_them():
     found = imported("events", "--help")
     assert "retalis.cli.event_stream_command" in found

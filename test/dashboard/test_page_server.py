@@ -185,6 +185,7 @@ def test_so_many_pages_may_be_open(visitor):
     until(again)
 
 
+@pytest.mark.slow
 def test_idle_connections_make_room_and_live_pages_stay(page, visitor):
     with visitor.stream() as stream:
         links = [

@@ -106,6 +106,7 @@ def test_writes_only_what_is_new(folder):
     assert base.execute("SELECT count(*) FROM records").fetchone()[0] <= 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_late_records_deleted_memories_and_time_that_goes_back(folder, seed):
     chance = random.Random(seed)
@@ -212,6 +213,7 @@ def test_a_file_that_is_just_being_made_holds_nothing(folder, monkeypatch):
     assert [result for _, result in found] == [None] * len(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("statements", "message"),
     [

@@ -201,6 +201,7 @@ def test_what_a_memory_holds_is_the_same():
     ] == wanted
 
 
+@pytest.mark.slow
 def test_a_long_list_is_kept():
     one = Engine()
     one.load(goals="memorize(a(_), [], _, m, 10)", rules="p(X) <- a(X) seq b.")

@@ -109,6 +109,7 @@ def test_nothing_changed(program):
     assert program.records() == ["fire(attic)", "fire(hall)"]
 
 
+@pytest.mark.slow
 def test_again_and_again(program):
     program.events("smoke(0)")
     for number in range(1, 30):
@@ -346,6 +347,7 @@ def test_what_the_run_has_retracted_stays_so(program):
     assert program.all("count(X)") == ["7", "1"]
 
 
+@pytest.mark.slow
 def test_a_program_that_begins_anew_by_itself_does(program):
     goals = GOALS + "retractall(count(_)), assertz(count(0))\n"
     program.reload(goals=goals, rules=RULES.replace("count(0).\n", ""))
@@ -540,6 +542,7 @@ class TestTimers:
     def timers(self, program):
         return program.all("timers(L), member(timer(E, _, T), L), X = E-T")
 
+    @pytest.mark.slow
     def test_those_that_are_the_same_go_on_and_others_come_and_go(self, timed):
         timed.events("e")
         told = timed.reload(goals=GOALS + "timer(a, every(4, from_now))\ntimer(c, at(0,0,9))\n")

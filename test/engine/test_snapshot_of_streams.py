@@ -67,6 +67,7 @@ def feed(engine, events):
         engine.event(event, start, end)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", FLAGS)
 @pytest.mark.parametrize("name", PATTERNS)
 def test_goes_on_as_if_nothing_had_been(name, flags):

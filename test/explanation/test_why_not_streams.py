@@ -136,6 +136,7 @@ def test_a_window_that_is_run_again_over_a_part_of_the_events_says_so():
         assert any("the newest 200 events only" in line for line in lines) is said, lines
 
 
+@pytest.mark.slow
 def test_an_explanation_does_not_count_as_work_of_the_rule():
     engine = Engine()
     record_origins(engine)

@@ -63,6 +63,7 @@ def test_an_engine_leaves_the_collector_alone():
     assert gc.get_freeze_count() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_limited")
 def test_a_collection_walks_a_bounded_number_of_objects_however_many_are_alive():
     walked = []
@@ -100,6 +101,7 @@ def late_garbage():
     return finalizers
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_limited")
 def test_cycles_that_become_garbage_late_are_collected_when_idle(monkeypatch):
     assert not collect_when_idle()
@@ -110,6 +112,7 @@ def test_cycles_that_become_garbage_late_are_collected_when_idle(monkeypatch):
     assert gc.get_freeze_count() > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_limited")
 def test_cycles_that_become_garbage_late_are_collected_at_work_when_the_heap_has_grown(monkeypatch):
     finalizers = late_garbage()
@@ -138,6 +141,7 @@ def test_the_records_of_engines_explain_the_growth_of_the_heap(monkeypatch):
     assert collect_when_idle()
 
 
+@pytest.mark.slow
 def test_paused_while_something_is_built_and_as_before_then():
     assert gc.isenabled()
     with gc_paused():

@@ -374,6 +374,7 @@ def outcome(encode, term):
         return error.message
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=400, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_the_fast_encoder_takes_and_refuses_what_the_checking_one_does(data):

@@ -319,6 +319,7 @@ int8 c
 """
 
 
+@pytest.mark.slow
 @settings(
     deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.data_too_large]
 )

@@ -263,6 +263,7 @@ structs = st.sampled_from(["string", "Inner", "Fixed", "Nothing", "Header"])
 slots = st.tuples(numbers | structs, st.sampled_from(["", "", "", "[]", "[0]", "[1]", "[3]", "[9]"]))
 
 
+@pytest.mark.slow
 @settings(brief, max_examples=100)
 @given(st.lists(slots, max_size=5), st.data())
 def test_types_of_any_slots(slots, data):

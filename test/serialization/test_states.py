@@ -176,6 +176,7 @@ SHARED = functor("s", 1)(1)
 LONG = make_list(range(100))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [49, 50, 203, 1000, 1001, 2500])
 @pytest.mark.parametrize(
     "value",

@@ -113,6 +113,7 @@ def test_the_thread_that_is_at_work_may_fork(engine):
     assert engine.call("true")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fork", "multiprocessing"])
 def test_no_process_hangs_that_is_forked_while_another_thread_asks(engine, kind):
     ending = threading.Event()

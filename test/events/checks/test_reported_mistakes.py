@@ -91,5 +91,6 @@ def test_what_a_program_makes_of_other_kinds_of_values_is_left_alone(tmp_path, d
     assert [one.problem for one in check_program(tmp_path, definitions) if one.check == "kinds"] == []
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_the_example(definitions):
     assert said_of(ROOT / "application_source", definitions) == ""

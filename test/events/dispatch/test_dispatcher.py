@@ -267,6 +267,7 @@ def matched(pattern, term):
     return text
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(st.lists(LISTENERS, max_size=8), st.lists(EVENTS, min_size=1, max_size=6), st.data())
 def test_an_event_is_served_to_all_that_unify_with_it_in_order(listeners, events, data):

@@ -20,6 +20,7 @@ TERMS = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=200)
 @given(TERMS, st.lists(TERMS, max_size=4))
 def test_a_term_is_made_as_by_copying(term, values):

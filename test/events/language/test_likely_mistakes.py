@@ -220,6 +220,7 @@ def gaps_of(events, times):
     return sorted(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "times"),
     [("f seq f seq f", 3), ("f ntimes 3", 3), ("f ntimes 4", 4), ("f seq f seq f seq f", 4)],

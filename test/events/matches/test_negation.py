@@ -218,6 +218,7 @@ def test_within_a_time_what_is_ruled_out_waits_until_the_time_is_over():
     assert program.engine.rules.match_count < 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rule", "make"),
     [
@@ -240,6 +241,7 @@ def test_what_is_ruled_out_and_what_rules_out_does_not_gather(rule, make):
             assert program.engine.rules.match_count < 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rule",
     [
@@ -283,6 +285,7 @@ def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch)
         assert program.engine.rules.match_count < 150
 
 
+@pytest.mark.slow
 def test_no_single_event_forgets_many_matches_that_have_left():
     program = Program("o(X) <- (a(X) seq b(X)) cnot c(X).")
     rules = program.engine.rules
@@ -300,6 +303,7 @@ def test_no_single_event_forgets_many_matches_that_have_left():
     assert rule.dropped_count
 
 
+@pytest.mark.slow
 def test_the_newest_that_are_ruled_out_wait_for_a_second_side_that_overlaps_or_is_late():
     program = Program("o(X, Y) <- (a(X) seq b(Y)) cnot c.", policy="recent_2")
     for at in range(0, 20_000, 2):

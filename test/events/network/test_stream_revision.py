@@ -58,6 +58,7 @@ def standing(rule, events):
     return +found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RULES if name != "joined"])
 def test_what_stands_is_what_would_be_there_without_the_event(name):
     for seed in range(CASES):

@@ -258,6 +258,7 @@ def test_rules_that_come_and_go_at_run_time_do_not_cost_more_with_what_there_is(
     assert looked == []
 
 
+@pytest.mark.slow
 def test_rules_of_one_form_that_come_and_go_at_run_time_keep_no_code():
     program = Program("k(_).")
     kept = []

@@ -48,6 +48,7 @@ def send(engine, values, second, key=1):
     engine.event_at(SCAN(key, values), second * SECOND, second * SECOND)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(ROWS, st.sampled_from(["<f4", "<f8", "<i4"]), st.booleans())
 @pytest.mark.parametrize("kind", KINDS)

@@ -182,6 +182,7 @@ def test_flags_hold_at_once():
     assert run.rule.keys == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["0", "-1", "2.5", "many"])
 def test_the_largest_number_of_keys_is_a_whole_number_from_1(value):
     with pytest.raises(Exception, match="max_keys takes a number of keys from 1"):

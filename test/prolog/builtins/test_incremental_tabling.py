@@ -353,6 +353,7 @@ def test_options_with_an_effect_or_that_say_what_is_so_are_not_told_of():
     assert told == []
 
 
+@pytest.mark.slow
 def test_tables_that_are_out_of_date_and_not_called_again_are_dropped():
     logic = prolog(":- dynamic q/1 as incremental.\n:- table t/2 as incremental.\nt(N, X) :- q(X), X < N.")
     assert answers(

@@ -169,6 +169,7 @@ def test_a_deep_term_in_place_of_a_balance_is_not_hashed():
     assert first(logic, f"nb_getval(deep, X), copy_term({tree}, T), del_assoc(e, T, _, _)") is None
 
 
+@pytest.mark.slow
 def test_trees_that_are_none():
     logic = prolog()
     assert answers(logic, "put_assoc(a, t(b,1,x,t,t), 2, A)") == []

@@ -364,6 +364,7 @@ def test_half_an_inference_is_refused():
         Limits(inferences=1.5)
 
 
+@pytest.mark.slow
 def test_a_limit_of_memory_that_is_a_float_ends_an_event(caplog):
     engine = Engine(settings=Settings(limits=Limits(seconds=60.0, megabytes=5.0)))
     engine.load(rules=PROGRAM + "null_event do grow([]) <- in.")

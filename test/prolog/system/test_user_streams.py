@@ -76,6 +76,7 @@ def limited(output_megabytes):
     return engine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "goal", ["repeat, format('~*c~n', [1000, 0'x]), fail", "repeat, write(user_error, 'é\\e'), fail"]
 )
