@@ -286,7 +286,7 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
     monkeypatch.setattr(lineage, "MAX_REMEMBERED_EVENTS", 20)
     program = Program("c <- a seq b.", ["revision_flag"], "unrestricted")
     program.feed("a@1")
-    (oldest,) = program.engine.rules.tracker.all()
+    (oldest,) = program.engine.rules.tracker.remembered_events()
     program.feed("b@2")
     assert len(oldest.derived) == 1
     assert program.feed(" ".join(f"b@{instant}" for instant in range(3, 40))).count("c@") == 37
@@ -298,7 +298,7 @@ def test_what_is_too_old_to_be_taken_back_does_not_gather_what_follows_from_it(m
 def test_what_many_repetitions_have_made_is_kept_once_for_each(pattern):
     program = Program(f"c(N) <- {pattern}.", ["etalis_justification"], "unrestricted")
     program.feed("s@0 b(7)@0 " + " ".join(f"a({at})@{at}" for at in range(1, 301)))
-    kept = program.engine.rules.tracker.all()
+    kept = program.engine.rules.tracker.remembered_events()
     links = [*kept, *(one for event in kept for one in event.derived if isinstance(one, RepetitionChain))]
     assert len(kept) > 600
     assert sum(len(one.derived) + len(one.dependents) for one in links) < 4000

@@ -289,7 +289,7 @@ class _Explainer:
         self._engine = engine
         self._origin = origin
         self._times = TimeFormat(self._show, origin)
-        self._occurrences = self._engine.rules.tracker.all()
+        self._occurrences = self._engine.rules.tracker.remembered_events()
         self._why_not_sent = WhyNotSent(
             self._engine.logic, self._engine.knowledge.subscriptions.items(), self._show
         )

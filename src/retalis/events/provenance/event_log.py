@@ -1,4 +1,4 @@
-"""Occurrences of events with their lineage, and the log of all events.
+"""Occurrences of events, which are the nodes of their lineage, and the log of all events.
 
 An `Occurrence` is an event that was dispatched, with links in both directions: to the match that it was derived from,
 and to the occurrences derived from it. These links are the derivation graph (why-provenance). Negation adds links of
@@ -62,9 +62,9 @@ class Occurrence:
         term, start, end: the event.
         rule: the rule that raised it, or None.
         match: match of the rule, or of the goal that created it; None for an input event.
-        derived: occurrences derived from it, as long as it is remembered.
+        derived: occurrences and repetitions derived from it, as long as it is remembered.
         forgotten: whether it is too old to be remembered; partial matches may still use it.
-        dependents: partial matches that use it.
+        dependents: partial matches that use it, and repetitions in runs and stream operators; see `Dependent`.
         retracted: whether it was retracted.
         reported: whether the retraction was reported, by the ``rev`` event that named it or by a derived one.
         retracts: for a derived event ``rev(E)``, the occurrences that it retracts.
@@ -117,16 +117,18 @@ class Occurrence:
 
 
 LineageNode = Union[Occurrence, RepetitionChain]
+"""Node of the derivation graph."""
+
 MatchOrPair = Union[PartialMatch, Tuple[PartialMatch, PartialMatch]]
 """Match, or two matches that are to be joined."""
 
 
-def unreported_derived(source: LineageNode) -> Iterator[Occurrence]:
-    """Yield the occurrences derived from a source whose retraction was not reported yet.
+def take_unreported_derived(source: LineageNode) -> Iterator[Occurrence]:
+    """Yield the occurrences derived from a source whose retraction was not reported yet, and mark them as reported.
 
-    Reported ones are not descended into. Occurrences that have not happened are skipped: no rule has seen them.
+    Occurrences that were not dispatched are skipped, because no rule has received them.
     """
-    # Marking before descending makes the traversal linear: each occurrence is reported once per retraction.
+    # Marked nodes are not visited again, so the traversal is linear and each occurrence is reported once.
     stack = source.derived[::-1]
     while stack:
         derived = stack.pop()
@@ -170,7 +172,10 @@ def occurrences_in(match: PartialMatch) -> List[Occurrence]:
 
 
 def lineage_nodes_of(match: PartialMatch) -> List[LineageNode]:
-    """Return the tracked events of a match, with the last `RepetitionChain` for repetitions, after linking it."""
+    """Return the nodes from which an event or result of a match is derived.
+
+    These are its tracked events, and for repetitions the last `RepetitionChain`, whose links are completed first.
+    """
     tracked: List[LineageNode] = []
     for source in lineage_sources(match):
         if isinstance(source, RepetitionChain):
@@ -196,7 +201,8 @@ def _link_repetitions(last: RepetitionChain) -> None:
         if repetition.earlier.match is not None:
             origins.append(repetition.earlier)
         for source in origins:
-            # Oldest first, so that a retracted repetition marks all that build on it.
+            # Repetitions are visited from the oldest to the newest, so that the mark of a retracted one reaches all
+            # that follow it.
             repetition.retracted = repetition.retracted or source.retracted
             if not source.forgotten:
                 source.derived.append(repetition)
@@ -206,13 +212,15 @@ log = logging.getLogger("retalis.events")
 
 _EVENT2 = functor("event", 2)
 _MAX_STORED_EVENTS = 100_000
+"""Maximum number of events that the flag ``store_fired_events`` keeps; the oldest are dropped."""
+
 _PERSISTENT_FILE = "persistent.txt"
 _PERSISTENCE_SELECTOR = functor("persistent_event", 1)
 _LOG_SELECTORS = tuple(functor(name, 1) for name in ("external_trigger", "print_trigger", "spy_event"))
 
 
-class EventSelection(Predicate):
-    """Predicate whose facts select events; its first fact makes the log observe all events."""
+class EventSelector(Predicate):
+    """Predicate whose facts select events to be logged or written; its first fact starts the recording."""
 
     def __init__(self, rules: "RuleBase", event_log: "EventLog", key: Functor):
         super().__init__(rules.logic.database, key)
@@ -220,29 +228,32 @@ class EventSelection(Predicate):
         self._log = event_log
 
     def record_change(self) -> None:
-        """Start observation when a clause is added or removed."""
+        """Start the recording when a clause is added or removed."""
         super().record_change()
         self._log.start_recording()
 
 
 class EventLog:
-    """Log of all events. It adds a listener only while a flag or fact requires it, so it is free otherwise."""
+    """Log of all events.
+
+    A listener exists only while a flag or fact requires it; without one, the log costs nothing.
+    """
 
     def __init__(self, rules: "RuleBase"):
         self._rules = rules
         self._events: Deque[Tuple[Term, int, int]] = deque(maxlen=_MAX_STORED_EVENTS)
-        self._store_listener: Optional[Listener] = None
-        self._record_listener: Optional[Listener] = None
-        self._failed_writes = 0
+        self._storing_listener: Optional[Listener] = None
+        self._recording_listener: Optional[Listener] = None
+        self._failed_write_count = 0
 
     def set_storing(self, is_on: bool) -> None:
         """Start or stop storing events."""
         dispatcher = self._rules.dispatcher
-        if is_on and self._store_listener is None:
-            self._store_listener = dispatcher.listen(ListenerPhase.TRACE, Var(), self._store_event)
-        elif not is_on and self._store_listener is not None:
-            dispatcher.remove(self._store_listener)
-            self._store_listener = None
+        if is_on and self._storing_listener is None:
+            self._storing_listener = dispatcher.listen(ListenerPhase.TRACE, Var(), self._store_event)
+        elif not is_on and self._storing_listener is not None:
+            dispatcher.remove(self._storing_listener)
+            self._storing_listener = None
 
     def _store_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         self._events.append((term, start, end))
@@ -260,15 +271,15 @@ class EventLog:
         """Remove all stored events."""
         self._events.clear()
 
-    def define(self) -> None:
+    def define_predicates(self) -> None:
         """Define the predicates whose facts select events."""
         for key in (_PERSISTENCE_SELECTOR, *_LOG_SELECTORS):
-            self._rules.logic.database.predicates[key] = EventSelection(self._rules, self, key)
+            self._rules.logic.database.predicates[key] = EventSelector(self._rules, self, key)
 
     def start_recording(self) -> None:
         """Start to write and log the events that facts of the program select."""
-        if self._record_listener is None:
-            self._record_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
+        if self._recording_listener is None:
+            self._recording_listener = self._rules.dispatcher.listen(ListenerPhase.TRACE, Var(), self._record)
 
     def _record(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         if self._is_selected(_PERSISTENCE_SELECTOR, term):
@@ -279,7 +290,7 @@ class EventLog:
         return frame
 
     def _write(self, event: Term) -> None:
-        """Write a persistent event; failures are counted and reported at the counts 1, 2, 4, 8 and so on."""
+        """Append an event to the file of persistent events; failures are counted, and some of them reported."""
         rules = self._rules
         try:
             sandbox = rules.files.sandbox
@@ -287,12 +298,12 @@ class EventLog:
                 os.path.join(sandbox.default_output_folder, _PERSISTENT_FILE), f"{rules.logic.show(event)}.\n"
             )
         except RetalisError as error:
-            self._failed_writes += 1
-            # Powers of two: a full disk must not produce one warning per event.
-            if self._failed_writes & (self._failed_writes - 1) == 0:
+            self._failed_write_count += 1
+            # Reported at the counts 1, 2, 4, 8 and so on: a full disk must not produce one warning per event.
+            if self._failed_write_count & (self._failed_write_count - 1) == 0:
                 rules.on_warning(
                     UsageError(
-                        f"{self._failed_writes} persistent events could not be written: {error.message}"
+                        f"{self._failed_write_count} persistent events could not be written: {error.message}"
                     )
                 )
 
@@ -303,10 +314,10 @@ class EventLog:
             return False
         # Facts may be added and removed at any time, so they are read for each event.
         heads = (clause.head for clause in predicate.active_clauses())
-        return any(_matches_selection(deref(head[1]), term) for head in heads if head.__class__ is tuple)
+        return any(_is_selected_by(deref(head[1]), term) for head in heads if head.__class__ is tuple)
 
 
-def _matches_selection(pattern: Term, event: Term) -> bool:
+def _is_selected_by(pattern: Term, event: Term) -> bool:
     """Return whether ``Name/Arity`` (both may be variables) or an event pattern matches an event."""
     if pattern.__class__ is tuple and pattern[0] is SLASH:
         key = functor_of(event)
@@ -321,7 +332,7 @@ def _matches_selection(pattern: Term, event: Term) -> bool:
     return result
 
 
-def stored_event_solutions(
+def enumerate_stored_events(
     stored_events: List[Tuple[Term, int, int]], machine: Machine, event: Term, interval: Term
 ) -> Iterator[bool]:
     """Unify an event and its interval with each stored event."""

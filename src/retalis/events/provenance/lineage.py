@@ -13,6 +13,7 @@ removed.
 from collections import deque
 from functools import partial
 from itertools import count
+from operator import attrgetter
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -41,7 +42,7 @@ from .event_log import (
     Occurrence,
     Suppressed,
     lineage_nodes_of,
-    unreported_derived,
+    take_unreported_derived,
 )
 
 if TYPE_CHECKING:
@@ -66,6 +67,8 @@ _SYNCHRONIZED = frozenset(
     functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4)
 )
 
+_MIN_SWEPT_DEPENDENTS = 64
+"""Number of dependents of an occurrence from which discarded matches are removed from the list."""
 
 RetractionStep = Callable[[Frame], Frame]
 """Function that dispatches or retries something; it takes and returns the next frame."""
@@ -75,7 +78,8 @@ class LineageTracker:
     """Recorder of events and their lineage; executes retractions.
 
     Attributes:
-        blocking_match: the negated match that made the last test fail.
+        listeners: the listeners of the tracker; none if events are not tracked.
+        blocking_match: the negated match that made the last test of a node fail; None if another test failed.
     """
 
     def __init__(self, rules: "RuleBase"):
@@ -106,7 +110,7 @@ class LineageTracker:
             self.listeners.append(dispatcher.listen(ListenerPhase.RULES, (REV, Var()), self._retract, (-1,)))
 
     def repair(self) -> None:
-        """Repair the state after an interrupt."""
+        """Rebuild the index by term after an interrupt, and complete an interrupted retraction."""
         self._occurrences_by_term.clear()
         for occurrence in self._remembered_events:
             self._occurrences_by_term.setdefault(term_key(occurrence.term), []).append(occurrence)
@@ -203,7 +207,7 @@ class LineageTracker:
             dependents = occurrence.dependents
             dependents.append(match)
             # Matches that have left their buffer are swept at each doubling, so the cost per match is constant.
-            if len(dependents) > 64 and len(dependents) & (len(dependents) - 1) == 0:
+            if len(dependents) > _MIN_SWEPT_DEPENDENTS and len(dependents) & (len(dependents) - 1) == 0:
                 occurrence.dependents = [
                     match_or_run
                     for match_or_run in dependents
@@ -216,7 +220,12 @@ class LineageTracker:
             occurrence.dependents.append((node, run, match))
 
     def record_suppressed(self, node: "SuppressingNode", match_or_pair: MatchOrPair) -> None:
-        """Record a match that the last negated match has suppressed."""
+        """Record a match that was not emitted, if `blocking_match` has suppressed it.
+
+        Args:
+            node: the node that tries the match again if the blocking match is retracted.
+            match_or_pair: the suppressed match, or the two matches that were not joined.
+        """
         if self.blocking_match is not None:
             entry = Suppressed(node, match_or_pair, next(self._next_suppressed_number))
             for occurrence in lineage_nodes_of(self.blocking_match):
@@ -242,17 +251,18 @@ class LineageTracker:
                 return frame
             # The work is charged to the rule that sent ``rev``, else to one that derived an event from the retracted
             # ones.
-            meter = self._meter(token.rule or _deriving_rule(retracted))
+            meter = self._create_meter(token.rule or _find_deriving_rule(retracted))
             removal = self._remove_derived(retracted, meter)
             if removal is None:
                 return frame
             invalidated, retries = removal
         else:
-            meter = self._meter(token.rule)
-        work = _RetractionSteps(metered(self._steps([*retracted, *invalidated], retries, start, end), meter))
-        return work.run((work, frame))
+            meter = self._create_meter(token.rule)
+        steps = self._create_steps([*retracted, *invalidated], retries, start, end)
+        retraction = _RetractionSteps(metered(steps, meter))
+        return retraction.run((retraction, frame))
 
-    def _meter(self, rule: object) -> Optional[Meter]:
+    def _create_meter(self, rule: object) -> Optional[Meter]:
         return self._rules.logic.machine.budget.meter(rule)
 
     def _remove_derived(
@@ -261,15 +271,15 @@ class LineageTracker:
         """Remove events and everything derived from them from all buffers, before consequences are computed.
 
         Returns:
-            The results that do not hold any more although they do not contain a removed event, and the matches to try
-            again, each with its node: suppressed matches, and later results of runs that lost a repetition. None if
-            the work limit is exceeded; nothing is removed then.
+            None if the work limit is exceeded; nothing is removed then. Otherwise two lists: the results that became
+            invalid although they do not contain a removed event; and the matches to try again, each with its node,
+            which are suppressed matches and later results of runs that lost a repetition.
         """
         marked = _mark_retracted(retracted, meter)
         if marked is None:
             return None
         self._rules.dispatcher.retractions += 1
-        # The sender of ``rev`` knows about these: no ``rev`` event is dispatched for them.
+        # ``rev(E)`` itself reports the retraction of E, so no further ``rev`` event is dispatched for these.
         for occurrence in retracted:
             occurrence.reported = True
         runs: Dict[Any, RecomputingNode] = {}
@@ -278,7 +288,7 @@ class LineageTracker:
         # Removing events can invalidate results of stream operators that do not contain them, and these can have
         # derived events of their own: repeat until nothing is added.
         while marked:
-            affected = self._detach(marked, released_matches)
+            affected = self._detach_from_dependents(marked, released_matches)
             runs.update(affected)
             invalid = [
                 lost_result
@@ -286,11 +296,11 @@ class LineageTracker:
                 for lost_result in node.invalid_results()
                 if not lost_result.retracted
             ]
-            # If the limit is exceeded here, the invalid outputs remain.
+            # If the work limit is exceeded here, the loop ends and the invalid results remain.
             marked = _mark_retracted(invalid, meter)
             invalidated += invalid if marked else ()
-        # The consumption policy requires the order in which they were tried first.
-        released_matches.sort(key=_number)
+        # A match that is tried first may consume events of the others, so the order of the first attempt is kept.
+        released_matches.sort(key=attrgetter("number"))
         retries: List[Tuple[RetryingNode, MatchOrPair]] = [
             (node, result) for run, node in runs.items() for result in node.recompute_results(run)
         ]
@@ -301,7 +311,7 @@ class LineageTracker:
         ]
 
     @staticmethod
-    def _detach(
+    def _detach_from_dependents(
         marked: Sequence[LineageNode], released_matches: List[Suppressed]
     ) -> Dict[Any, "RecomputingNode"]:
         """Remove events that are marked as retracted from the matches and runs that use them.
@@ -324,45 +334,43 @@ class LineageTracker:
             node.suppressed = []
         return runs
 
-    def _steps(
+    def _create_steps(
         self,
         retracted: Sequence[LineageNode],
         retries: List[Tuple["RetryingNode", MatchOrPair]],
         start: int,
         end: int,
     ) -> Iterator[RetractionStep]:
-        """Yield the steps of a retraction: functions from a frame to a frame."""
+        """Yield the steps of a retraction: ``rev`` events for derived occurrences, then matches to try again."""
         for occurrence in retracted:
-            for derived in unreported_derived(occurrence):
-                yield self._dispatch_rev(derived, start, end)
+            for derived in take_unreported_derived(occurrence):
+                yield self._create_rev_step(derived, start, end)
         for node, match_or_pair in retries:
             yield partial(self._retry, node, match_or_pair)
 
     def _retry(self, node: "RetryingNode", match_or_pair: Any, frame: Frame) -> Frame:
-        # Matches of earlier events may be held back until another event arrives; the ``rev`` event is one.
+        """Try a match again, and return the next frame."""
+        # Nodes store some matches of an event only when the next event arrives; ``rev`` is such an event.
         node.rule.store_deferred_of_earlier_events(self._rules.dispatcher.token())
         return node.retry(match_or_pair, frame)
 
-    def _dispatch_rev(self, occurrence: Occurrence, start: int, end: int) -> RetractionStep:
+    def _create_rev_step(self, occurrence: Occurrence, start: int, end: int) -> RetractionStep:
+        """Return the step that dispatches ``rev(E)`` for an occurrence of a derived event E."""
         term = (REV, occurrence.term)
         token = Occurrence(term, start, end, None, None)
         token.retracts = [occurrence]
         return lambda frame: self._rules.dispatcher.dispatch(term, start, end, frame, token)
 
-    def all(self) -> List[Occurrence]:
+    def remembered_events(self) -> List[Occurrence]:
         """Return the remembered events that are not retracted, the oldest first."""
         return [occurrence for occurrence in self._remembered_events if not occurrence.retracted]
-
-
-def _number(suppressed: Suppressed) -> int:
-    return suppressed.number
 
 
 def _mark_retracted(retracted: Sequence[LineageNode], meter: Optional[Meter]) -> Optional[List[LineageNode]]:
     """Mark events and everything derived from them as retracted.
 
-    Removing them from the buffers must not be interrupted, because a rule would go on with retracted events. The work
-    is therefore counted here, in advance.
+    The work limit must not interrupt the removal from the buffers, because rules would then use retracted events. The
+    work of the removal is therefore counted here, in advance.
 
     Returns:
         All marked nodes, or None if the work limit is exceeded; no node is marked then.
@@ -383,8 +391,8 @@ def _mark_retracted(retracted: Sequence[LineageNode], meter: Optional[Meter]) ->
     return marked
 
 
-def _deriving_rule(retracted: Sequence[Occurrence]) -> Optional["EventRule"]:
-    """Return a rule that derived an event from one of some events, or None."""
+def _find_deriving_rule(retracted: Sequence[Occurrence]) -> Optional["EventRule"]:
+    """Return a rule that derived an event from one of the retracted events, or None."""
     stack: List[LineageNode] = [*retracted]
     while stack:
         for derived in stack.pop().derived:
@@ -408,7 +416,7 @@ def _is_synchronized(term: Term) -> bool:
 
 
 class _RetractionSteps:
-    """Code of a frame that executes the remaining steps of a retraction."""
+    """Code of a frame ``(self, next frame)`` that executes the remaining steps of a retraction."""
 
     __slots__ = ("steps",)
 
@@ -418,6 +426,7 @@ class _RetractionSteps:
     def run(self, frame: Frame) -> Frame:
         for step in self.steps:
             next_frame = step(frame)
+            # The step has created frames. The machine executes them and then returns to this one, for the next step.
             if next_frame is not frame:
                 return next_frame
         return frame[1]  # type: ignore[no-any-return]

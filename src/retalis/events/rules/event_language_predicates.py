@@ -17,7 +17,7 @@ from ...prolog.terms.term_traversal import copy, freeze, resolve
 from ...prolog.terms.timestamps import interval_term, shown
 from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, functor
 from ...prolog.terms.unification import undo
-from ..provenance.event_log import stored_event_solutions
+from ..provenance.event_log import enumerate_stored_events
 from .event_flags import FLAGS
 from .event_input_predicates import EVENT2, define_event_predicates, items_of, path_of
 from .timer_service import define_timers
@@ -275,7 +275,7 @@ class _QueryPredicates:
         logic.define("t2", 1, lambda machine, instant: self.unify_condition_bound(machine, instant, 1))
         logic.define_nondeterministic("fired_event", 2, self.enumerate_fired_events)
         logic.define_nondeterministic("stored_event", 1, self.enumerate_stored_events)
-        self.rules.event_log.define()
+        self.rules.event_log.define_predicates()
         logic.define("see_db", 0, self.print_partial_matches)
         logic.define_nondeterministic("justify_event", 3, self.enumerate_explanations)
         logic.define_nondeterministic("justification_edge", 2, self.enumerate_edges)
@@ -287,7 +287,7 @@ class _QueryPredicates:
         return interval is not None and bool(machine.unify(instant, shown(interval[position])))
 
     def enumerate_fired_events(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
-        return stored_event_solutions(self.rules.event_log.stored_events(), machine, event, interval)
+        return enumerate_stored_events(self.rules.event_log.stored_events(), machine, event, interval)
 
     def enumerate_stored_events(self, machine: Machine, event: Term) -> Iterator[bool]:
         events = self.rules.event_log.stored_events()
