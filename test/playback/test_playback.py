@@ -447,7 +447,7 @@ class Waiting:
         return 100_000
 
     def __iter__(self):
-        question = SimpleNamespace(event_of=lambda values: atom("found"))
+        question = SimpleNamespace(create_event=lambda values: atom("found"))
         for order in range(len(self)):
             self.looked_at += 1
             yield order, question, (), None, None, []

@@ -515,7 +515,9 @@ def _list_queries(
         statuses = [_awaited_status(instance, instant, show) for instance, instant in tuple(missing)]
         awaited = [status for status in statuses if status is not None]
         listed = tuple(awaited[:MAX_AWAITED_LISTED])
-        return WaitingStatus(show(definition.event_of(values)), int(end), listed, len(awaited) - len(listed))
+        return WaitingStatus(
+            show(definition.create_event(values)), int(end), listed, len(awaited) - len(listed)
+        )
 
     return _convert_first(knowledge.pending_queries.copy_all(), convert, limit)
 

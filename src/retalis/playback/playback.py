@@ -555,7 +555,7 @@ class RunRecorder:
         for serial, (_, question, values, _, _, missing) in current.items():
             if serial not in self._waits:
                 memories = [canonical_text(instance.id) for instance, _ in missing]
-                self._waits[serial] = _Wait(canonical_text(question.event_of(values)), memories, now)
+                self._waits[serial] = _Wait(canonical_text(question.create_event(values)), memories, now)
 
     def _record_wait(self, wait: _Wait, now: int) -> None:
         self._write_record({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})

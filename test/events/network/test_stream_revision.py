@@ -95,5 +95,7 @@ def test_results_of_long_windows_name_no_more_than_a_hundred():
     )
     for number in range(300):
         engine.event("t", number + 1)
-    known = [one for one in engine.rules.tracker.remembered_events() if engine.show(one.term).startswith("out")]
+    known = [
+        one for one in engine.rules.tracker.remembered_events() if engine.show(one.term).startswith("out")
+    ]
     assert len(known) == 300 and max(len(one.sources()) for one in known) == 100

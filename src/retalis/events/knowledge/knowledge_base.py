@@ -82,7 +82,7 @@ class KnowledgeBase:
         self.on_conditions = on_conditions
         self.memories = MemoryInstances(logic, dispatcher, clock.stamp, warn)
         self.gaps = MemoryGaps(logic.brief, warn)
-        self.memories.on_create = self.gaps.watch
+        self.memories.on_create = self.gaps.note_gaps_of
         self.transforms = Transforms(
             logic, dispatcher, TransformBuffer() if buffer is None else buffer, self.gaps, warn
         )
@@ -151,8 +151,8 @@ class KnowledgeBase:
         logic = self._logic
         define_read_access(logic, self.memories)
         define_pattern_access(logic, self.memories)
-        self.gaps.define(logic, self.memories)
-        TransformChains(self.memories, self.gaps).define(logic)
+        self.gaps.define_predicates(logic, self.memories)
+        TransformChains(self.memories, self.gaps).define_predicates(logic)
         logic.define_nondeterministic("access_mem", 3, enumerate_records(self.memories))
         self._define_size_predicate("memory_size", attrgetter("memory.size"))
         self._define_size_predicate("memory_counter", attrgetter("memory.added_count"))

@@ -8,8 +8,8 @@ event or a warning reports the queries that are dropped.
 
 A query is registered with one of its memories at a time. `MemoryInstance` keeps these in a heap by instant, so an
 event costs one comparison for any number of pending queries. When the memory reaches the instant, the query is
-registered with the next memory that is behind, or called if there is none. Queries that become ready with one event
-are called in order of their registration.
+registered with the next memory that has not reached its instant, or called if there is none. Queries that become
+ready with one event are called in order of their registration.
 
 A condition ``[tf(Target, Source), Time]`` names a transform instead of a memory, see `transforms`. A memory with
 that id takes precedence.
@@ -62,7 +62,7 @@ AwaitedSource = Union[MemoryInstance, AwaitedTransform]
 """A memory or transform that queries wait for."""
 
 MissingSources = List[Tuple[AwaitedSource, int]]
-"""Memories and transforms whose watermark is behind, each with the instant that it has to reach."""
+"""Memories and transforms that have not reached an instant, each with this instant."""
 
 
 def find_missing_sources(
@@ -76,7 +76,7 @@ def find_missing_sources(
     required_instants: Dict[AwaitedSource, int] = {}
     # Conditions usually share one time, so it is converted once.
     time, instant = None, 0
-    for source_id, condition_time in _condition_pairs(logic, conditions):
+    for source_id, condition_time in _parse_conditions(logic, conditions):
         source: Optional[AwaitedSource] = memories.find(source_id)
         if source is None:
             source = transforms.awaited_transform(source_id)
@@ -102,15 +102,15 @@ def compile_conditions(
     conditions: Term,
     rule_variables: Sequence[Var],
 ) -> Optional[Callable[[Values], MissingSources]]:
-    """Return a function from the values of ``rule_variables`` to the memories and transforms that are behind.
+    """Return a function from the values of ``rule_variables`` to the memories and transforms to wait for.
 
     The function raises a `UsageError` as `find_missing_sources` does. Return None instead of a function if the ids
     of the memories depend on the values.
     """
     try:
-        pairs = _condition_pairs(logic, conditions)
+        pairs = _parse_conditions(logic, conditions)
         keys = [key_of(name) for name, _ in pairs]
-        awaited = [transforms.awaited_transform(name) for name, _ in pairs]
+        awaited_transforms = [transforms.awaited_transform(name) for name, _ in pairs]
     except (UsageError, PrologError):
         return None
     if not set(variables(conditions)) <= set(rule_variables):
@@ -126,12 +126,12 @@ def compile_conditions(
     previous = None
     for index, (key, (name, time)) in enumerate(zip(keys, pairs)):
         namespace[f"key{index}"], namespace[f"name{index}"] = key, name
-        if awaited[index] is not None:
-            namespace[f"transform{index}"] = awaited[index]
+        if awaited_transforms[index] is not None:
+            namespace[f"transform{index}"] = awaited_transforms[index]
             namespace["transform_instant"] = transform_instant
             lines += [
                 f"    awaited = get(key{index}, transform{index})",
-                *_instant_source(
+                *_generate_instant_lines(
                     time, rule_variables, variable_positions, index, namespace, "transform_instant(time)"
                 ),
                 "    if not awaited.has_reached(instant):",
@@ -146,21 +146,21 @@ def compile_conditions(
         ]
         # Conditions of a query usually share one time, which is converted once.
         if time is not previous:
-            lines += _instant_source(time, rule_variables, variable_positions, index, namespace)
+            lines += _generate_instant_lines(time, rule_variables, variable_positions, index, namespace)
         previous = time
         lines += [
             "    ends = memory.memory.ends",
             "    if not ends or ends[-1] < instant:",
             "        missing.append((memory, instant))",
         ]
-    source = "\n".join(["def generated(values):", *lines, "    return missing", ""])
+    code = "\n".join(["def generated(values):", *lines, "    return missing", ""])
     function: Callable[[Values], MissingSources] = shared_function(
-        source, namespace, "conditions of a synchronized query"
+        code, namespace, "conditions of a synchronized query"
     )
     return function
 
 
-def _instant_source(
+def _generate_instant_lines(
     time: Term,
     rule_variables: Sequence[Var],
     variable_positions: Dict[Var, int],
@@ -168,7 +168,16 @@ def _instant_source(
     namespace: Dict[str, Any],
     conversion: str = "first_reaching(time) if time.__class__ is float else required_instant(time)",
 ) -> List[str]:
-    """Return the source lines that compute the instant of a time by a conversion."""
+    """Return the lines of code that compute the instant of a condition.
+
+    Args:
+        time: the time of the condition.
+        rule_variables: variables of the rule, in the order of ``values``.
+        variable_positions: their positions.
+        index: number of the condition, for the names of constants.
+        namespace: receives the constants of the code.
+        conversion: expression that converts ``time``.
+    """
     if time.__class__ is Var:
         lines = [f"    time = values[{variable_positions[time]}]"]
     else:
@@ -177,7 +186,7 @@ def _instant_source(
     return [*lines, f"    instant = {conversion}"]
 
 
-def _condition_pairs(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
+def _parse_conditions(logic: PrologSystem, conditions: Term) -> List[Tuple[Term, Term]]:
     """Return the pairs of id and time of a list of conditions.
 
     Raises:
@@ -231,20 +240,20 @@ class QueryContext(NamedTuple):
 
 
 class ReleasableQuery:
-    """Base class of what is executed when the memories have reached their instants. Subclasses set the attributes.
+    """Base class of the actions for which `PendingQueries` waits. Subclasses set the attributes.
 
     Attributes:
-        event_of: creates the event from the values alone, for reports.
-        terms_of: creates event and query from the values, in the form of `compile_general_query`.
+        create_event: creates the event from the values, without a solution of the query, for reports.
+        create_terms: creates event and query from the values, in the form of `compile_general_query`.
         execute: takes values, start, end and next frame; returns the frame that calls the query and triggers the
             event if it has a solution.
     """
 
-    __slots__ = ("event_of", "terms_of", "execute")
+    __slots__ = ("create_event", "create_terms", "execute")
 
-    event_of: Callable[[Values], Term]
+    create_event: Callable[[Values], Term]
 
-    terms_of: Callable[[Values], Tuple[Term, Term]]
+    create_terms: Callable[[Values], Tuple[Term, Term]]
 
     execute: Callable[[Values, int, int, Frame], Frame]
 
@@ -257,7 +266,7 @@ class TriggeredQuery(ReleasableQuery):
         goal: the query; None if it is always true.
         inputs: positions of the goal's inputs in the values.
         build_event: creates the event from the values followed by the results of the goal.
-        build_event_unsolved: creates the event from the values alone, for reports.
+        build_event_unsolved: creates the event from the values, with new variables for results of the goal.
     """
 
     __slots__ = ("_context", "_dispatcher", "_dispatch", "_goal", "_inputs", "_build_event")
@@ -276,19 +285,29 @@ class TriggeredQuery(ReleasableQuery):
         self._goal = goal
         self._inputs = inputs
         self._build_event = build_event
-        self.event_of = build_event_unsolved
-        self.execute = self._trigger if goal is None else self._call
+        self.create_event = build_event_unsolved
+        self.execute = self._trigger if goal is None else self._call_goal
 
-    def _call(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+    def _call_goal(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
         # Not None: else `execute` is `_trigger`.
         goal: Any = self._goal
         goal_inputs = tuple([values[position] for position in self._inputs])
         call = self._dispatcher.call
         return call(
-            goal, goal_inputs, self._warn_of_error, self._trigger_solved, TRUE, values, start, end, next_frame
+            goal,
+            goal_inputs,
+            self._warn_of_error,
+            self._trigger_for_solution,
+            TRUE,
+            values,
+            start,
+            end,
+            next_frame,
         )
 
-    def _trigger_solved(self, term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+    def _trigger_for_solution(
+        self, term: Term, values: Values, start: int, end: int, next_frame: Frame
+    ) -> Frame:
         return self._trigger(values, start, end, next_frame)
 
     def _trigger(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
@@ -303,7 +322,7 @@ class TriggeredQuery(ReleasableQuery):
     def _warn_of_error(self, values: Values, error: PrologError) -> None:
         if not record_caught_error(error):
             return
-        event = self.event_of(values)
+        event = self.create_event(values)
         self._context.warn(
             f"{self._context.logic.brief(event)} is dropped, its query raised: {error}",
             ("raised", event_functor(event)),
@@ -323,10 +342,10 @@ class QueryNotifier(ReleasableQuery):
     def __init__(self, client_name: Term, notify: Callable[[], None]):
         self._client_name = client_name
         self._notify = notify
-        self.event_of = self._event_of_values
+        self.create_event = self._create_event
         self.execute = self._notify_client
 
-    def _event_of_values(self, values: Values) -> Term:
+    def _create_event(self, values: Values) -> Term:
         return self._client_name
 
     def _notify_client(self, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
@@ -350,8 +369,8 @@ class DerivedQuery(ReleasableQuery):
         self._dispatcher = dispatcher
         self._query = query
         self._cause = cause
-        self.event_of = query.event_of
-        self.terms_of = query.terms_of
+        self.create_event = query.create_event
+        self.create_terms = query.create_terms
         self.execute = self._execute_derived
 
     @property
@@ -364,16 +383,16 @@ class DerivedQuery(ReleasableQuery):
 
 
 def compile_general_query(context: QueryContext) -> TriggeredQuery:
-    """Return the query whose values are an event and a query term.
+    """Return the query for synchronized events, whose values are the event to trigger and the query as terms.
 
-    The query comes from an event, which may have any source; it is not allowed to change flags.
+    A synchronized event may come from any client, so its query must not change flags.
     """
     event, query = Var(), Var()
     goal = context.logic.compile_goal(
         (_CALL, query), [event, query], [event], name=_REPORT_NAME, is_from_client=True
     )
     compiled_query = TriggeredQuery(context, goal, (0, 1), lambda values: values[2], lambda values: values[0])
-    compiled_query.terms_of = lambda values: (values[0], values[1])
+    compiled_query.create_terms = lambda values: (values[0], values[1])
     return compiled_query
 
 
@@ -401,7 +420,8 @@ def compile_query(
     event, query = deref(event), deref(query)
     query_variables = set(variables(query))
     known_variables = set(rule_variables)
-    # A variable query is called through `call/1`; one that is bound only at run time cannot be compiled.
+    # A query that is a variable of the rule is called through ``call/1``. A variable that gets its value elsewhere
+    # cannot be compiled.
     if query.__class__ is Var:
         if query not in known_variables:
             return None
@@ -429,9 +449,9 @@ def compile_query(
         build_event,
         lambda values: build_event((*values, *[Var() for _ in outputs])),
     )
-    compiled_query.terms_of = lambda values: copy((MINUS, event, query), dict(zip(rule_variables, values)))[
-        1:
-    ]
+    compiled_query.create_terms = lambda values: copy(
+        (MINUS, event, query), dict(zip(rule_variables, values))
+    )[1:]
     return compiled_query
 
 
@@ -448,7 +468,7 @@ MAX_PENDING_QUERIES = 200_000
 """Maximum number of pending queries; beyond it, the oldest is dropped with a warning."""
 
 
-MAX_NAMED_QUERIES = 20
+MAX_QUERIES_IN_WARNING = 20
 """Maximum number of dropped queries that one warning names."""
 
 PendingQuery = Tuple[int, ReleasableQuery, Values, int, int, MissingSources]
@@ -501,16 +521,18 @@ class PendingQueries:
         self._general_query = compile_general_query(self._context)
         memories.on_update = self._on_memory_update
         transforms.on_reached = self._on_transforms_reached
-        memories.on_delete = self._drop_waiting_for
+        memories.on_delete = self._drop_queries_of_deleted
         for name in ("syncronized", "synchronized"):
             key = functor(name, 3)
-            dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._on_synchronized)
+            dispatcher.listen(ListenerPhase.QUERIES, key(Var(), Var(), Var()), self._process_synchronized)
             # Without this shortcut, the benchmark `sync_now`, whose queries run immediately, takes 95 % more
             # instructions.
             dispatcher.shortcuts[key] = self._compile_rule_action
             key = functor(name, 4)
             dispatcher.listen(
-                ListenerPhase.QUERIES, key(Var(), Var(), Var(), Var()), self._on_synchronized_with_timeout
+                ListenerPhase.QUERIES,
+                key(Var(), Var(), Var(), Var()),
+                self._process_synchronized_with_timeout,
             )
 
     def __len__(self) -> int:
@@ -535,10 +557,10 @@ class PendingQueries:
     def notify_when_reached(
         self, missing: MissingSources, client_name: Term, now: int, notify: Callable[[], None]
     ) -> int:
-        """Notify a client when memories have caught up; return the order of its entry, for `is_waiting`.
+        """Notify a client when memories have reached their instants; return the order of its entry, for `is_waiting`.
 
         Args:
-            missing: the memories that are behind, at least one.
+            missing: the memories to wait for, at least one.
             client_name: name of the client in warnings.
             now: present instant.
             notify: called once, during the dispatch of the event that completes the data.
@@ -546,19 +568,16 @@ class PendingQueries:
         return self._register(QueryNotifier(client_name, notify), (), now, now, missing)
 
     def snapshot(self) -> Tuple[int, List[QueryRow]]:
-        """Return the next order and the pending queries as data.
-
-        See `restore`. Clients that wait are not included.
-        """
+        """Return the next order and the pending queries as data, for `restore`; waiting clients are not included."""
         order = next(self._next_order)
         # Reading the counter advances it, so it is set back.
         self._next_order = count(order)
         queries: List[QueryRow] = []
-        for query_order, triggered, values, start, end, missing in self._queries_by_order.values():
-            if isinstance(triggered, QueryNotifier):
+        for query_order, compiled_query, values, start, end, missing in self._queries_by_order.values():
+            if isinstance(compiled_query, QueryNotifier):
                 continue
-            event, query = triggered.terms_of(values)
-            cause = triggered.cause if isinstance(triggered, DerivedQuery) else None
+            event, query = compiled_query.create_terms(values)
+            cause = compiled_query.cause if isinstance(compiled_query, DerivedQuery) else None
             # A transform may have become available by a change of the tree since it was registered.
             awaited = [
                 (source.id, instant)
@@ -574,8 +593,8 @@ class PendingQueries:
         self._oldest_order = queries[0][0] if queries else order
         for query_order, event, query, start, end, awaited, cause in queries:
             missing: Any = [
-                (self._memories.find(name) or self._transforms.awaited_transform(name), instant)
-                for name, instant in awaited
+                (self._memories.find(source_id) or self._transforms.awaited_transform(source_id), instant)
+                for source_id, instant in awaited
             ]
             compiled_query = (
                 self._general_query
@@ -603,20 +622,22 @@ class PendingQueries:
         if order in self._queries_by_order:
             self._remove_query(order)
 
-    def _on_synchronized(self, term: Term, values: Values, start: int, end: int, next_frame: Frame) -> Frame:
+    def _process_synchronized(
+        self, term: Term, values: Values, start: int, end: int, next_frame: Frame
+    ) -> Frame:
         event, query, conditions = values
         try:
             missing = find_missing_sources(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
-            self._drop(event, error)
+            self._warn_of_invalid_conditions(event, error)
             return next_frame
         # Without missing data, the query runs within the dispatch of the synchronized event.
         if missing:
-            self._register(self._query_with_cause(), (event, query), start, end, missing)
+            self._register(self._general_query_with_cause(), (event, query), start, end, missing)
             return next_frame
         return self._general_query.execute((event, query), start, end, next_frame)
 
-    def _on_synchronized_with_timeout(
+    def _process_synchronized_with_timeout(
         self, term: Term, values: Values, start: int, end: int, next_frame: Frame
     ) -> Frame:
         """Process ``synchronized(Event, Query, Conditions, [timeout(Seconds)])``."""
@@ -625,19 +646,16 @@ class PendingQueries:
             wait = timeout_of(options, self._logic.brief)
             missing = find_missing_sources(self._logic, self._memories, self._transforms, conditions)
         except UsageError as error:
-            self._drop(event, error)
+            self._warn_of_invalid_conditions(event, error)
             return next_frame
         if not missing:
             return self._general_query.execute((event, query), start, end, next_frame)
-        order = self._register(self._query_with_cause(), (event, query), start, end, missing)
+        order = self._register(self._general_query_with_cause(), (event, query), start, end, missing)
         self.timeouts.add(order, end, wait)
         return next_frame
 
-    def _query_with_cause(self) -> ReleasableQuery:
-        """Return the general query.
-
-        If lineage is tracked, its event is derived from the event that is being dispatched.
-        """
+    def _general_query_with_cause(self) -> ReleasableQuery:
+        """Return the general query; with tracked lineage, its event is derived from the event being dispatched."""
         dispatcher = self._dispatcher
         return (
             DerivedQuery(dispatcher, self._general_query, dispatcher.token())
@@ -647,6 +665,7 @@ class PendingQueries:
 
     def _drop_timed_out(self, order: int, instant: int) -> None:
         """Drop a query whose timeout has expired, and dispatch an event that reports it."""
+        # Only the general form of a query has a timeout, and its values are the event and the query.
         _, _, (event, query), _, _, missing = self._queries_by_order[order]
         pairs = [
             make_list([source.id, timestamps.to_term(timestamps.FloatSeconds(awaited_instant))])
@@ -686,7 +705,7 @@ class PendingQueries:
             try:
                 missing = find_missing(values)
             except UsageError as error:
-                self._drop(compiled_query.event_of(values), error)
+                self._warn_of_invalid_conditions(compiled_query.create_event(values), error)
                 return next_frame
             if missing:
                 self._register(compiled_query, values, start, end, missing)
@@ -698,7 +717,7 @@ class PendingQueries:
             self._dispatcher, key, ground_count, execute_or_register, default_action, rule.meter
         )
 
-    def _drop(self, event: Term, error: UsageError) -> None:
+    def _warn_of_invalid_conditions(self, event: Term, error: UsageError) -> None:
         self._warn(f"{self._logic.brief(event)} is dropped: {error}", ("dropped", event_functor(event)))
 
     def _register(
@@ -715,33 +734,33 @@ class PendingQueries:
         return order
 
     def _on_memory_update(self, instance: MemoryInstance, end: int, next_frame: Frame) -> Frame:
-        """Return the frame that calls the queries that waited only for this memory, in order of registration."""
-        return self._call_ready(instance.pop_reached(end), next_frame)
+        """Return the frame that calls the queries that wait for no other memory, in order of registration."""
+        return self._execute_ready(instance.pop_reached(end), next_frame)
 
     def _on_transforms_reached(self, reached: ReachedTransforms, next_frame: Frame) -> Frame:
-        """Return the frame that calls the queries that waited only for these transforms."""
-        return self._call_ready(
+        """Return the frame that calls the queries that wait for no other source than these transforms."""
+        return self._execute_ready(
             [pending for awaited, instant in reached for pending in awaited.pop_queries(instant)], next_frame
         )
 
-    def _call_ready(self, released: Iterable[Any], next_frame: Frame) -> Frame:
+    def _execute_ready(self, released: Iterable[Any], next_frame: Frame) -> Frame:
         """Return the frame that calls the queries whose conditions are all fulfilled, in order of registration."""
         ready: List[PendingQuery] = []
         for pending in released:
             order, _, _, _, _, missing = pending
-            if len(missing) == 1 or not self._register_with_next(pending):
+            if len(missing) == 1 or not self._register_with_next_source(pending):
                 del self._queries_by_order[order]
                 ready.append(pending)
-        # The heap of the memory is ordered by instant, and queries must be called in order of registration.
+        # The memory has released them in the order of their instants; the order comes first in a pending query.
         if len(ready) > 1:
             ready.sort()
         elif not ready:
             return next_frame
-        return self._execute_ready((self, iter(ready), next_frame))
+        return self._execute_in_order((self, iter(ready), next_frame))
 
     @staticmethod
-    def _register_with_next(pending: PendingQuery) -> bool:
-        """Register a query with the next memory that is behind; return whether there is one."""
+    def _register_with_next_source(pending: PendingQuery) -> bool:
+        """Register a query with the next source that has not reached its instant; return whether there is one."""
         order, _, _, _, _, missing = pending
         missing.pop()
         while missing:
@@ -753,15 +772,15 @@ class PendingQueries:
         return False
 
     def run(self, frame: Frame) -> Frame:
-        """Call the remaining queries, as frame code; each is finished before the next one is called."""
-        return self._execute_ready(frame)
+        """Call the remaining queries, as code of the frame ``(self, queries, next frame)``, one after the other."""
+        return self._execute_in_order(frame)
 
     @staticmethod
-    def _execute_ready(frame: Frame) -> Frame:
+    def _execute_in_order(frame: Frame) -> Frame:
         ready: Iterator[PendingQuery] = frame[1]
         for _, compiled_query, values, start, end, _ in ready:
             result = compiled_query.execute(values, start, end, frame)
-            # The query has begun to run; the machine returns to this frame when it is finished.
+            # The query has created frames; the machine returns to this one when they are finished.
             if result is not frame:
                 return result
         return frame[2]  # type: ignore[no-any-return]
@@ -772,16 +791,14 @@ class PendingQueries:
         for order in sorted(self._queries_by_order):
             pending = self._queries_by_order[order]
             _, query, values, _, _, missing = pending
-            if any(
-                instance not in instances for instance, _ in missing if isinstance(instance, MemoryInstance)
-            ):
+            if any(source not in instances for source, _ in missing if isinstance(source, MemoryInstance)):
                 self._queries_by_order.pop(order)
-                event = query.event_of(values)
+                event = query.create_event(values)
                 self._warn(
                     f"{self._logic.brief(event)} is dropped: its memory was deleted", ("deleted", None)
                 )
                 continue
-            # The last condition stays even if it is fulfilled: only an event of its memory can call the query.
+            # The last condition remains even if it is fulfilled: the next event of its memory calls the query.
             while len(missing) > 1:
                 source, instant = missing[-1]
                 if not source.has_reached(instant):
@@ -810,9 +827,9 @@ class PendingQueries:
         _, compiled_query, values, _, _, missing = self._queries_by_order.pop(order)
         source, instant = missing[-1]
         source.remove_query(instant, order)
-        return compiled_query.event_of(values)
+        return compiled_query.create_event(values)
 
-    def _drop_waiting_for(self, instance: MemoryInstance) -> None:
+    def _drop_queries_of_deleted(self, instance: MemoryInstance) -> None:
         """Drop the queries that wait for a deleted memory, with one warning that names them."""
         orders = [
             order
@@ -822,12 +839,14 @@ class PendingQueries:
         dropped = [self._remove_query(order) for order in orders]
         if dropped:
             show = self._logic.brief
-            event_names = ", ".join(show(event) for event in dropped[:MAX_NAMED_QUERIES])
-            rest_text = (
-                f" and {len(dropped) - MAX_NAMED_QUERIES} more" if len(dropped) > MAX_NAMED_QUERIES else ""
+            event_names = ", ".join(show(event) for event in dropped[:MAX_QUERIES_IN_WARNING])
+            omitted_text = (
+                f" and {len(dropped) - MAX_QUERIES_IN_WARNING} more"
+                if len(dropped) > MAX_QUERIES_IN_WARNING
+                else ""
             )
             self._warn(
                 f"the memory {show(instance.id)} was deleted; "
-                f"dropped are the events that waited for it: {event_names}{rest_text}",
+                f"dropped are the events that waited for it: {event_names}{omitted_text}",
                 ("deleted", instance),
             )

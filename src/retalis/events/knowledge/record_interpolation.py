@@ -39,7 +39,7 @@ UNLIMITED_GAP = 1 << 100
 
 
 class MemoryGaps:
-    """Decides whether a program may interpolate between two instants, and warns about unusually wide gaps.
+    """Gaps between records of memories: the limit for interpolation, and warnings about unusually wide gaps.
 
     Look-ups note gaps that may be too wide. A noted gap is examined when ``datime_interpolate/4`` receives its two
     ends.
@@ -47,13 +47,16 @@ class MemoryGaps:
     Args:
         show: returns an id as text.
         warn: receives warnings.
+
+    Attributes:
+        max_distance: largest distance in ns of two instants between which a program may interpolate.
+        noted_gaps: by start and end, the memories with a gap there, in the order in which they were noted last.
     """
 
     def __init__(self, show: Callable[[Term], str], warn: Warn):
         self._show = show
         self._warn = warn
         self.max_distance = UNLIMITED_GAP
-        """Largest distance of two instants that is allowed, in ns."""
         self.noted_gaps: Dict[Tuple[int, int], Tuple[MemoryInstance, ...]] = {}
 
     def set_limit(self, seconds: float) -> None:
@@ -66,12 +69,12 @@ class MemoryGaps:
         """Remove all noted gaps."""
         self.noted_gaps.clear()
 
-    def watch(self, instance: MemoryInstance) -> None:
+    def note_gaps_of(self, instance: MemoryInstance) -> None:
         """Note the wide gaps of a memory from now on."""
 
         def note_gap(start: int, end: int) -> None:
             gaps = self.noted_gaps
-            # Removing and inserting the entry again moves it to the end: the dictionary is in order of last use.
+            # The entry is removed and inserted again, so that it moves to the end of the dictionary.
             instances = gaps.pop((start, end), ())
             gaps[start, end] = instances if instance in instances else (*instances, instance)
             if len(gaps) > MAX_NOTED_GAPS:
@@ -79,21 +82,25 @@ class MemoryGaps:
 
         instance.memory.on_wide_gap = note_gap
 
-    def weight(self, start: int, end: int, instant: int) -> Optional[Number]:
-        """Return the weight of the first of two instants at a third one; None if they are too far apart."""
+    def interpolation_weight(self, start: int, end: int, instant: int) -> Optional[Number]:
+        """Return the weight of a record at ``start`` in the interpolation with one at ``end``.
+
+        It falls from 1 to 0 as ``instant`` moves from ``start`` to ``end``; None if these are too far apart.
+        """
         distance = end - start
         # The instants may be given in either order.
         if distance > self.max_distance or -distance > self.max_distance:
             return None
         if self.noted_gaps and (start, end) in self.noted_gaps:
-            self._warn_of_gap(int(start), int(end))
+            self._warn_if_unusual(int(start), int(end))
+        # At a distance of 0, both records are at the same instant, and the first one is taken.
         return (end - instant) / distance if distance else 1
 
-    def define(self, logic: PrologSystem, memories: MemoryInstances) -> None:
-        """Define the predicates."""
+    def define_predicates(self, logic: PrologSystem, memories: MemoryInstances) -> None:
+        """Define ``datime_interpolate/4`` and ``memory_gap/3``."""
 
         def interpolate(first: Term, second: Term, time: Term) -> Any:
-            return self.weight(instant_of(first), instant_of(second), instant_of(time))
+            return self.interpolation_weight(instant_of(first), instant_of(second), instant_of(time))
 
         def gap(name: Term, time: Term) -> Optional[float]:
             instance, instant = memories.find(name), instant_of(time)
@@ -112,9 +119,9 @@ class MemoryGaps:
         logic.define_function("datime_interpolate", 4, interpolate).is_protected = True
         logic.define_function("memory_gap", 3, gap)
 
-    def _warn_of_gap(self, start: int, end: int) -> None:
+    def _warn_if_unusual(self, start: int, end: int) -> None:
         for instance in self.noted_gaps.pop((start, end)):
-            mean_step = usual_step(instance.memory, end - start)
+            mean_step = mean_step_without_gap(instance.memory, end - start)
             if mean_step is not None and end - start >= WIDE_STEP_FACTOR * mean_step:
                 name = self._show(instance.id)
                 self._warn(
@@ -126,7 +133,7 @@ class MemoryGaps:
                 )
 
 
-def usual_step(memory: Memory, gap: int) -> Optional[float]:
+def mean_step_without_gap(memory: Memory, gap: int) -> Optional[float]:
     """Return the mean step of a memory without a gap, in ns; None if there are too few steps.
 
     Records with the same end count as one, because several publishers may have sent them.
@@ -150,7 +157,7 @@ IDENTITY_POSE: Pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 
 
 class TransformChains:
-    """Products of poses and of the poses that memories have at an instant.
+    """Products of given poses and of poses that are interpolated between records of memories.
 
     Args:
         memories: the memories.
@@ -161,15 +168,19 @@ class TransformChains:
         self._memories = memories
         self._gaps = gaps
 
-    def define(self, logic: PrologSystem) -> None:
+    def define_predicates(self, logic: PrologSystem) -> None:
         """Define ``pose_chain(Links, T, Pose)``, and register the fusion of look-ups with interpolation."""
-        logic.define_function("pose_chain", 3, self.product)
+        logic.define_function("pose_chain", 3, self.multiply_poses)
         predicate = logic.database.predicate(_FUSED_GOALS[0])
         if predicate.functional_modes is not None:
-            predicate.functional_modes = predicate.functional_modes._replace(joins=self.joins)
+            predicate.functional_modes = predicate.functional_modes._replace(joins=self.fuse_goals)
 
-    def product(self, links: Term, time: Term) -> Optional[Term]:
-        """Return the product of poses and memory ids; None if a memory has no pose.
+    def multiply_poses(self, links: Term, time: Term) -> Optional[Term]:
+        """Return the product of the poses in a list; None if a memory has no pose at the time.
+
+        Args:
+            links: poses, and ids of memories, which stand for their interpolated poses.
+            time: the time of the interpolation.
 
         Raises:
             PrologError: an instantiation, type or domain error for other arguments.
@@ -181,13 +192,13 @@ class TransformChains:
         chain_pose: Optional[Pose] = None
         # The product is from left to right, as in a chain of frames: each pose is relative to the frame before it.
         for link in items:
-            link_pose = self._link_pose(link if link.__class__ is Atom else deref(link), instant)
+            link_pose = self._find_pose_of_link(link if link.__class__ is Atom else deref(link), instant)
             if link_pose is None:
                 return None
             chain_pose = link_pose if chain_pose is None else compose(chain_pose, link_pose)
         return lazy_pose_term(chain_pose or IDENTITY_POSE)
 
-    def _link_pose(self, link: Term, instant: int) -> Optional[Pose]:
+    def _find_pose_of_link(self, link: Term, instant: int) -> Optional[Pose]:
         if link is NIL or (link.__class__ is tuple and link[0] is CONS):
             return pose(link)
         if link.__class__ is Var:
@@ -200,19 +211,25 @@ class TransformChains:
         distance = end - start
         if not distance:
             return pose_of_record(earlier_record)
-        # The condition is rarely true; calling `weight` each time would take 7 % of the time.
+        # `interpolation_weight` checks the same, but calling it each time takes 7 % of the time of a look-up.
         may_be_wide = self._gaps.noted_gaps or distance > self._gaps.max_distance
-        if may_be_wide and self._gaps.weight(start, end, instant) is None:
+        if may_be_wide and self._gaps.interpolation_weight(start, end, instant) is None:
             return None
         return interpolate(
             pose_of_record(earlier_record), pose_of_record(later_record), (end - instant) / distance
         )
 
-    def joins(self, goals: Sequence[CompoundTerm], counts: Mapping[Any, int]) -> Optional[JoinedGoals]:
+    def fuse_goals(
+        self, goals: Sequence[CompoundTerm], occurrence_counts: Mapping[Any, int]
+    ) -> Optional[JoinedGoals]:
         """Return the fused form of the goals that look up two records and interpolate; None if they cannot be fused.
 
-        They are fused only if no other goal of the clause uses the records and their time stamps, and both records
+        They are fused only if no other goal of the clause uses the records and their timestamps, and both records
         are looked up in one memory with the same pattern.
+
+        Args:
+            goals: consecutive goals of a clause.
+            occurrence_counts: number of occurrences in the clause, by variable.
         """
         if tuple(goal[0] for goal in goals) != _FUSED_GOALS:
             return None
@@ -220,11 +237,11 @@ class TransformChains:
             (_, name, first_record, *before_args),
             (_, second_name, second_record, *after_args),
             (_, *weight_args),
-            (_, v1, q1, v2, q2, fractions, result),
+            (_, position1, rotation1, position2, rotation2, fractions, result),
         ) = goals
         fraction = deref(weight_args[-1])
-        # The goals must be connected exactly as in the documented sequence; any other use of a variable needs the
-        # plain goals.
+        # The outputs of each goal must be the inputs of the next ones, as in the documented sequence; any other use
+        # of a variable needs the plain goals.
         if list_items(fractions) != [fraction] or deref(name) is not deref(second_name):
             return None
         equal_terms = [
@@ -236,20 +253,23 @@ class TransformChains:
         if any(deref(first) is not deref(second) for first, second in equal_terms):
             return None
         first_layout, second_layout = (
-            _record_layout_of(first_record, v1, q1, counts),
-            _record_layout_of(second_record, v2, q2, counts),
+            _find_record_layout(first_record, position1, rotation1, occurrence_counts),
+            _find_record_layout(second_record, position2, rotation2, occurrence_counts),
         )
-        intermediate = [deref(term) for term in (before_args[0], after_args[0], fraction, v1, q1, v2, q2)]
-        # Each intermediate variable occurs twice: where it is computed and where it is used. A third use would see
-        # it unbound.
+        intermediate = [
+            deref(term)
+            for term in (before_args[0], after_args[0], fraction, position1, rotation1, position2, rotation2)
+        ]
+        # Each intermediate variable occurs twice: where it is computed and where it is used. The fused form does not
+        # bind it, so a third occurrence would find it unbound.
         if (
             first_layout is None
             or first_layout != second_layout
-            or any(counts.get(var) != 2 for var in intermediate)
+            or any(occurrence_counts.get(var) != 2 for var in intermediate)
         ):
             return None
         if len(set(intermediate)) < len(intermediate) or any(
-            counts.get(deref(term)) != 1 for term in (before_args[1], after_args[1])
+            occurrence_counts.get(deref(term)) != 1 for term in (before_args[1], after_args[1])
         ):
             return None
         return JoinedGoals(
@@ -260,7 +280,7 @@ class TransformChains:
         self, key: Functor, position: int, rotation: int
     ) -> Callable[[Term, Term], Optional[Term]]:
         """Return the function that computes the pose between two records of a layout."""
-        find, weight_of = self._memories.find, self._gaps.weight
+        find, weight_of = self._memories.find, self._gaps.interpolation_weight
 
         def interpolated_pose(name: Term, time: Term) -> Optional[Term]:
             instance = find(name)
@@ -290,16 +310,16 @@ class TransformChains:
         return interpolated_pose
 
 
-def _record_layout_of(
-    record: Term, position: Term, rotation: Term, counts: Mapping[Any, int]
+def _find_record_layout(
+    record: Term, position: Term, rotation: Term, occurrence_counts: Mapping[Any, int]
 ) -> Optional[RecordLayout]:
-    """Return the layout of a record pattern; None if other arguments must unify, too."""
+    """Return the layout of a record pattern; None if arguments other than position and rotation are used, too."""
     term: Any = deref(record)
     if term.__class__ is not tuple:
         return None
     items = [deref(item) for item in term]
     pose_terms = deref(position), deref(rotation)
-    if any(item not in pose_terms and counts.get(item) != 1 for item in items[1:]):
+    if any(item not in pose_terms and occurrence_counts.get(item) != 1 for item in items[1:]):
         return None
     if any(items.count(item) != 1 for item in pose_terms):
         return None
