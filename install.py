@@ -734,8 +734,15 @@ def run_command(options: argparse.Namespace, installation: Installation) -> int:
 
 if __name__ == "__main__":
     try:
-        sys.exit(main(sys.argv[1:]))
-    except Problem as problem:
-        sys.exit(f"install.py: {problem}")
-    except KeyboardInterrupt:
-        sys.exit(130)
+        try:
+            sys.exit(main(sys.argv[1:]))
+        except Problem as problem:
+            sys.exit(f"install.py: {problem}")
+        except KeyboardInterrupt:
+            sys.exit(130)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of the output has ended (``| head``). Python flushes stdout at exit, and would report the error.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)

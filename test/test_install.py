@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -393,6 +394,17 @@ def test_sh_and_python_read_the_same_file():
         ran = subprocess.run(command, stderr=subprocess.PIPE, text=True)
         assert ran.returncode == 2
         assert "the workspace '/tmp/a b' has ' ' in its path" in ran.stderr
+
+
+def test_a_closed_pipe_ends_the_program_without_a_traceback(tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    workspace = str(tmp_path / "workspace")
+    command = [sys.executable, str(HERE / "install.py"), "test", "--dry-run", "--workspace", workspace]
+    ran = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert ran.returncode == 1
+    assert "Error" not in ran.stderr
 
 
 @pytest.mark.parametrize("name", ["mein Büro", "a;b$(c)", "(x)"])

@@ -77,6 +77,14 @@ def test_the_help_lists_all_commands(capsys):
     assert all(f"\n    {name} " in text for name in COMMANDS)
 
 
+def test_without_a_command_the_help_is_an_error_message(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert main([]) == 2
+    assert capsys.readouterr() == ("", text)
+
+
 def parsers():
     """Return the parser of each command by its name."""
     found = []
@@ -88,7 +96,7 @@ def parsers():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(argparse.ArgumentParser, "parse_args", parse)
         with pytest.raises(SystemExit):
-            main([])
+            main(["--help"])
     (commands,) = [action.choices for action in found[0]._actions if isinstance(action.choices, dict)]
     return commands
 

@@ -19,7 +19,7 @@ def after(*words, names=lambda kind, node: []):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(argparse.ArgumentParser, "parse_args", parse)
         with pytest.raises(SystemExit):
-            main([])
+            main(["--help"])
     return completion.list_candidates(whole[0], words, names)
 
 

@@ -40,7 +40,7 @@ def test_finds_the_example_in_the_source_tree():
 
 
 def test_wrong_options_end_with_status_2(capsys):
-    for arguments in (["demo", "--seconds", "soon"], ["demonstrate"], []):
+    for arguments in (["demo", "--seconds", "soon"], ["demonstrate"]):
         with pytest.raises(SystemExit) as ended:
             main(arguments)
         assert ended.value.code == 2

@@ -1,6 +1,8 @@
 """The page's server: what it serves, to whom, and how much of it."""
 
+import os
 import socket
+import subprocess
 import sys
 import threading
 from contextlib import ExitStack
@@ -298,10 +300,19 @@ def test_ports_end_at_65535():
         Dashboard(DashboardSource(engine(), "x"), 70_000, port_count=20)
 
 
-def test_without_tornado_it_says_what_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "retalis.dashboard.request_handlers", None)
-    with pytest.raises(UsageError, match="python3-tornado"):
-        Dashboard(DashboardSource(engine(), "x"), 0)
+def test_without_tornado_the_error_names_its_package():
+    # In a new process, because the modules of this one have been imported with tornado.
+    code = """import sys
+sys.modules["tornado"] = None
+from retalis import Engine
+from retalis.dashboard.page_server import Dashboard
+from retalis.dashboard.view_model import DashboardSource
+Dashboard(DashboardSource(Engine(), "x"), 0)
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    ran = subprocess.run([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True)
+    assert ran.stderr.splitlines()[-1].startswith("retalis.foundation.errors.UsageError: ")
+    assert "python3-tornado" in ran.stderr
 
 
 def test_closing_ends_what_is_open(program):

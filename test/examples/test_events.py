@@ -13,7 +13,7 @@ from retalis.events.matches.partial_matches import ConsumptionPolicy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"
 EXAMPLES = sorted(path.parent for path in FOLDER.glob("*/rules.txt"))
-COMMAND = "    python3 -m retalis "
+COMMAND = "    PYTHONPATH=../../../src python3 -m retalis "
 
 
 @pytest.mark.slow
@@ -26,7 +26,7 @@ def test_prints_what_is_expected(example, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(place)
     readme = (example / "README.md").read_text(encoding="utf-8")
     (command,) = [line for line in readme.splitlines() if line.startswith(COMMAND)]
-    assert main(shlex.split(command)[3:]) == 0
+    assert main(shlex.split(command[len(COMMAND) :])) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
     assert shown.out == (example / "expected.txt").read_text(encoding="utf-8")
@@ -51,6 +51,11 @@ def test_every_operator_and_policy_has_one():
     ]
     assert {*OPERATORS, *others} <= names
     assert {f"policy_{policy.value}" for policy in ConsumptionPolicy} <= names
+
+
+def test_the_path_of_the_commands_leads_to_the_package():
+    (path,) = set(re.findall(r"PYTHONPATH=(\S+)", (FOLDER / "README.md").read_text(encoding="utf-8")))
+    assert all((example / path / "retalis" / "__main__.py").is_file() for example in EXAMPLES)
 
 
 def test_the_index_names_all():

@@ -79,10 +79,10 @@ _NEEDS_ALL = "complete"
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run a command; return its exit status: 0 for success, 1 for errors, 130 after ctrl-C.
+    """Run a command; return its exit status: 0 for success, 1 for errors, 2 without a command, 130 after ctrl-C.
 
     Raises:
-        SystemExit: with status 2 for wrong usage, with 0 after ``--help`` and ``--version``.
+        SystemExit: with status 2 for other wrong usage, with 0 after ``--help`` and ``--version``.
     """
     words = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(
@@ -98,6 +98,10 @@ def main(arguments: Optional[List[str]] = None) -> int:
         # argparse lists the subcommands in the order of their registration.
         for add_parser in import_commands(words):
             add_parser(commands.add_parser)
+        if not words:
+            # argparse would print only the usage, without the commands.
+            parser.print_help(sys.stderr)
+            return 2
         options = parser.parse_args(_join_times_option(words))
         status: int = options.run(options)
         return status

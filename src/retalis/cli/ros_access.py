@@ -1,4 +1,4 @@
-"""Access of commands to package ``ros``, and the message types of the system, some of which only ROS knows.
+"""Import of package ``ros`` by commands, and the message types that are installed, with those generated for ROS only.
 
 Package `cli` does not depend on package `ros`: the command line works without ROS. Modules of `ros` are therefore
 imported by name, when a command needs them.

@@ -7,7 +7,6 @@ from errno import EADDRINUSE
 from typing import Any, List
 
 from ..foundation.errors import UsageError
-from .request_handlers import AnswerService
 from .view_model import UPDATE_PERIOD_SECONDS, DashboardSource, LiveUpdates, Snapshots
 
 ADDRESS = "127.0.0.1"
@@ -81,8 +80,7 @@ class Dashboard:
         asyncio.set_event_loop(self._loop)
         snapshots = Snapshots(self._source)
         live_updates = LiveUpdates(snapshots, self._period)
-        answer_service = AnswerService(self._source, snapshots)
-        server = self._create_server(live_updates, answer_service)
+        server = self._create_server(self._source, snapshots, live_updates)
         server.add_sockets(self._sockets)
         try:
             self._loop.run_forever()

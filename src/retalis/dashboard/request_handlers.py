@@ -332,8 +332,9 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
 
-def create_server(live_updates: LiveUpdates, answer_service: AnswerService) -> HTTPServer:
+def create_server(source: DashboardSource, snapshots: Snapshots, live_updates: LiveUpdates) -> HTTPServer:
     """Return the server, without a socket."""
+    answer_service = AnswerService(source, snapshots)
     paths = "|".join(path.replace(".", "[.]") for path in FILES)
     routes: Any = [
         (f"({paths})", FileHandler),
