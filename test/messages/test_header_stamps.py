@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, Operators
 from retalis.messages.event_text_writer import text_writer
-from retalis.messages.header_stamps import frame_text, make_observed_decoder, stamp_reader
+from retalis.messages.header_stamps import format_frame_key, make_observed_decoder, make_stamp_reader
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
@@ -52,12 +52,12 @@ def transform(second, nanosecond, frame, child):
 
 
 def read(known, kind, text):
-    found = stamp_reader(known.find(kind))(encode(known, kind, text))
-    return [(frame_text(key), instant / SECOND) for key, instant in found]
+    found = make_stamp_reader(known.find(kind))(encode(known, kind, text))
+    return [(format_frame_key(key), instant / SECOND) for key, instant in found]
 
 
 def test_none(known):
-    assert stamp_reader(known.find("t/Plain")) is None
+    assert make_stamp_reader(known.find("t/Plain")) is None
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_frames_and_stamps(known, kind, text, expected):
 
 def test_slots_have_frames_of_their_own(known):
     text = f"t__0__Markers({header(1, 0, 'a')},[],[t__0__M({header(2, 0, 'a')},'\"n\"')])"
-    keys = [key for key, _ in stamp_reader(known.find("t/Markers"))(encode(known, "t/Markers", text))]
+    keys = [key for key, _ in make_stamp_reader(known.find("t/Markers"))(encode(known, "t/Markers", text))]
     assert len(set(keys)) == 2
 
 
 @given(st.sampled_from(sorted(TYPES)), st.binary(max_size=200))
 def test_any_bytes(kind, data):
-    read = stamp_reader(KNOWN.find(kind))
+    read = make_stamp_reader(KNOWN.find(kind))
     if read is not None:
         assert len(read(data)) <= len(data) // 16
 
@@ -116,7 +116,7 @@ class Seen:
 )
 def test_the_short_ways_see_what_the_reader_reads(kind, messages):
     """Each new second of a frame is handed on, and nothing else."""
-    decoder, reader = KNOWN.decoder(KNOWN.find(kind)), stamp_reader(KNOWN.find(kind))
+    decoder, reader = KNOWN.decoder(KNOWN.find(kind)), make_stamp_reader(KNOWN.find(kind))
     looked, known, expected, seconds = [], {}, [], {}
 
     def look(found):

@@ -70,4 +70,4 @@ def test_the_cache_of_names_is_bounded():
             + b"a"
             + pack("<7d", *range(7))
         )
-    assert len(reader._frames) < 10_002  # noqa: SLF001
+    assert len(reader._names_by_bytes) < 10_002  # noqa: SLF001

@@ -38,7 +38,7 @@ from ..playback.bag_locations import (
     remove_incomplete_results,
     result_file,
 )
-from ..playback.playback import Output, Playback, RunRecord, RunRecorder, RunTable, output_record
+from ..playback.playback import Output, Playback, RunRecord, RunRecorder, RunTable, make_output_record
 from ..playback.rosbag1 import BagWriter
 from ..playback.worker_pool import Unfinished, run_in_processes, run_on_cluster
 from ..prolog.syntax.event_text import to_text
@@ -322,7 +322,7 @@ class _RunPrinter:
         if self._options.quiet:
             return
         if self._options.json:
-            self._print_record(output_record(output))
+            self._print_record(make_output_record(output))
             return
         self._clear_bar()
         topic = atom(output.topic)

@@ -43,7 +43,7 @@ from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, records_since
 from .runtime.clock import Clock
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import REQUEST
+from .runtime.serial_executor import UNNAMED_REQUEST
 
 APPLICATION_ID = 0x72746C73
 """``PRAGMA application_id`` of a checkpoint file, the letters ``rtls``."""
@@ -530,7 +530,7 @@ class Checkpointer:
         engine = self._engine
         # Only capturing the state blocks the engine; encoding of clauses and records and the disk access do not.
         state = engine.executor.call(
-            lambda: engine.dispatcher.run_restoring_context(self._capture_state), (REQUEST,)
+            lambda: engine.dispatcher.run_restoring_context(self._capture_state), (UNNAMED_REQUEST,)
         )
         sections, clauses, records = state
         if clauses is not None:

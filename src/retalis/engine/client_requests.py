@@ -20,7 +20,7 @@ from ..prolog.terms.list_terms import make_list
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from .engine import Engine
-from .runtime.serial_executor import REQUEST
+from .runtime.serial_executor import UNNAMED_REQUEST
 
 MAX_ANSWER_CHARACTERS = 1_000_000
 """Maximum length of all solutions of an answer together, in characters of JSON."""
@@ -102,7 +102,7 @@ def ask(
     return run_restricted(engine, work, parsed_goal.term)
 
 
-def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term = REQUEST) -> Result:
+def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term = UNNAMED_REQUEST) -> Result:
     """Execute a function as `Engine.do`.
 
     Its goals, and those of rules that it adds, may not change flags unless the settings allow it.
@@ -256,7 +256,7 @@ def delete_rule(engine: Engine, label: str) -> None:
         UsageError: if there are none.
     """
     label_term = _parse_label(engine, label)
-    if not engine.do(lambda: engine.rules.delete(label_term), REQUEST):
+    if not engine.do(lambda: engine.rules.delete(label_term), UNNAMED_REQUEST):
         raise UsageError(f"there is no rule {engine.brief(label_term)}")
 
 

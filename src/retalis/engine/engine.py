@@ -52,13 +52,13 @@ from .program_loader import (
     NullReports,
     ProgramLoader,
     create_fixed_clock,
+    create_trial_settings,
     load_folder,
-    make_trial_settings,
     reload_folder,
 )
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import REQUEST, EngineRecovery, SerialExecutor
+from .runtime.serial_executor import UNNAMED_REQUEST, EngineRecovery, SerialExecutor
 from .runtime.watchdog import start_watchdog
 
 
@@ -209,7 +209,7 @@ class Engine:
             self.dispatcher,
             self.clock,
             stream_clock,
-            self._reset_program,
+            self._clear_state,
             self.knowledge.transforms.store_message,
         )
         # Bound once, which saves an attribute access per event.
@@ -320,7 +320,7 @@ class Engine:
         """Return a second engine with the same settings, the same time and the same foreign predicates."""
         trial = Engine(
             create_fixed_clock(self.clock.now()),
-            make_trial_settings(self.settings),
+            create_trial_settings(self.settings),
             NullReports(),
             self.slots.definitions,
         )
@@ -429,7 +429,7 @@ class Engine:
         Args:
             move: moves the clock first, after all messages that were posted before.
         """
-        self.executor.post(self.event_input.watch_clock, move)
+        self.executor.post(self.event_input.process_clock_changes, move)
 
     def call(self, goal: Union[str, Term]) -> bool:
         """Call a goal once; return whether it has a solution.
@@ -462,7 +462,7 @@ class Engine:
             names = {f"_{position}": var for position, var in enumerate(variables(goal))}
         return self.do(lambda: self._solutions(term, names, most), term)
 
-    def do(self, work: Callable[[], Result], what: Term = REQUEST) -> Result:
+    def do(self, work: Callable[[], Result], what: Term = UNNAMED_REQUEST) -> Result:
         """Execute a function exclusively, with no events processed meanwhile, and return its result.
 
         >>> engine = Engine()
@@ -654,7 +654,7 @@ class Engine:
                 self._call_or_raise((DELETE_MEMORY, name))
             return existed
 
-        return self.executor.call(lambda: self.dispatcher.run_restoring_context(delete), (REQUEST,))
+        return self.executor.call(lambda: self.dispatcher.run_restoring_context(delete), (UNNAMED_REQUEST,))
 
     def has_subscription(self, topic: Term, name: Term) -> bool:
         """Return whether a subscription with a topic and an id exists.
@@ -699,7 +699,7 @@ class Engine:
             lambda: self.dispatcher.run_restoring_context(
                 lambda: self.knowledge.subscriptions.delete(topic, name)
             ),
-            (REQUEST,),
+            (UNNAMED_REQUEST,),
         )
 
     # ---- state ----
@@ -727,7 +727,7 @@ class Engine:
             return encode_state(engine_snapshot.capture(), engine_snapshot.encode_records())
 
         return pack_sections(
-            self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (REQUEST,))
+            self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (UNNAMED_REQUEST,))
         )
 
     @classmethod
@@ -831,7 +831,7 @@ class Engine:
     def _call_undisturbed(self, goal: Term) -> bool:
         return self.dispatcher.run_restoring_context(lambda: self._once(goal))
 
-    def _reset_program(self) -> None:
+    def _clear_state(self) -> None:
         """Clear all memories, transforms, pending queries and partial matches, because time went back."""
         self.knowledge.clear()
         self.rules.clear()

@@ -3,7 +3,7 @@
 `EventInput` moves the clock, runs the alarms that are due, and dispatches one event. An event with a timestamp moves
 the clock of an engine that has no clock of its own (stream time); an event without one gets the clock's present time.
 Alarms that are due come first, so that an event never overtakes a timeout that precedes it. If time goes back by more
-than `clock.JUMP`, for example because a bag is played again, the program is reset first.
+than `clock.JUMP`, for example because a bag is played again, the state of the program is cleared first.
 
 `TextInput` parses events from String topics. `InputTopics` implements the goal ``subscribe_to/2,3``: an engine has no
 topics itself, so a node or a bag player registers a function that subscribes.
@@ -40,7 +40,7 @@ class EventInput:
         dispatcher: dispatches the events.
         clock: the clock of the engine.
         stream_clock: the same clock if timestamps of events move it; None if only its owner moves it.
-        reset_program: called if time went back.
+        clear_state: clears memories, pending queries and partial matches; called if time went back.
         store_transforms: stores the transforms of a message; the flag is True for static transforms.
 
     Attributes:
@@ -54,37 +54,43 @@ class EventInput:
         dispatcher: Dispatcher,
         clock: Clock,
         stream_clock: Optional[StreamClock],
-        reset_program: Callable[[], None],
+        clear_state: Callable[[], None],
         store_transforms: Callable[[Sequence[Transform], bool], None],
     ):
         self._logic = logic
         self._store_transforms = store_transforms
         self._clock = clock
         self.stream_clock = stream_clock
-        self._reset_program = reset_program
+        self._clear_state = clear_state
         self._dispatch = dispatcher.dispatch_input
         self.event_count = 0
 
     def dispatch_event(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
     ) -> None:
-        """Dispatch an event; an event without a complete interval gets the clock's present time.
+        """Dispatch an event.
+
+        Args:
+            term: the event.
+            start: its start in ns.
+            end: its end in ns; if start or end is None, both are the clock's present time.
+            ground: whether the event is known to have no variables; None if unknown.
 
         Raises:
-            UsageError: if the event ends before it starts, or if it has no start and the clock is not set.
+            UsageError: if the event ends before it starts, or has no complete interval and the clock is not set.
         """
         if start is None or end is None:
             # The common case, in which no alarm is due and time did not go back, takes one call.
             start = self._clock.stamp_at_once()
             if start is None:
-                start = self._run_alarms_and_stamp(term)
+                start = self._run_alarms_and_make_stamp(term)
             end = start
         elif end < start:
             raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         else:
             stream_clock = self.stream_clock
             if not (self._clock.is_quiet() if stream_clock is None else stream_clock.follow(end)):
-                self._move_clock(end)
+                self._move_clock_to(end)
         self.event_count += 1
         self._dispatch(term, start, end, ground)
 
@@ -93,13 +99,14 @@ class EventInput:
         if instant is None:
             stamp = self._clock.stamp_at_once()
             if stamp is None:
-                stamp = self._run_alarms_and_stamp(term)
+                stamp = self._run_alarms_and_make_stamp(term)
         else:
             stamp = instant if instant.__class__ is int else int(instant)
             stream_clock = self.stream_clock
             if not (self._clock.is_quiet() if stream_clock is None else stream_clock.follow(instant)):
-                self._move_clock(instant)
+                self._move_clock_to(instant)
         self.event_count += 1
+        # Messages contain no variables.
         self._dispatch(term, stamp, stamp, True)
 
     def process_input(self, term: Union[Term, TransformMessage], instant: Optional[int] = None) -> None:
@@ -109,11 +116,11 @@ class EventInput:
             return
         message: Any = term
         if not self._clock.is_quiet():
-            # If time went back, the transforms of the time before are dropped first.
-            self._process_clock()
+            # If time went back, the transforms of the time before must be dropped first.
+            self._read_clock_and_run_alarms()
         self._store_transforms(message.transforms, message.is_static)
 
-    def _run_alarms_and_stamp(self, term: Term) -> int:
+    def _run_alarms_and_make_stamp(self, term: Term) -> int:
         """Run the alarms that are due and return a timestamp for an event.
 
         Raises:
@@ -126,33 +133,33 @@ class EventInput:
                 "and the clock of the engine was never set: "
                 "give the event a time, or the engine the computer's clock with Engine(clock=Clock())"
             )
-        return clock.stamp(self._process_clock())
+        return clock.stamp(self._read_clock_and_run_alarms())
 
-    def _move_clock(self, instant: int) -> None:
+    def _move_clock_to(self, instant: int) -> None:
         """Move the clock to the time of an event and run the alarms that are due."""
         stream_clock = self.stream_clock
         if stream_clock is not None:
             # Reading the clock first detects that its owner has set it back; `move_to` would hide that.
             stream_clock.now()
             stream_clock.move_to(instant)
-        self._process_clock()
+        self._read_clock_and_run_alarms()
 
-    def _process_clock(self) -> int:
-        """Read the clock, reset the state if time went back, run the alarms that are due, and return the time."""
+    def _read_clock_and_run_alarms(self) -> int:
+        """Read the clock, clear the state if time went back, run the alarms that are due, and return the time."""
         clock = self._clock
         now = clock.now()
         if clock.behind or clock.alarms:
-            self.watch_clock()
+            self.process_clock_changes()
         return now
 
-    def watch_clock(self, move: Optional[Callable[[], object]] = None) -> None:
-        """Reset the program if time went back, and run the alarms that are due; ``move`` moves the clock first."""
+    def process_clock_changes(self, move: Optional[Callable[[], object]] = None) -> None:
+        """Clear the state if time went back, and run the alarms that are due; ``move`` moves the clock first."""
         if move is not None:
             move()
         clock = self._clock
         if clock.went_back():
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
-            self._reset_program()
+            self._clear_state()
         # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next
         # event, so that events are processed even if alarms set new alarms.
         until = clock.reached()
@@ -290,13 +297,14 @@ class InputTopics:
         return {request.event: request.message_type for request in reversed(self._requests) if request.event}
 
     def _subscribe_to(self, machine: Machine, topic: Term, message_type: Term, *event: Term) -> bool:
+        """Execute the goal ``subscribe_to(Topic, MessageType)``, or ``subscribe_to/3`` with a name for the events."""
         request = TopicRequest(
             _get_text(topic), ros1_type_name(_get_text(message_type)), *map(_get_text, event)
         )
-        self._reject_fault("topic", topic, topic_fault(request.topic))
-        self._reject_fault("message_type", message_type, type_fault(request.message_type))
+        self._check_argument("topic", topic, topic_fault(request.topic))
+        self._check_argument("message_type", message_type, type_fault(request.message_type))
         if event:
-            self._reject_fault("event_name", event[0], event_name_error(request.event))
+            self._check_argument("event_name", event[0], event_name_error(request.event))
         try:
             key = self._resolve_name(request.topic)
         except UsageError as error:
@@ -311,7 +319,8 @@ class InputTopics:
             )
         return True
 
-    def _reject_fault(self, domain: str, term: Term, fault: object) -> None:
+    def _check_argument(self, domain: str, term: Term, fault: object) -> None:
+        """Raise a domain error for an argument of ``subscribe_to`` unless its fault is None."""
         if fault is not None:
             raise domain_error(domain, deref(term), str(fault))
 
@@ -349,6 +358,7 @@ MAX_EVENT_TEXT_CHARACTERS = 10_000_000
 """Maximum length of an event as text. Parsing is not subject to the resource limits of goals, but to this limit."""
 
 DispatchEvent = Callable[[Term, Optional[int], Optional[int], Optional[bool]], None]
+"""Takes an event, its start and end in ns or None, and whether it is known to be ground (None if unknown)."""
 
 
 class TextInput:
@@ -356,7 +366,7 @@ class TextInput:
 
     Args:
         operators: operators of the texts.
-        dispatch: dispatches an event with its interval and whether it is known to be ground.
+        dispatch: dispatches an event.
         call: calls a goal once; None if only events are accepted.
         reports: receives warnings about rejected texts.
         declared: declarations that events must match.
@@ -372,7 +382,7 @@ class TextInput:
     ):
         self._reader = InputReader(operators)
         self._dispatch = dispatch
-        self._call = call
+        self._call_goal = call
         self._reports = reports
         self._declared = declared
 
@@ -394,8 +404,8 @@ class TextInput:
                 self._reject(f"{beginning(text)}: {refusal_reason}")
             else:
                 self._dispatch(*event)
-        elif self._call is not None:
-            self._run_goal(text, self._call)
+        elif self._call_goal is not None:
+            self._run_goal(text, self._call_goal)
         else:
             self._reject(f"{beginning(text)}: only event/1,2 and new_event/2,3,5 are accepted")
 

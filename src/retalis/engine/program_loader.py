@@ -45,7 +45,7 @@ from .deployments import (
 from .engine_settings import Settings
 from .runtime.clock import Clock, StreamClock
 from .runtime.problem_reports import Reports
-from .runtime.serial_executor import REQUEST, SerialExecutor
+from .runtime.serial_executor import UNNAMED_REQUEST, SerialExecutor
 
 if TYPE_CHECKING:
     from .engine import Engine
@@ -64,10 +64,10 @@ class ProgramLoader:
     Args:
         logic: calls goals.
         rules: receives rules.
-        executor: executes the goals exclusively and is told which goal runs.
+        executor: runs the goals; its `entry` is set to the running goal, for the watchdog.
         dispatcher: its event context is restored if loading raises an exception.
-        has_start_limits: whether the limits of later goals also apply to goals of files.
-        once: calls a goal.
+        limits_file_goals: whether the limits of later goals also apply to goals of files.
+        call_once: calls a goal, and returns whether it succeeds.
     """
 
     def __init__(
@@ -76,16 +76,16 @@ class ProgramLoader:
         rules: RuleBase,
         executor: SerialExecutor,
         dispatcher: Dispatcher,
-        has_start_limits: bool,
-        once: Callable[[Term], bool],
+        limits_file_goals: bool,
+        call_once: Callable[[Term], bool],
     ):
         self._logic = logic
         self._rules = rules
         self._files = rules.files
         self._executor = executor
         self._dispatcher = dispatcher
-        self._has_start_limits = has_start_limits
-        self._once = once
+        self._limits_file_goals = limits_file_goals
+        self._call_once = call_once
 
     def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
         """Load the texts of a program; see `Engine.load`."""
@@ -100,24 +100,26 @@ class ProgramLoader:
                 self.load_rules(rules, source, folder)
         finally:
             if has_both:
-                self._executor.call(self._rules.loader.log_deferred_warnings, (REQUEST,))
+                self._executor.call(self._rules.loader.log_deferred_warnings, (UNNAMED_REQUEST,))
 
     def load_rules(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load the text of an event file; see `Engine.load_rules`."""
-        self._register_own(folder)
-        self._load(folder, lambda: self._rules.load_text(text, source, folder))
+        self._register_program_folder(folder)
+        self._run_with_file_permissions(folder, lambda: self._rules.load_text(text, source, folder))
 
     def call_goals(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Call the goals of a goal file; see `Engine.call_goals`."""
-        self._register_own(folder)
+        self._register_program_folder(folder)
         errors = Errors()
         # Each goal is read after the previous one has run, because a goal may define operators for later goals.
-        for goal in read_file_goals(text, source, folder, self._logic.operators, self._files, self._load):
+        for goal in read_file_goals(
+            text, source, folder, self._logic.operators, self._files, self._run_with_file_permissions
+        ):
             if isinstance(goal, RetalisError):
                 errors.append(goal)
                 continue
             try:
-                if not self._load(goal.folder, lambda: self._call_file_goal(goal)):  # noqa: B023
+                if not self._run_with_file_permissions(goal.folder, lambda: self._call_file_goal(goal)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
                 errors.extend(errors_in(error, goal.place))
@@ -130,26 +132,28 @@ class ProgramLoader:
         # The watchdog names this entry, with its place in the file, if the goal takes long.
         self._executor.entry = goal
         limits = budget.limits
-        if not self._has_start_limits:
+        if not self._limits_file_goals:
             budget.set_limits(NO_LIMITS)
         try:
-            return self._once(goal.term)
+            return self._call_once(goal.term)
         finally:
             budget.set_limits(limits)
 
-    def _register_own(self, folder: Optional[Path]) -> None:
+    def _register_program_folder(self, folder: Optional[Path]) -> None:
         """Register a folder as the program's own."""
         if folder is not None:
             self._files.sandbox.add_program_folder(folder)
 
-    def _load(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
+    def _run_with_file_permissions(self, folder: Optional[Path], work: Callable[[], Result]) -> Result:
         """Execute a function with the permission to read any file; relative paths start in ``folder``."""
 
         def run_with_files() -> Result:
             with self._files.loading(folder):
                 return work()
 
-        return self._executor.call(lambda: self._dispatcher.run_restoring_context(run_with_files), (REQUEST,))
+        return self._executor.call(
+            lambda: self._dispatcher.run_restoring_context(run_with_files), (UNNAMED_REQUEST,)
+        )
 
 
 def describe_changes(
@@ -223,14 +227,14 @@ def _describe_memories(logic: PrologSystem, old: Deployment, new: Deployment) ->
 
 
 def _describe_subscriptions(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
-    unchanged, changed, added = 0, [], []
+    unchanged_count, changed, added = 0, [], []
     for key, subscription in new.subscriptions.items():
         before = old.subscriptions.get(key)
         name = f"subscription {logic.brief(subscription.id)} of topic {key[0]}"
         if before is None:
             added.append(name)
         elif before.key == subscription.key:
-            unchanged += 1
+            unchanged_count += 1
         else:
             changed.append(name)
     removed = [
@@ -238,28 +242,27 @@ def _describe_subscriptions(logic: PrologSystem, old: Deployment, new: Deploymen
         for key, subscription in old.subscriptions.items()
         if key not in new.subscriptions
     ]
-    return _format_section("subscriptions", added, removed, changed, f"{unchanged} kept")
+    return _format_section("subscriptions", added, removed, changed, f"{unchanged_count} kept")
 
 
 def _describe_timers(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:
     if not (old.timers or new.timers):
         return []
-    show = logic.brief
 
     def describe_missing(timers: TimersByKey, excluded: TimersByKey) -> List[str]:
         return [
-            f"timer {show(timer.event)}, {show(timer.schedule.term)}"
+            f"timer {logic.brief(timer.event)}, {logic.brief(timer.schedule.term)}"
             for key, timer in timers.items()
             if key not in excluded
         ]
 
-    unchanged = sum(key in old.timers for key in new.timers)
+    unchanged_count = sum(key in old.timers for key in new.timers)
     return _format_section(
         "timers",
         describe_missing(new.timers, old.timers),
         describe_missing(old.timers, new.timers),
         [],
-        f"{unchanged} kept",
+        f"{unchanged_count} kept",
     )
 
 
@@ -295,8 +298,8 @@ def _describe_predicates(old: Clauses, new: Clauses) -> List[str]:
         for predicate in old_keys
         if predicate in new_keys and new_keys[predicate] != old_keys[predicate]
     ]
-    unchanged = sum(new_keys.get(predicate) == keys for predicate, keys in old_keys.items())
-    return _format_section("predicates", added, removed, changed, f"{unchanged} kept")
+    unchanged_count = sum(new_keys.get(predicate) == keys for predicate, keys in old_keys.items())
+    return _format_section("predicates", added, removed, changed, f"{unchanged_count} kept")
 
 
 def _format_section(
@@ -319,9 +322,10 @@ def _format_changes(change: str, names: Sequence[str]) -> Iterable[str]:
         yield f"  {change}: {len(names) - _MAX_NAMED_CHANGES} more"
 
 
-_ROLLBACK_WORK = atom("putting the old program back")
 _ABOLISH_TABLES_GOAL = atom("abolish_all_tables")
 _LOADING_WORK = atom("the program's folder")
+_ROLLBACK_WORK = atom("putting the old program back")
+"""Names of work in warnings of the watchdog and of limits."""
 
 
 class NullReports(Reports):
@@ -343,7 +347,7 @@ def create_fixed_clock(instant: int) -> Clock:
     return clock
 
 
-def make_trial_settings(settings: Settings) -> Settings:
+def create_trial_settings(settings: Settings) -> Settings:
     """Return the settings for a trial engine."""
     return settings._replace(limit_start=True, watchdog=None)
 
@@ -370,6 +374,7 @@ def _resolve_path(folder: Path) -> str:
 
 
 def _load(engine: "Engine", folder: Path) -> None:
+    """Load a program's folder or an event file, without a record of its deployment."""
     loader = engine.loader
     if os.path.isfile(folder):
         loader.load_rules(read_text(folder), str(folder), folder.parent)
@@ -396,7 +401,7 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
             engine, new_engine(), engine.deployments.get(key, EMPTY_DEPLOYMENT), folder
         )
 
-    def replace() -> List[str]:
+    def replace_deployment() -> List[str]:
         transaction = ReloadTransaction(
             engine, engine.deployments.get(key, EMPTY_DEPLOYMENT), trial_deployment
         )
@@ -406,7 +411,9 @@ def reload_folder(engine: "Engine", folder: Path, new_engine: Callable[[], "Engi
         finally:
             engine.deployments[key] = transaction.deployment
 
-    return engine.executor.call(lambda: engine.dispatcher.run_restoring_context(replace), (REQUEST,))
+    return engine.executor.call(
+        lambda: engine.dispatcher.run_restoring_context(replace_deployment), (UNNAMED_REQUEST,)
+    )
 
 
 def load_into_trial(
@@ -457,16 +464,17 @@ class ReloadTransaction:
 
     Args:
         engine: the running engine; it must be idle during `run`.
-        old_deployment: the old deployment.
-        trial: the deployment that the trial engine has produced.
+        old_deployment: the old deployment, as recorded after the last load.
+        trial_deployment: the deployment in the trial engine.
     """
 
-    def __init__(self, engine: "Engine", old_deployment: Deployment, trial: Deployment):
+    def __init__(self, engine: "Engine", old_deployment: Deployment, trial_deployment: Deployment):
         self._engine = engine
-        self._before = program_items(engine)
+        self._previous_items = program_items(engine)
+        # Items of the deployment may have been deleted, replaced or retracted since it was recorded.
         self._old_deployment = self._select_remaining(old_deployment)
         self._recorded_deployment = old_deployment
-        self._trial = trial
+        self._trial_deployment = trial_deployment
         self.deployment = old_deployment
         """Deployment of the folder at present."""
 
@@ -502,7 +510,7 @@ class ReloadTransaction:
 
     def _select_remaining(self, deployment: Deployment) -> Deployment:
         """Return the part of a deployment that has not been deleted or replaced since."""
-        current_items = self._before
+        current_items = self._previous_items
         rules, memories, subscriptions = (
             set(current_items.rules),
             current_items.memories,
@@ -548,7 +556,7 @@ class ReloadTransaction:
         rules.files.loaded -= old.files
         # A flag is reset only if it still has the folder's value. Otherwise a goal or a service has changed it since.
         for name, value in old.flags.items():
-            new_value = self._trial.flags[name]
+            new_value = self._trial_deployment.flags[name]
             if new_value is not None and rules.flags.get(name) == value:
                 rules.flags.set(name, new_value)
 
@@ -636,9 +644,8 @@ class ReloadTransaction:
     def _report_deleted(self, instance: MemoryInstance) -> None:
         knowledge, machine = self._engine.knowledge, self._engine.logic.machine
         if knowledge.memories.find(instance.id) is None:
-            tell_deleted = knowledge.memories.report_deleted
             self._engine.dispatcher.run_without_context(
-                lambda: machine.run(tell_deleted(instance, machine.done))
+                lambda: machine.run(knowledge.memories.report_deleted(instance, machine.done))
             )
 
     # ---- rollback ------------------------------------------------------------------------------------
@@ -660,7 +667,7 @@ class ReloadTransaction:
 
     def _undo(self) -> None:
         """Restore flags, rules, memories, subscriptions, timers, states and clauses."""
-        rules, knowledge, before = self._engine.rules, self._engine.knowledge, self._before
+        rules, knowledge, before = self._engine.rules, self._engine.knowledge, self._previous_items
         for name, value in before.flags.items():
             if value is not None:
                 rules.flags.set(name, value)
@@ -678,16 +685,16 @@ class ReloadTransaction:
         """Restore the clauses of all predicates; removed clause objects cannot be added again, so they are copied."""
         database = self._engine.logic.database
         for predicate, clauses in program_items(self._engine).clauses.items():
-            if predicate not in self._before.clauses:
+            if predicate not in self._previous_items.clauses:
                 self._remove_clauses(predicate, clauses)
         copies: Dict[Clause, Clause] = {}
-        for predicate, clauses in self._before.clauses.items():
+        for predicate, clauses in self._previous_items.clauses.items():
             if list(predicate.active_clauses()) == clauses:
                 continue
             # A removed clause is marked as dead for running goals (logical update view), and this cannot be undone.
             predicate.clear()
             database.restore_program(predicate)
-            predicate.dynamic = predicate in self._before.dynamic
+            predicate.dynamic = predicate in self._previous_items.dynamic
             for clause in clauses:
                 clause_copy = copies[clause] = Clause(predicate, clause.head, clause.body, clause.place)
                 predicate.add(clause_copy)

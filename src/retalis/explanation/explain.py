@@ -35,12 +35,28 @@ _MAX_SUBSCRIPTIONS = 20
 """Maximum number of subscriptions in an explanation."""
 
 
+class _SubscriptionCopy(NamedTuple):
+    """A subscription with variables of its own.
+
+    Attributes:
+        description: id and topic, for the explanation.
+        event: pattern of the events that it selects.
+        conditions: list of goals.
+        template: the message that it publishes.
+    """
+
+    description: str
+    event: Term
+    conditions: Term
+    template: Term
+
+
 class WhyNotSent:
     """Why-not provenance of subscriptions: why they did not select events that happened.
 
     Args:
         logic: evaluates conditions.
-        subscriptions: subscriptions of the program, with topic and id.
+        subscriptions: subscriptions of the program, with their topics and ids.
         show: returns the text of a term.
     """
 
@@ -60,78 +76,71 @@ class WhyNotSent:
         At most `_MAX_SUBSCRIPTIONS` reasons are yielded.
         """
         count = 0
-        for name, definition in self._copy_definitions():
-            if _get_functor(definition[1]) != _get_functor(event):
+        for subscription in self._copy_subscriptions():
+            if _get_functor(subscription.event) != _get_functor(event):
                 continue
-            problem = self._explain_rejection(definition, event)
-            if problem:
+            reason = self._explain_rejection(subscription, event)
+            if reason:
                 count += 1
-                yield f"{name} does not take it: {problem}"
+                yield f"{subscription.description} does not take it: {reason}"
             if count == _MAX_SUBSCRIPTIONS:
                 return
 
-    def find_publishing(self, asked: Term) -> Iterator[Tuple[str, Any]]:
-        """Yield the subscriptions that would publish the message as their template: description and definition."""
+    def find_publishing(self, message: Term) -> Iterator[Tuple[str, _SubscriptionCopy]]:
+        """Yield the subscriptions whose template unifies with a message, each with a text about it."""
         count = 0
-        for name, definition in self._copy_definitions():
-            template = deref(definition[3])
-            if _get_functor(template) is None or _get_functor(template) != _get_functor(asked):
+        for subscription in self._copy_subscriptions():
+            template = deref(subscription.template)
+            if _get_functor(template) is None or _get_functor(template) != _get_functor(message):
                 continue
-            # Only tested, not bound: the definition is used with its own variables afterwards.
-            trail: Trail = []
-            fits = unify(template, copy(asked), trail)
-            undo(trail, 0)
-            if fits and count < _MAX_SUBSCRIPTIONS:
+            # Only tested, not bound: the subscription is used with its own variables afterwards.
+            if _unifies(template, message) and count < _MAX_SUBSCRIPTIONS:
                 count += 1
-                yield f"{name} sends it of {self._show(definition[1])}", definition
+                yield f"{subscription.description} sends it of {self._show(subscription.event)}", subscription
 
     def explain_events(
-        self, definition: Any, occurrences: Sequence[Occurrence]
+        self, subscription: _SubscriptionCopy, occurrences: Sequence[Occurrence]
     ) -> Iterator[Tuple[Occurrence, str]]:
         """Yield the events with the functor of a subscription, and the reason if it did not select them, or ""."""
         for occurrence in occurrences:
-            if _get_functor(occurrence.term) == _get_functor(definition[1]):
-                yield occurrence, self._explain_rejection(definition, occurrence.term)
+            if _get_functor(occurrence.term) == _get_functor(subscription.event):
+                yield occurrence, self._explain_rejection(subscription, occurrence.term)
 
-    def _copy_definitions(self) -> Iterator[Tuple[str, Any]]:
-        """Yield a description of each subscription, and a copy of its definition.
-
-        The items of a definition are its functor, the event, the conditions, the template, the topic and the id.
-        """
+    def _copy_subscriptions(self) -> Iterator[_SubscriptionCopy]:
         for (topic, _), subscription in self._subscriptions:
             definition: Any = copy(subscription.definition)
-            event = subscription_event(definition[1])
-            yield (
-                f"subscription {self._show(subscription.id)} of topic {topic}",
-                (definition[0], event, *definition[2:]),
-            )
+            _, event, conditions, template, *_ = definition
+            description = f"subscription {self._show(subscription.id)} of topic {topic}"
+            yield _SubscriptionCopy(description, subscription_event(event), conditions, template)
 
-    def _explain_rejection(self, definition: Any, event: Term) -> str:
+    def _explain_rejection(self, subscription: _SubscriptionCopy, event: Term) -> str:
         """Return the reason why a subscription does not select an event, or "" if it does."""
         check_limits(1)
-        # Bindings of one event must not affect the next one.
-        instance: Any = copy(definition)
+        # Copied together, so that both share variables. Bindings of one event must not affect the next one.
+        pair: Any = copy((_COMMA_FUNCTOR, subscription.event, subscription.conditions))
+        _, pattern, conditions = pair
         trail: Trail = []
         try:
-            if not unify(instance[1], copy(event), trail):
-                return f"it takes {self._show(instance[1])}"
-            goals = list_items(instance[2]) or []
-            shown = [self._show(goal) for goal in goals]
+            if not unify(pattern, copy(event), trail):
+                return f"it takes {self._show(pattern)}"
+            goals = list_items(conditions) or []
+            goal_texts = [self._show(goal) for goal in goals]
             # The first condition without a solution is the reason: conditions are tested with all those before it.
             for count in range(1, len(goals) + 1):
-                problem = self._test_conditions(goals[:count], goals[count:], shown)
-                if problem is not None:
-                    return f"its condition {shown[count - 1]} {problem}"
+                reason = self._test_conditions(goals[:count], goals[count:], goal_texts)
+                if reason is not None:
+                    return f"its condition {goal_texts[count - 1]} {reason}"
             return ""
         finally:
             undo(trail, 0)
 
     def _test_conditions(
-        self, goals: Sequence[Term], others: Sequence[Term], shown: List[str]
+        self, goals: Sequence[Term], later_goals: Sequence[Term], goal_texts: List[str]
     ) -> Optional[str]:
         """Return None if the goals have a solution, otherwise the reason why not.
 
-        With a solution, the texts of ``others`` in ``shown`` are replaced by texts with its values.
+        With a solution, the texts of ``later_goals``, the last ones of ``goal_texts``, are replaced by texts with the
+        values of the solution.
         """
         conjunction = goals[-1]
         for goal in reversed(goals[:-1]):
@@ -140,7 +149,7 @@ class WhyNotSent:
             # Closed after the first solution, which undoes its bindings and runs cleanup goals.
             with closing(self._logic.solutions(conjunction)) as solutions:
                 for _ in solutions:
-                    shown[len(goals) :] = [self._show(goal) for goal in others]
+                    goal_texts[len(goals) :] = [self._show(goal) for goal in later_goals]
                     return None
         except RetalisError as error:
             return f"ends with an error: {error.message}"
@@ -153,9 +162,10 @@ def _get_functor(term: Any) -> Any:
     return term[0] if term.__class__ is tuple else getattr(term, "functor", None)
 
 
-EVENT = functor("event", 2)
+_EVENT_FUNCTOR = functor("event", 2)
 _MAX_SHOWN_OCCURRENCES = 10
 _MAX_EXPLANATION_DEPTH = 50
+"""Maximum length of a chain of derived events that is shown."""
 
 
 class ExplanationLine(NamedTuple):
@@ -193,7 +203,8 @@ class Explanation(NamedTuple):
 
     Attributes:
         happened: whether the event happened.
-        lines: a tree for each occurrence if it did, otherwise a tree for each rule that could have fired it.
+        lines: if it happened, a tree for each occurrence; otherwise a tree for each rule that could have fired it,
+            and hints such as retracted events.
     """
 
     happened: bool
@@ -264,7 +275,7 @@ def explain(
         if seconds is None:
             return _Explainer(engine, origin).explain(term)
         # Unification and conditions call `check_limits` in between, which calls the function that is registered here.
-        previous = set_limit_check(_limit_time(monotonic() + seconds, seconds))
+        previous = set_limit_check(_create_time_check(monotonic() + seconds, seconds))
         try:
             return _Explainer(engine, origin).explain(term)
         finally:
@@ -274,7 +285,7 @@ def explain(
     return engine.do(create_explanation)
 
 
-def _limit_time(end: float, seconds: float) -> Callable[[int, int], None]:
+def _create_time_check(end: float, seconds: float) -> Callable[[int, int], None]:
     """Return a function for `set_limit_check` that raises an error after the time limit."""
 
     def check_time(work: int, size: int) -> None:
@@ -285,16 +296,25 @@ def _limit_time(end: float, seconds: float) -> Callable[[int, int], None]:
 
 
 class _Explainer:
-    def __init__(self, engine: Engine, origin: Optional[int]):
+    """Creates the explanation of one call of `explain`.
+
+    Args:
+        engine: the engine.
+        reference_time: as ``origin`` of `explain`.
+    """
+
+    def __init__(self, engine: Engine, reference_time: Optional[int]):
         self._engine = engine
-        self._origin = origin
-        self._times = TimeFormat(self._show, origin)
+        self._reference_time = reference_time
+        self._times = TimeFormat(self._show, reference_time)
         self._occurrences = self._engine.rules.tracker.remembered_events()
         self._why_not_sent = WhyNotSent(
             self._engine.logic, self._engine.knowledge.subscriptions.items(), self._show
         )
-        self._expanded: Set[int] = set()
+        self._expanded_ids: Set[int] = set()
+        """Ids of the occurrences whose causes have been shown."""
         self._causes: Dict[int, List[Occurrence]] = {}
+        """Occurrences from which one was derived, by its id."""
         for occurrence in self._occurrences:
             for derived in occurrence.derived:
                 # Occurrences only refer to what they were derived into, so the opposite direction is built once.
@@ -302,7 +322,7 @@ class _Explainer:
 
     def explain(self, request: Term) -> Explanation:
         term, interval = _parse_request(request)
-        occurrences = [occurrence for occurrence in self._occurrences if _is_instance(occurrence.term, term)]
+        occurrences = [occurrence for occurrence in self._occurrences if _unifies(occurrence.term, term)]
         if interval is not None:
             occurrences = [occurrence for occurrence in occurrences if _has_interval(occurrence, interval)]
         if not occurrences:
@@ -336,11 +356,11 @@ class _Explainer:
         if occurrence.match is None and not causes:
             return ExplanationLine(f"{text} came from outside", [])
         # Shared causes would make the tree grow exponentially, so each occurrence is expanded once.
-        if id(occurrence) in self._expanded or depth > _MAX_EXPLANATION_DEPTH:
+        if id(occurrence) in self._expanded_ids or depth > _MAX_EXPLANATION_DEPTH:
             return ExplanationLine(
                 f"{text}, see above" if depth <= _MAX_EXPLANATION_DEPTH else f"{text} ...", []
             )
-        self._expanded.add(id(occurrence))
+        self._expanded_ids.add(id(occurrence))
         sources = [self._explain_occurrence(source, depth + 1) for source in occurrence.sources() or causes]
         if occurrence.rule is None:
             verb = "is over: it held from" if self._is_state(occurrence) else "was released by"
@@ -353,7 +373,13 @@ class _Explainer:
     def _explain_missing(
         self, term: Term, interval: Optional[Tuple[int, int]], above: Tuple[EventRule, ...]
     ) -> List[ExplanationLine]:
-        """Return the missing parts for each rule that could have fired the event."""
+        """Return the missing parts for each rule that could have fired the event.
+
+        Args:
+            term: the event, which did not happen.
+            interval: its interval; None if any.
+            above: rules in whose explanation the event is missing, outermost first; () for the event of the request.
+        """
         lines = []
         for rule in self._engine.rules.rules:
             head = rule.definition.head
@@ -362,7 +388,7 @@ class _Explainer:
                 continue
             trail: Trail = []
             if unify(_get_head_event(head), copy(term), trail):
-                why_not = WhyNot(self._engine.logic, self._occurrences, rule, self._origin)
+                why_not = WhyNot(self._engine.logic, self._occurrences, rule, self._reference_time)
                 part = why_not.evaluate(rule.definition.pattern)
                 lines.append(
                     ExplanationLine(self._format_rule(rule), [self._explain_part(part, (*above, rule))])
@@ -374,27 +400,29 @@ class _Explainer:
             undo(trail, 0)
         if not above:
             lines += self._explain_missing_messages(term)
-        if not lines and not above:
-            lines.append(ExplanationLine("no rule has such a head, and no such event came from outside", []))
-        if not above:
+            if not lines:
+                lines.append(
+                    ExplanationLine("no rule has such a head, and no such event came from outside", [])
+                )
             lines += self._find_retracted(term) + self._find_events_with_name(term)
         return lines
 
     def _explain_missing_messages(self, term: Term) -> List[ExplanationLine]:
         """Return the subscriptions that publish such messages, and the reasons for their events."""
         lines = []
-        for text, definition in self._why_not_sent.find_publishing(term):
-            reasons = list(self._why_not_sent.explain_events(definition, self._occurrences))[
+        for text, subscription in self._why_not_sent.find_publishing(term):
+            reasons = list(self._why_not_sent.explain_events(subscription, self._occurrences))[
                 -_MAX_SHOWN_OCCURRENCES:
             ]
             below = [
-                ExplanationLine(f"{self._format_event(occurrence)}: {problem or 'sent'}", [])
-                for occurrence, problem in reasons
+                ExplanationLine(f"{self._format_event(occurrence)}: {reason or 'sent'}", [])
+                for occurrence, reason in reasons
             ]
             lines.append(ExplanationLine(text, below or [ExplanationLine("no such event happened", [])]))
         return lines
 
     def _explain_part(self, part: PartResult, above: Tuple[EventRule, ...]) -> ExplanationLine:
+        """Return the line of a part of a pattern; a missing event is explained below it."""
         below = [self._explain_part(inner, above) for inner in part.parts]
         if part.event is not None and not part.matches:
             below += self._explain_missing(part.event, None, above)
@@ -406,7 +434,7 @@ class _Explainer:
             occurrence
             for revision in self._occurrences
             for occurrence in revision.retracts or ()
-            if _is_instance(occurrence.term, term)
+            if _unifies(occurrence.term, term)
         ]
         return [
             ExplanationLine(f"{self._format_event(occurrence)} was retracted", [])
@@ -448,8 +476,9 @@ class _Explainer:
 
 
 def _parse_request(request: Term) -> Tuple[Term, Optional[Tuple[int, int]]]:
+    """Return the event of a request, and its interval in ns or None; see ``asked`` of `explain`."""
     request = deref(request)
-    if request.__class__ is tuple and request[0] is EVENT:
+    if request.__class__ is tuple and request[0] is _EVENT_FUNCTOR:
         stamps = list_items(request[2])
         if stamps is not None and len(stamps) == 2:
             return deref(request[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
@@ -508,11 +537,12 @@ def _get_head_event(head: Term) -> Term:
 _ALARM_FUNCTORS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsoluteDatime", 2)))
 
 
-def _is_instance(term: Term, pattern: Term) -> bool:
+def _unifies(first: Term, second: Term) -> bool:
+    """Return whether two terms without common variables unify; their variables stay unbound."""
     trail: Trail = []
-    fits = unify(copy(term), copy(pattern), trail)
+    result = unify(copy(first), copy(second), trail)
     undo(trail, 0)
-    return fits
+    return result
 
 
 def _has_interval(occurrence: Occurrence, interval: Tuple[int, int]) -> bool:

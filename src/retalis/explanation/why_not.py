@@ -68,10 +68,12 @@ MAX_CANDIDATES = 200
 MAX_REPETITIONS = 50
 """Maximum number of repetitions of ``ntimes`` that are examined."""
 MAX_SHOWN_CANDIDATES = 3
+"""Maximum number of matches in the text of a part; the newest ones are shown."""
 MAX_SHOWN_VALUE_CHARACTERS = 60
 """Maximum length of the text of a variable's value."""
 
 _VALUES_FUNCTOR = functor("values", 0)
+"""Functor of the terms that combine any number of values or variables; its arity is not used."""
 _EQUAL_FUNCTOR = functor("=", 2)
 _OR_NAME, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
 _STAR_NAME, *_ = names_of_kind(OperatorKind.RUN)
@@ -86,12 +88,13 @@ _ACTION_NAMES = [
 ]
 _RATE_NAME, *_ = names_of_kind(OperatorKind.RATE)
 _TIMEOUT_NAME, *_ = names_of_kind(OperatorKind.TIMEOUT)
-_RATE_REASONS = {
+_REASONS_OF_RATE_OPERATORS = {
     "throttle": "the last one was let through less than {0:g} seconds before",
     "burst": "there was another one less than {0:g} seconds before",
     "debounce": "the {0:g} seconds after the last one are not over",
     "change": "nothing changed",
 }
+"""Reason why an operator let no match through, with a place for its time in seconds."""
 _T1_FUNCTOR, _T2_FUNCTOR = functor("t1", 1), functor("t2", 1)
 
 
@@ -115,6 +118,7 @@ class Candidate(NamedTuple):
 
 _NO_VALUES: Term = (_VALUES_FUNCTOR,)
 _PLACEHOLDER_MATCH = Candidate(_NO_VALUES, 0, 0)
+"""Match that makes a part count as matched which has no matches of its own."""
 
 
 class PartResult(NamedTuple):
@@ -147,13 +151,13 @@ class TimeFormat:
 
     Args:
         show: returns the text of a term.
-        origin: reference of relative times, which are shown in seconds, in nanoseconds since the epoch; None for
-            absolute times.
+        reference_time: nanoseconds since the epoch; times are shown in seconds relative to it. None for absolute
+            times.
     """
 
-    def __init__(self, show: Callable[[Term], str], origin: Optional[int] = None):
+    def __init__(self, show: Callable[[Term], str], reference_time: Optional[int] = None):
         self._show = show
-        self._origin = origin
+        self._reference_time = reference_time
 
     def format_interval(self, start: int, end: int) -> str:
         """Return the text of an interval."""
@@ -163,12 +167,12 @@ class TimeFormat:
 
     @property
     def _unit_suffix(self) -> str:
-        return "" if self._origin is None else " s"
+        return "" if self._reference_time is None else " s"
 
     def _format_instant(self, instant: int) -> str:
-        if self._origin is None:
+        if self._reference_time is None:
             return self._show(timestamps.shown(instant))
-        nanoseconds = int(instant) - self._origin
+        nanoseconds = int(instant) - self._reference_time
         whole, remainder = divmod(abs(nanoseconds), 10**9)
         fraction = f".{remainder:09d}".rstrip("0") if remainder else ""
         return f"{'-' if nanoseconds < 0 else ''}{whole}{fraction}"
@@ -181,7 +185,7 @@ class WhyNot:
         logic: evaluates conditions.
         occurrences: the recorded events.
         rule: the rule; its head is unified with the event that is explained.
-        origin: reference of relative times; None for absolute times.
+        reference_time: see `TimeFormat`.
     """
 
     def __init__(
@@ -189,7 +193,7 @@ class WhyNot:
         logic: PrologSystem,
         occurrences: Sequence[Occurrence],
         rule: EventRule,
-        origin: Optional[int] = None,
+        reference_time: Optional[int] = None,
     ):
         self._logic = logic
         self._occurrences = occurrences
@@ -206,8 +210,8 @@ class WhyNot:
         # After the head was unified, variables of the rule may be bound to variables of the explained event.
         self._names = names_of_bound_variables(rule.definition.names)
         self._field_named_variables = rule.definition.names
-        self._times = TimeFormat(self._show, origin)
-        self._evaluators: Dict[type, Callable[[Any], PartResult]] = {
+        self._times = TimeFormat(self._show, reference_time)
+        self._methods: Dict[type, Callable[[Any], PartResult]] = {
             EventPattern: self._evaluate_event,
             PairPattern: self._evaluate_pair,
             RepeatedPattern: self._evaluate_repeated,
@@ -225,7 +229,7 @@ class WhyNot:
 
     def evaluate(self, pattern: Any) -> PartResult:
         """Return the result for a pattern."""
-        return self._evaluators[type(pattern)](pattern)
+        return self._methods[type(pattern)](pattern)
 
     # ---- one method per type of pattern ----------------------------------------------------------------
 
@@ -244,7 +248,7 @@ class WhyNot:
 
     def _evaluate_pair(self, pattern: PairPattern) -> PartResult:
         left, right = self.evaluate(pattern.left), self.evaluate(pattern.right)
-        spans = _spans(OPERATORS[pattern.operator])
+        join_intervals = _compile_interval_join(OPERATORS[pattern.operator])
         values_agree = False
         matches = []
         for first in left.matches:
@@ -254,9 +258,9 @@ class WhyNot:
                 if values is None or (first.event is not None and first.event is second.event):
                     continue
                 values_agree = True
-                span = spans(first.start, first.end, second.start, second.end)
-                if span is not None:
-                    matches.append(Candidate(values, *span, None, (first.end, second.start)))
+                interval = join_intervals(first.start, first.end, second.start, second.end)
+                if interval is not None:
+                    matches.append(Candidate(values, *interval, None, (first.end, second.start)))
         reason = "one side is missing"
         if left.matches and right.matches:
             reason = (
@@ -282,14 +286,15 @@ class WhyNot:
         matches = [
             match
             for match in part.matches
-            if not any(self._rules_out(negated_match, match) for negated_match in negated.matches)
+            if not any(self._excludes(negated_match, match) for negated_match in negated.matches)
         ]
         name = _BETWEEN_NAMES if pattern.inside else _ABSENCE_NAMES
         reason = "ruled out by what must not happen" if part.matches else "not tested"
         text = f"{name}: {self._format_result(matches, reason)}"
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
-    def _rules_out(self, negated: Candidate, match: Candidate) -> bool:
+    def _excludes(self, negated: Candidate, match: Candidate) -> bool:
+        """Return whether a match of the negated part excludes a match: it lies in its gap, or before it if none."""
         if self._join_values(match, negated) is None:
             return False
         if match.gap is None:
@@ -314,11 +319,12 @@ class WhyNot:
         value = NIL if pattern.value is None else pattern.value
         value_vars = variables(value)
         evaluate = Evaluators(self._rule).compile_expression(pattern.kind, value, value_vars)
+        # The values that are passed to the aggregate below are those of `value_vars`, and the aggregated term last.
         aggregate = SequenceAggregate(pattern.kind, lambda values: values[-1], evaluate)
         matches: List[Candidate] = []
         results: List[str] = []
 
-        def add(start: Candidate, end: int, result: Term) -> None:
+        def add_result(start: Candidate, end: int, result: Term) -> None:
             # A result that differs from the requested one is not a match, but it is shown as the reason.
             values = self._extend(start.values, [(pattern.result, result)])
             if values is not None:
@@ -329,17 +335,17 @@ class WhyNot:
         for match in first_part.matches:
             state = aggregate.initial_state
             if aggregate.empty_result is not None:
-                add(match, match.end, aggregate.empty_result)
+                add_result(match, match.end, aggregate.empty_result)
             for _, last, values in self._find_ordered_pairs(
                 first_part._replace(matches=[match]), collected_part
             ):
-                measured = tuple([self._instantiate(values, term) for term in (*value_vars, value)])
+                aggregated_values = tuple([self._instantiate(values, term) for term in (*value_vars, value)])
                 try:
-                    state = aggregate.add(state, measured)
+                    state = aggregate.add(state, aggregated_values)
                 except RuleError as error:
                     problem = f", {error.message}"
                     continue
-                add(match, last.end, aggregate.result(state))
+                add_result(match, last.end, aggregate.result(state))
         reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]
@@ -377,7 +383,7 @@ class WhyNot:
         rejected = self._format_candidates(part.matches, pattern.goal)
         rejected = f"false for {rejected}" if " = " in rejected else f"false {rejected}"
         if problems:
-            rejected = f"{rejected}, with the error: {next(reversed(list(problems)))}"
+            rejected = f"{rejected}, with the error: {list(problems)[-1]}"
         text = f"{name} {self._show(pattern.goal)}: {self._format_result(matches, rejected, pattern.goal)}"
         return PartResult(text, matches, [part])
 
@@ -446,11 +452,11 @@ class WhyNot:
     def _evaluate_steps(self, steps: Sequence[RowPatternStep], progress: Sequence[int]) -> List[PartResult]:
         """Return the results for the steps of a row pattern, for the sequence of events that got farthest."""
         parts = []
-        reached = True
-        for step, count in zip(steps, progress or [0] * len(steps)):
+        is_reached = True
+        for step, count in zip(steps, progress):
             is_complete = count >= step.min_count
             text = f"step {self._show(step_term(step))}"
-            if not reached:
+            if not is_reached:
                 parts.append(PartResult(f"{text}: not reached", [], [], None, False))
             else:
                 events = "1 event" if count == 1 else f"{count} events"
@@ -460,25 +466,27 @@ class WhyNot:
                         f"{text}: took {events}{missing}", [_PLACEHOLDER_MATCH] if is_complete else [], []
                     )
                 )
-            reached = reached and is_complete
+            is_reached = is_reached and is_complete
         return parts
 
     def _evaluate_rate_operator(self, pattern: RatePattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
-        stream = rate_operator(pattern)
+        operator = rate_operator(pattern)
         node = self._rule.stream_node(pattern)
         if node is not None:
-            stream.set_bounds(node.stream.bounds)
+            operator.set_bounds(node.stream.bounds)
         outputs = []
         for match in part.matches:
             keys = tuple([self._instantiate(match.values, term) for term in pattern.keys])
             value = () if pattern.value is None else (self._instantiate(match.values, pattern.value),)
-            outputs += stream.advance_to(match.end)
-            outputs += stream.process(StreamElement(match, match.start, match.end, keys, value), match.end, 0)
+            outputs += operator.advance_to(match.end)
+            outputs += operator.process(
+                StreamElement(match, match.start, match.end, keys, value), match.end, 0
+            )
         # Operators with deadlines emit at the current time, even without a further event.
-        outputs += stream.advance_to(self._current_time)
+        outputs += operator.advance_to(self._current_time)
         matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
-        reason = _RATE_REASONS[pattern.operator].format(timestamps.to_seconds(pattern.span))
+        reason = _REASONS_OF_RATE_OPERATORS[pattern.operator].format(timestamps.to_seconds(pattern.span))
         reason = reason if part.matches else "not tested"
         text = (
             f"{_RATE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
@@ -554,16 +562,16 @@ class WhyNot:
         return self._format_candidates(matches, term) if matches else reason
 
     def _format_candidates(self, matches: List[Candidate], term: Term) -> str:
-        names = [var for var in dict.fromkeys(variables(term)) if var in self._names]
+        named_vars = [var for var in dict.fromkeys(variables(term)) if var in self._names]
         shown = []
         for match in matches[-MAX_SHOWN_CANDIDATES:]:
-            values = [(self._names[var], self._instantiate(match.values, var)) for var in names]
+            values = [(self._names[var], self._instantiate(match.values, var)) for var in named_vars]
             bindings = ", ".join(
                 f"{name} = {self._shorten(value)}" for name, value in values if value.__class__ is not Var
             )
             time = self._times.format_interval(match.start, match.end)
             shown.append(f"{bindings} {time}" if bindings else time)
-        text = ("; " if names else ", ").join(shown)
+        text = ("; " if named_vars else ", ").join(shown)
         return text if len(matches) <= MAX_SHOWN_CANDIDATES else f"{len(matches)} times, the last ones {text}"
 
     def _format_other_results(self, results: List[str]) -> str:
@@ -614,21 +622,21 @@ def names_of_bound_variables(names: Mapping[Var, str]) -> Dict[Var, str]:
 
     A variable of the head may be bound to an unbound variable of the event that is explained.
     """
-    own: Dict[Var, str] = {}
+    names_by_target: Dict[Var, str] = {}
     for var, name in names.items():
         target = deref(var)
         if isinstance(target, Var):
-            own.setdefault(target, name)
-    return own
+            names_by_target.setdefault(target, name)
+    return names_by_target
 
 
 def _create_negated_part(negated: PartResult) -> PartResult:
-    """Return the result for a negated part."""
-    reason = negated
+    """Return the line about a negated part. It counts as matched, because its events need not be explained."""
+    source = negated
     # A condition that was not tested explains nothing: the missing event is below it.
-    while not reason.was_tested and reason.parts:
-        reason = reason.parts[0]
-    return PartResult(f"must not happen: {reason.text}", negated.matches or [_PLACEHOLDER_MATCH], [])
+    while not source.was_tested and source.parts:
+        source = source.parts[0]
+    return PartResult(f"must not happen: {source.text}", negated.matches or [_PLACEHOLDER_MATCH], [])
 
 
 class _WindowEvaluation:
@@ -636,21 +644,21 @@ class _WindowEvaluation:
 
     Args:
         node: the rule's node of the window.
-        steps: number of steps of the window; 0 for windows without steps.
-        under: returns a term with the values of a match.
+        step_count: number of steps of a row pattern; 0 for other windows.
+        instantiate: returns a copy of a term with the values of a match, given the values and the term.
 
     Attributes:
-        progress: number of events in each step, for the sequence of events that got farthest.
+        progress: number of events in each step, for the sequence of events that got farthest; empty without steps.
         problem: text of an error in a measure or condition, or "".
     """
 
-    def __init__(self, node: StreamNode, steps: int, instantiate: Callable[[Term, Term], Term]):
+    def __init__(self, node: StreamNode, step_count: int, instantiate: Callable[[Term, Term], Term]):
         self._node = node
         self._stream = node.spec.create_operator(NetworkOptions())
         self._stream.set_bounds(node.stream.bounds)
         self._instantiate = instantiate
         self._outputs: List[StreamOutput] = []
-        self.progress = [0] * steps
+        self.progress = [0] * step_count
         self.problem = ""
 
     def process(self, match: Candidate) -> None:
@@ -676,8 +684,9 @@ class _WindowEvaluation:
         return [output for output in self._outputs if output.error is None]
 
     def _update_progress(self) -> None:
-        groups = self._stream.snapshot()[-1]
-        for _, _, states, _ in groups:
+        # Only a row pattern has steps. Its snapshot ends with the partitions, whose states list the elements taken.
+        *_, partitions = self._stream.snapshot()
+        for _, _, states, _ in partitions:
             for _, _, _, _, steps_taken, *_ in states:
                 counts = [0] * len(self.progress)
                 for _, step in steps_taken:
@@ -691,18 +700,23 @@ def _get_progress_key(counts: Sequence[int]) -> Tuple[int, int]:
 
 
 @lru_cache(maxsize=len(OPERATORS))
-def _spans(operator: EventOperator) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
-    """Return the function from the intervals of a pair to that of the result, or None if they do not satisfy it."""
+def _compile_interval_join(
+    operator: EventOperator,
+) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:
+    """Return the function that joins the intervals of two matches.
+
+    It returns the interval of the result, or None if the two do not satisfy the operator's condition.
+    """
     lines = [
         "def generated(s1, e1, s2, e2):",
         f"    if not ({operator.interval_condition}):",
         "        return None",
         f"    return ({operator.start}), ({operator.end})",
     ]
-    span: Callable[[int, int, int, int], Optional[Tuple[int, int]]] = codegen.function(
+    join_intervals: Callable[[int, int, int, int], Optional[Tuple[int, int]]] = codegen.function(
         lines, {}, f"pairs of {operator.name}"
     )
-    return span
+    return join_intervals
 
 
 def _substitute_times(goal: Term, match: Candidate) -> Term:

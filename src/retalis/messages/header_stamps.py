@@ -21,6 +21,7 @@ FrameStamp = Tuple[bytes, int]
 """Bytes that identify a frame, and a time in nanoseconds."""
 
 ReadStamps = Callable[[bytes], List[FrameStamp]]
+"""Function from the bytes of a message to its stamps."""
 
 ReadStamp = Callable[[bytes], Optional[int]]
 """Function from the bytes of a message to the time of its own header, as `Decoder.stamp`."""
@@ -29,25 +30,26 @@ StampObserver = Callable[[List[FrameStamp]], object]
 """Observer of a message's stamps, called if the second of at least one stamp differs from the last observed second
 of that frame."""
 
-_CHILD_FRAME_SLOT = "child_frame_id"
+_CHILD_FRAME_FIELD = "child_frame_id"
 
 _unpack_header = Struct("<4xIII").unpack_from
+"""Reads secs, nsecs and the length of frame_id from a header, which begins with seq."""
 _unpack_uint32 = Struct("<I").unpack_from
 
 
-def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
+def make_stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     """Return the function that reads the stamps of messages of a type; None if the type has no stamps.
 
     Zero stamps are unset and are omitted. If the bytes are malformed, the stamps before the error are returned.
     """
-    slots = _stamped_slots(definition)
-    if not slots:
+    fields = _stamped_fields(definition)
+    if not fields:
         return None
 
     def read_stamps(data: bytes) -> List[FrameStamp]:
         stamps: List[FrameStamp] = []
         try:
-            _collect_stamps(data, slots, stamps)
+            _collect_stamps(data, fields, stamps)
         except StructError:  # decoding the message reports the error
             pass
         return stamps
@@ -55,7 +57,7 @@ def stamp_reader(definition: Definition) -> Optional[ReadStamps]:
     return read_stamps
 
 
-def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify: StampObserver) -> Decoder:
+def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], observer: StampObserver) -> Decoder:
     """Return a decoder that passes stamps to an observer if their second differs from the last observed one.
 
     The observer is called by `Decoder.decode` for types that `FrameDecoderGenerator` supports, otherwise by
@@ -64,32 +66,32 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify:
     Args:
         decoder: decoder of the messages' type.
         states: states of frames by their bytes, with the attribute ``second``: the second that was observed last.
-        notify: observer; receives all stamps of a message if the second of any of these differs. Its exceptions
+        observer: receives all stamps of a message if the second of any of these differs. Its exceptions
             propagate.
     """
     definition, stamp, get_state = decoder.definition, decoder.stamp, states.get
     # Types without stamps keep their decoder, so that monitoring costs nothing for them.
-    read_stamps = stamp_reader(definition)
+    read_stamps = make_stamp_reader(definition)
     if read_stamps is None:
         return decoder
-    all_stamps: ReadStamps = read_stamps
+    read_all_stamps: ReadStamps = read_stamps
 
     def observe(data: bytes) -> None:
-        stamps = all_stamps(data)
+        stamps = read_all_stamps(data)
         for key, instant in stamps:
             state = get_state(key)
             # A comparison of seconds is enough: the observer looks for deviations of seconds, and is too slow for
             # every message.
             if state is None or state.second != instant // SECOND:
-                notify(stamps)
+                observer(stamps)
                 break
 
     def observe_single(key: bytes, instant: int) -> None:
         if instant:
-            notify([(key, instant)])
+            observer([(key, instant)])
 
     try:
-        watch = StampWatch(_frame_string_count(definition), get_state, observe, observe_single)
+        watch = StampWatch(_count_frame_strings(definition), get_state, observe, observe_single)
         return watching_decoder(decoder, watch)
     except UnsupportedLayout:
         pass
@@ -98,50 +100,51 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], notify:
         observe(data)
         return stamp(data)
 
-    watching = copy(decoder)
-    slots = _stamped_slots(definition)
+    observed_decoder = copy(decoder)
+    fields = _stamped_fields(definition)
     # The fast reader assumes that the header's frame is the only one.
-    is_single = len(slots) == 1 and slots[0].slot.length is None and not slots[0].has_child
-    watching.stamp = (
-        _header_stamp_reader(get_state, observe_and_read_stamp) if is_single else observe_and_read_stamp
+    is_single = len(fields) == 1 and fields[0].field.length is None and not fields[0].has_child
+    observed_decoder.stamp = (
+        _make_header_stamp_reader(get_state, observe_and_read_stamp) if is_single else observe_and_read_stamp
     )
-    return watching
+    return observed_decoder
 
 
-def _frame_string_count(definition: Definition) -> int:
+def _count_frame_strings(definition: Definition) -> int:
     """Return the number of strings that name frames in a message with one stamp, in its header or its only array.
 
     Raises:
         UnsupportedLayout: if the type has another form.
     """
-    slots = _stamped_slots(definition)
-    if len(slots) > 1 or (slots[0].slot.length is not None and len(definition.fields) > 1):
+    fields = _stamped_fields(definition)
+    if len(fields) > 1 or (fields[0].field.length is not None and len(definition.fields) > 1):
         raise UnsupportedLayout
-    return 2 if slots[0].has_child else 1
+    return 2 if fields[0].has_child else 1
 
 
-def _header_stamp_reader(get_state: Callable[[bytes], Any], fallback: ReadStamp) -> ReadStamp:
+def _make_header_stamp_reader(get_state: Callable[[bytes], Any], fallback: ReadStamp) -> ReadStamp:
     """Return a fast reader for messages whose only stamp is that of their header."""
 
-    def header_stamp(data: bytes) -> Optional[int]:
+    def read_header_stamp(data: bytes) -> Optional[int]:
         try:
             second, nanosecond, size = _unpack_header(data)
         except StructError:
             return fallback(data)
+        # The frame is identified by the bytes of its name, with the length in front.
         state = get_state(data[12 : 16 + size])
         if state is not None and state.second == second:
             return second * SECOND + nanosecond or None
         return fallback(data)
 
-    return header_stamp
+    return read_header_stamp
 
 
-def frame_text(key: bytes) -> str:
+def format_frame_key(key: bytes) -> str:
     """Return the bytes that identify a frame as text: ``frame``, or ``frame > child``."""
     names = []
     offset = 0
     try:
-        # A last byte may follow, which distinguishes slots with the same frame.
+        # A last byte may follow, which distinguishes fields with the same frame.
         while offset + 4 <= len(key):
             (size,) = _unpack_uint32(key, offset)
             names.append(key[offset + 4 : offset + 4 + size].decode("utf-8", "replace"))
@@ -151,93 +154,93 @@ def frame_text(key: bytes) -> str:
     return " > ".join(names)
 
 
-class _StampedSlot(NamedTuple):
-    """A slot with stamps, or a slot before it that has to be skipped.
+class _StampedField(NamedTuple):
+    """A field with stamps, or a field without stamps before it, which has to be skipped.
 
     Attributes:
-        slot: the slot.
-        suffix: byte that distinguishes the slot's frames from those of other slots.
-        has_child: whether a child frame follows the header; None if the slot has no stamp.
+        field: the field.
+        suffix: byte that distinguishes the field's frames from those of other fields.
+        has_child: whether a child frame follows the header; None if the field has no stamp.
         trailing_bytes: number of bytes after the frames; None if elements differ in it.
     """
 
-    slot: Field
+    field: Field
     suffix: bytes
     has_child: Optional[bool]
     trailing_bytes: Optional[int]
 
 
-def _stamped_slots(definition: Definition) -> List[_StampedSlot]:
-    """Return the slots up to the last one with a stamp."""
-    slots: List[_StampedSlot] = []
+def _stamped_fields(definition: Definition) -> List[_StampedField]:
+    """Return the fields up to the last one with a stamp."""
+    fields: List[_StampedField] = []
     stamped_count = 0
-    for slot in definition.fields:
-        element = slot.definition
-        if slot is definition.fields[0] and slot.length is None and _is_header(slot):
-            slots.append(_StampedSlot(slot, b"", _has_child(definition), 0))
-            stamped_count = len(slots)
+    for field in definition.fields:
+        element = field.definition
+        if field is definition.fields[0] and field.length is None and _is_header(field):
+            fields.append(_StampedField(field, b"", _has_child(definition), 0))
+            stamped_count = len(fields)
         elif (
             element is not None
-            and slot.length is not None
+            and field.length is not None
             and element.fields
             and _is_header(element.fields[0])
         ):
             # Without the suffix, two arrays with the same frame would overwrite each other's state.
-            suffix = b"%c" % len(slots) if stamped_count else b""
-            slots.append(_StampedSlot(slot, suffix, _has_child(element), _trailing_bytes(element)))
-            stamped_count = len(slots)
+            suffix = b"%c" % len(fields) if stamped_count else b""
+            fields.append(_StampedField(field, suffix, _has_child(element), _count_trailing_bytes(element)))
+            stamped_count = len(fields)
         else:
-            slots.append(_StampedSlot(slot, b"", None, None))
-        # The suffix is one byte, so slots after the first 256 are ignored. No real message has so many.
-        if len(slots) > 255:
+            fields.append(_StampedField(field, b"", None, None))
+        # The suffix is one byte, so fields after the first 256 are ignored. No real message has so many.
+        if len(fields) > 255:
             break
-    return slots[:stamped_count]
+    return fields[:stamped_count]
 
 
-def _is_header(slot: Field) -> bool:
-    return slot.type == HEADER and slot.length is None and slot.name == "header"
+def _is_header(field: Field) -> bool:
+    return field.type == HEADER and field.length is None and field.name == "header"
 
 
 def _has_child(definition: Definition) -> bool:
     second_field = definition.fields[1] if len(definition.fields) > 1 else None
     return (
         second_field is not None
-        and second_field.name == _CHILD_FRAME_SLOT
+        and second_field.name == _CHILD_FRAME_FIELD
         and second_field.type == "string"
         and second_field.length is None
     )
 
 
-def _trailing_bytes(definition: Definition) -> Optional[int]:
+def _count_trailing_bytes(definition: Definition) -> Optional[int]:
     """Return the number of bytes after the frames, or None if it varies."""
-    frame_slots = 2 if _has_child(definition) else 1
-    measure = Definition(definition.name, definition.fields[frame_slots:]).measure
+    frame_count = 2 if _has_child(definition) else 1
+    measure = Definition(definition.name, definition.fields[frame_count:]).measure
     return measure.min_size if measure.is_fixed_size else None
 
 
-def _collect_stamps(data: bytes, slots: List[_StampedSlot], stamps: List[FrameStamp]) -> None:
+def _collect_stamps(data: bytes, fields: List[_StampedField], stamps: List[FrameStamp]) -> None:
     # Offsets as on the wire: seq, secs, nsecs, length of frame_id (4 bytes each), then the frame's name.
     offset = 0
-    for slot, suffix, has_child, trailing_bytes in slots:
+    for field, suffix, has_child, trailing_bytes in fields:
         if has_child is None:
-            offset = element_end(data, slot, offset)
+            offset = element_end(data, field, offset)
             continue
-        count = 1 if slot.length is None else slot.length
+        count = 1 if field.length is None else field.length
         if count == VARIABLE_LENGTH:
             (count,) = _unpack_uint32(data, offset)
             offset += 4
         for _ in range(count):
             second, nanosecond, size = _unpack_header(data, offset)
             end = offset + 16 + size
-            next_slot = end
+            next_field = end
             if has_child:
                 end += 4 + _unpack_uint32(data, end)[0]
             if second or nanosecond:
                 stamps.append((data[offset + 12 : end] + suffix, second * SECOND + nanosecond))
-            # The child frame is a slot of the message itself, so that the loop reaches it next.
-            if slot.length is None:
-                offset = next_slot
+            # The child frame is a field of the message itself, so that the loop reaches it next.
+            if field.length is None:
+                offset = next_field
             elif trailing_bytes is not None:
                 offset = end + trailing_bytes
             else:
-                offset = element_end(data, slot._replace(length=None), offset)
+                offset = element_end(data, field._replace(length=None), offset)

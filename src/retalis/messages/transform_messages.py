@@ -13,31 +13,35 @@ from ..foundation.errors import MessageError
 TRANSFORM_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 """Types of messages with transforms."""
 
-TRANSFORM_TOPICS = ("/tf", "/tf_static")
+STATIC_TRANSFORM_TOPIC = "/tf_static"
+TRANSFORM_TOPICS = ("/tf", STATIC_TRANSFORM_TOPIC)
 """Topics of transforms that hold at an instant, and of transforms that hold at every instant."""
 
 _MAX_CACHED_NAMES = 10_000
-_MAX_CACHED_LENGTH = 512
+"""Maximum number of pairs of frame names in the cache of a reader."""
+_MAX_CACHED_BYTES = 512
+"""Maximum length of a cached pair of names."""
 
-Numbers = Tuple[float, float, float, float, float, float, float]
+Pose = Tuple[float, float, float, float, float, float, float]
+"""Position (x, y, z) in m and rotation as a quaternion (x, y, z, w)."""
 
 
 class TransformMessage(NamedTuple):
     """The transforms of a message.
 
     Attributes:
-        transforms: parent and child without a leading slash, instant in nanoseconds, and position and rotation of the
+        transforms: frame names of parent and child without a leading slash, instant in nanoseconds, and pose of the
             child in the parent.
         is_static: whether they hold at every instant.
     """
 
-    transforms: List[Tuple[str, str, int, Numbers]]
+    transforms: List[Tuple[str, str, int, Pose]]
     is_static: bool
 
 
-_length = Struct("<I").unpack_from
-_header = Struct("<4I").unpack_from
-_numbers = Struct("<7d").unpack_from
+_unpack_length = Struct("<I").unpack_from
+_unpack_header = Struct("<4I").unpack_from
+_unpack_numbers = Struct("<7d").unpack_from
 _LENGTH_BYTES, _STAMP_BYTES, _NUMBERS_BYTES = 4, 12, 56
 
 
@@ -50,8 +54,8 @@ class TransformReader:
 
     def __init__(self, is_static: bool):
         self._is_static = is_static
-        # The names of parent and child by the bytes of both strings: one look-up for two names.
-        self._frames: Dict[bytes, Tuple[str, str]] = {}
+        # Names of parent and child by the bytes of both strings: one lookup for two names.
+        self._names_by_bytes: Dict[bytes, Tuple[str, str]] = {}
 
     def read(self, data: bytes) -> TransformMessage:
         """Return the transforms of a serialized message.
@@ -59,25 +63,25 @@ class TransformReader:
         Raises:
             MessageError: if the bytes are not such a message.
         """
-        transforms: List[Tuple[str, str, int, Numbers]] = []
-        known = self._frames
+        transforms: List[Tuple[str, str, int, Pose]] = []
+        names_by_bytes = self._names_by_bytes
         try:
-            (count,) = _length(data)
+            (count,) = _unpack_length(data)
             offset = _LENGTH_BYTES
-            # A message without transforms for a large count ends the loop by an error.
+            # If the count is too large, reading beyond the end raises an error, so the loop ends.
             for _ in range(count):
-                _, seconds, nanoseconds, parent_length = _header(data, offset)
+                _, seconds, nanoseconds, parent_length = _unpack_header(data, offset)
                 start = offset + _STAMP_BYTES
                 parent_end = start + _LENGTH_BYTES + parent_length
-                (child_length,) = _length(data, parent_end)
+                (child_length,) = _unpack_length(data, parent_end)
                 offset = parent_end + _LENGTH_BYTES + child_length
                 names = data[start:offset]
-                frames = known.get(names)
+                frames = names_by_bytes.get(names)
                 if frames is None:
                     frames = self._read_frames(names, parent_length, child_length)
                 parent, child = frames
                 transforms.append(
-                    (parent, child, seconds * 1_000_000_000 + nanoseconds, _numbers(data, offset))
+                    (parent, child, seconds * 1_000_000_000 + nanoseconds, _unpack_numbers(data, offset))
                 )
                 offset += _NUMBERS_BYTES
         except StructError:
@@ -95,10 +99,10 @@ class TransformReader:
             _decode_name(names[_LENGTH_BYTES:parent_end]),
             _decode_name(names[parent_end + _LENGTH_BYTES :]),
         )
-        if len(names) <= _MAX_CACHED_LENGTH:
-            if len(self._frames) >= _MAX_CACHED_NAMES:
-                self._frames.clear()
-            self._frames[names] = frames
+        if len(names) <= _MAX_CACHED_BYTES:
+            if len(self._names_by_bytes) >= _MAX_CACHED_NAMES:
+                self._names_by_bytes.clear()
+            self._names_by_bytes[names] = frames
         return frames
 
 

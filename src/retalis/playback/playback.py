@@ -55,6 +55,7 @@ from ..foundation.errors import MessageError, ProgramErrors, RetalisError, begin
 from ..foundation.ros_names import ros1_type_name, topic_fault, type_fault
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import (
+    STATIC_TRANSFORM_TOPIC,
     TRANSFORM_TOPICS,
     TRANSFORM_TYPES,
     TransformMessage,
@@ -156,7 +157,7 @@ class Playback:
             )
         self._decoders: Dict[Topic, Optional[Decoder]] = {}
         self._outputs: List[Output] = []
-        self._topics_warned: Set[str] = set()
+        self._reported_untyped_topics: Set[str] = set()
         topic_file = read_topics(folder / TOPICS)
         topics = tuple(TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics)
         self._topics = topic_file._replace(subscribed=(*topic_file.subscribed, *topics))
@@ -164,10 +165,11 @@ class Playback:
         # If a topic has several types, the last one counts: direct topics override pub_sub.xml, as in a node, and the
         # argument `topics` overrides both.
         self._subscriptions = [*topic_file.subscribed, *self._direct, *topics]
-        direct_is_listed = isinstance(direct, tuple)
+        # Topics that the caller lists must be in the bag; those of `AUTO` need not be.
+        is_direct_listed = isinstance(direct, tuple)
         named_topics = {strip_slashes(topic) for topic, _ in self._topics.subscribed}
         self._default_topics = frozenset(
-            () if direct_is_listed else {strip_slashes(topic) for topic, _ in self._direct} - named_topics
+            () if is_direct_listed else {strip_slashes(topic) for topic, _ in self._direct} - named_topics
         )
         self._subscribed_types = {strip_slashes(topic): type_name for topic, type_name in self._subscriptions}
         self._published_types = {strip_slashes(topic): type_name for topic, type_name in topic_file.published}
@@ -186,6 +188,7 @@ class Playback:
             self._load_program()
 
     def _load_program(self) -> None:
+        """Load the program, and report each of its errors."""
         try:
             self.engine.load_program(self._folder)
         except ProgramErrors as errors:
@@ -196,7 +199,7 @@ class Playback:
         """Read transforms, from the current time on, or from the start of the next bag."""
         for topic in TRANSFORM_TOPICS:
             name = strip_slashes(topic)
-            self._transform_readers[name] = TransformReader(topic == TRANSFORM_TOPICS[1])
+            self._transform_readers[name] = TransformReader(topic == STATIC_TRANSFORM_TOPIC)
             self._new_topics.add(name)
 
     def run(self, bag: Bag, progress: Callable[[int], object] = lambda done: None) -> Iterable[Output]:
@@ -220,7 +223,7 @@ class Playback:
         for warning in self.engine.warnings(self._folder, self.definitions, self._topics, self._direct):
             log.warning("%s", warning)
         # The warnings above cover outputs without a type.
-        self._topics_warned.update(self.engine.output_topics())
+        self._reported_untyped_topics.update(self.engine.output_topics())
         topic_names = {
             topic.name
             for topic in bag.topics
@@ -397,14 +400,14 @@ class Playback:
                 log.debug("%s", error)
 
     def _prepare_topics(
-        self, bag: Bag, requested: Iterable[str], by_default: FrozenSet[str] = frozenset()
+        self, bag: Bag, requested: Iterable[str], default_topics: FrozenSet[str] = frozenset()
     ) -> None:
         """Store the decoders for the connections of topics; report types that do not fit, and missing topics.
 
         Args:
             bag: source of messages.
             requested: names of the topics.
-            by_default: the topics among them that the program does not name: a bag may lack them, or have them with
+            default_topics: those of the topics that the program does not name: a bag may lack them, or have them with
                 another type.
         """
         requested = list(requested)
@@ -413,7 +416,7 @@ class Playback:
         missing = [
             topic
             for topic in requested
-            if strip_slashes(topic) not in available and strip_slashes(topic) not in by_default
+            if strip_slashes(topic) not in available and strip_slashes(topic) not in default_topics
         ]
         if missing:
             log.warning(
@@ -422,14 +425,14 @@ class Playback:
                 ", ".join(dict.fromkeys(missing)),
                 ", ".join(_describe_topics(bag.topics)) or "none at all",
             )
-        dropped: Dict[Tuple[str, bool], int] = Counter()
+        dropped_counts: Dict[Tuple[str, bool], int] = Counter()
         for topic in bag.topics:
             problem = self._prepare_topic(topic) if strip_slashes(topic.name) in names else None
             if problem is not None:
                 text = f"topic {topic.name}: {problem}"
-                dropped[text, strip_slashes(topic.name) in by_default] += topic.messages
-        for (text, is_default), number in dropped.items():
-            text = f"{text}; {counted(number, 'message')} dropped"
+                dropped_counts[text, strip_slashes(topic.name) in default_topics] += topic.messages
+        for (text, is_default), message_count in dropped_counts.items():
+            text = f"{text}; {counted(message_count, 'message')} dropped"
             if is_default:
                 log.warning("%s", text)
             else:
@@ -460,14 +463,15 @@ class Playback:
         return None
 
     def _collect_output(self, term: Term, topic: str, subscription_id: Term) -> None:
+        """Store an output of the program, encoded if its topic has a type."""
         type_name = self._published_types.get(strip_slashes(topic))
         definition = data = None
         try:
-            if type_name is None and topic not in self._topics_warned:
-                name_shown = beginning(topic)
+            if type_name is None and topic not in self._reported_untyped_topics:
+                shown_topic = beginning(topic)
                 self._reports.warning(
-                    f"topic {name_shown} has no type: its outputs are no messages; "
-                    f'<publish_to name="{name_shown}" msg_type="package/Type"/> in {TOPICS} would give it one',
+                    f"topic {shown_topic} has no type: its outputs are no messages; "
+                    f'<publish_to name="{shown_topic}" msg_type="package/Type"/> in {TOPICS} would give it one',
                     "topics without a type",
                     texts=20,
                 )
@@ -506,6 +510,10 @@ MAX_RECORDED_QUERIES = 1000
 """Maximum number of waiting queries that are observed; further ones are not recorded."""
 
 
+MAX_RECORDED_MEMORIES = 1000
+"""Maximum number of memories that are recorded at the end."""
+
+
 class _Wait(NamedTuple):
     """A waiting query: its event, the ids of the memories that it waits for, and its start in bag time."""
 
@@ -539,7 +547,7 @@ class RunRecorder:
 
     def record_output(self, output: Output) -> None:
         """Report an output."""
-        self._write_record(output_record(output))
+        self._write_record(make_output_record(output))
 
     def update_waits(self) -> None:
         """Update the waiting queries; to be called after each message."""
@@ -548,14 +556,19 @@ class RunRecorder:
         if not self._waits and not len(pending):
             return
         now = int(self._read_clock())
-        current = {query[0]: query for query in islice(pending, MAX_RECORDED_QUERIES)}
+        current = {
+            serial: (triggered_query, values, missing)
+            for serial, triggered_query, values, _, _, missing in islice(pending, MAX_RECORDED_QUERIES)
+        }
         # A list, because waits are removed in the loop.
         for serial in [serial for serial in self._waits if serial not in current]:
             self._record_wait(self._waits.pop(serial), now)
-        for serial, (_, question, values, _, _, missing) in current.items():
+        for serial, (triggered_query, values, missing) in current.items():
             if serial not in self._waits:
                 memories = [canonical_text(instance.id) for instance, _ in missing]
-                self._waits[serial] = _Wait(canonical_text(question.create_event(values)), memories, now)
+                self._waits[serial] = _Wait(
+                    canonical_text(triggered_query.create_event(values)), memories, now
+                )
 
     def _record_wait(self, wait: _Wait, now: int) -> None:
         self._write_record({"wait": wait.event, "memories": wait.memories, "start": wait.start, "end": now})
@@ -566,7 +579,7 @@ class RunRecorder:
         for wait in self._waits.values():
             self._record_wait(wait, now)
         self._waits.clear()
-        for memory in self._engine.status(MAX_RECORDED_QUERIES).memories:
+        for memory in self._engine.status(MAX_RECORDED_MEMORIES).memories:
             self._write_record(
                 {
                     "memory": memory.id,
@@ -580,7 +593,7 @@ class RunRecorder:
             )
 
 
-def output_record(output: Output) -> RunRecord:
+def make_output_record(output: Output) -> RunRecord:
     """Return the record of an output."""
     output_id = None if output.id is None else canonical_text(output.id)
     return {
@@ -615,7 +628,7 @@ class RunTable:
 
     Args:
         path: path of the file; an existing file is replaced.
-        events: if there are records other than outputs.
+        events: whether there are records other than outputs.
 
     Raises:
         BagError: if the Python package pyarrow is not available.

@@ -28,7 +28,12 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, beginning, printable
 from ..messages.decoder import Decoder
 from ..messages.encoder import Encoder
-from ..messages.transform_messages import TRANSFORM_TOPICS, TRANSFORM_TYPES, TransformReader
+from ..messages.transform_messages import (
+    STATIC_TRANSFORM_TOPIC,
+    TRANSFORM_TOPICS,
+    TRANSFORM_TYPES,
+    TransformReader,
+)
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import Term, functor
 from .connection_reader import read_in_batches
@@ -218,7 +223,7 @@ class RosInterface:
         """
         for topic in TRANSFORM_TOPICS:
             name = rospy.resolve_name(topic)
-            reader = TransformReader(topic == TRANSFORM_TOPICS[1])
+            reader = TransformReader(topic == STATIC_TRANSFORM_TOPIC)
             self._transform_topics[name] = InputTopic(
                 self._definitions,
                 name,

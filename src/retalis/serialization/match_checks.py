@@ -214,11 +214,11 @@ def check_lineage(graph: GraphReader) -> None:
     Raises:
         UsageError: if one does not.
     """
-    for suppressed in graph.objects(Suppressed):
+    for suppressed in graph.objects_of(Suppressed):
         if not _can_retry(suppressed.node, suppressed.match_or_pair):
             raise UsageError("a suppressed match does not fit its node")
     checked: Set[Tuple[int, int]] = set()
-    for tracked in graph.objects(Occurrence, RepetitionChain):
+    for tracked in graph.objects_of(Occurrence, RepetitionChain):
         for holder in tracked.dependents:
             if holder.__class__ is not tuple:
                 continue

@@ -167,6 +167,9 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _ColumnEncoding]]] = {
 }
 """Classes of objects by kind, with the encodings of their stored attributes. Other attributes are derived."""
 
+_ENCODINGS = {kind: encodings for kind, (_, encodings) in FIELDS.items()}
+"""Encodings of the stored attributes, by kind."""
+
 _KINDS = [*FIELDS, "no repetitions", "rule", "node"]
 """All kinds in the order of their codes. `NO_REPETITIONS`, rules and nodes exist before objects are read."""
 
@@ -210,7 +213,7 @@ class GraphWriter:
         """Return data in which objects are replaced by `Ref`."""
         return _map_objects(data, self._to_ref)
 
-    def number(self, item: Any) -> int:
+    def number_of(self, item: Any) -> int:
         """Return the number of an object."""
         number = self._numbers.get(id(item))
         if number is None:
@@ -237,11 +240,11 @@ class GraphWriter:
             by_kind[kind].append(item)
         for kind, objects in by_kind.items():
             self._objects[kind] += objects
-            for field, encoding in FIELDS[kind][1].items() if kind in FIELDS else ():
+            for field, encoding in _ENCODINGS.get(kind, {}).items():
                 values = map(attrgetter(field), objects)
                 column = self._columns[kind, field]
                 if encoding is _OBJECT:
-                    column += [None if value is None else self.number(value) for value in values]
+                    column += [None if value is None else self.number_of(value) for value in values]
                 elif encoding is _PARTS:
                     column += map(self._to_parts, values)
                 elif encoding is _MIXED:
@@ -254,9 +257,9 @@ class GraphWriter:
         kind = _KIND_BY_CLASS.get(item.__class__, "node")
         # Numbers of rules and nodes are assigned here, because those of deleted rules are not known before.
         if kind == "rule":
-            self._rule_number(item)
+            self._number_of_rule(item)
         elif kind == "node" and id(item) not in self._nodes:
-            self._rule_number(item.rule)
+            self._number_of_rule(item.rule)
         return kind
 
     def _encode_columns(self, kind: str) -> List[Any]:
@@ -264,11 +267,11 @@ class GraphWriter:
         if kind == "no repetitions":
             return []
         if kind == "rule":
-            return [[self._rule_number(rule) for rule in objects]]
+            return [[self._number_of_rule(rule) for rule in objects]]
         if kind == "node":
             return list(zip(*[self._nodes[id(node)] for node in objects]))
         columns: List[Any] = []
-        fields = FIELDS[kind][1]
+        fields = _ENCODINGS[kind]
         for field, encoding in fields.items():
             column: Any = self._columns.get((kind, field)) or list(map(attrgetter(field), objects))
             if field == "end" and "start" in fields and _are_starts(objects, column):
@@ -281,7 +284,7 @@ class GraphWriter:
             )
         return columns
 
-    def _rule_number(self, rule: EventRule) -> int:
+    def _number_of_rule(self, rule: EventRule) -> int:
         number = self._rule_numbers.get(id(rule))
         if number is None:
             number = len(self.rules)
@@ -292,7 +295,7 @@ class GraphWriter:
     def _to_ref(self, data: Any) -> Any:
         if not (data.__class__ in _KIND_BY_CLASS or isinstance(data, NetworkNode)):
             return data
-        number = self.number(data)
+        number = self.number_of(data)
         return self._refs.get(number) or self._refs.setdefault(number, Ref(number))
 
     def _to_parts(self, parts: Any) -> Any:
@@ -303,7 +306,7 @@ class GraphWriter:
     def _to_part(self, part: Any) -> Any:
         """Return the encoding of a part of a match, see `_ColumnEncoding.PARTS`."""
         if part.__class__ in _KIND_BY_CLASS:
-            return self.number(part)
+            return self.number_of(part)
         # `ComputedValues` is a sequence of one item already. A branch becomes one: its number is no number of an
         # object.
         return part if part.__class__ is ComputedValues else [part]
@@ -342,7 +345,7 @@ class GraphReader:
         objects_by_kind = {kind: self._create(kind, columns) for kind, columns in columns_by_kind.items()}
         numbers_by_kind = self._order_objects(objects_by_kind)
         # Most states have no partial matches.
-        checks = self._column_checks() if columns_by_kind else {}
+        checks = self._make_column_checks() if columns_by_kind else {}
         for kind, objects in objects_by_kind.items():
             if kind in FIELDS:
                 self._set_attributes(
@@ -354,7 +357,7 @@ class GraphReader:
                 for item in objects:
                     _COMPLETIONS[kind](item)
 
-    def objects(self, *object_classes: type) -> List[Any]:
+    def objects_of(self, *object_classes: type) -> List[Any]:
         """Return all objects of some classes."""
         return [item for item in self._objects if item.__class__ in object_classes]
 
@@ -363,7 +366,8 @@ class GraphReader:
         size = self._kinds.count(_CODES[kind])
         if kind in FIELDS:
             # An `EventMatch` has one slot for its interval and its order, which is assigned later.
-            object_class = PartialMatch if kind == "event match" else FIELDS[kind][0]
+            stored_class, _ = FIELDS[kind]
+            object_class = PartialMatch if kind == "event match" else stored_class
             return [object_class.__new__(object_class) for _ in range(size)]
         if kind == "no repetitions":
             tuple_of()(columns)
@@ -406,7 +410,7 @@ class GraphReader:
         if kind in MATCH_KINDS:
             for match in objects:
                 match.buffer = match.identity = None
-        fields = FIELDS[kind][1]
+        fields = _ENCODINGS[kind]
         values: Sequence[Any] = ()
         for field, check, column in zip(fields, checks, columns):
             try:
@@ -533,7 +537,7 @@ class GraphReader:
         (content,) = tuple_of(any_value)(value)
         return count(content) if content.__class__ is int else ComputedValues(_check_match_values(content))
 
-    def _column_checks(self) -> Dict[str, List[_ColumnCheck]]:
+    def _make_column_checks(self) -> Dict[str, List[_ColumnCheck]]:
         """Return the checks of the attributes of each kind of object, in the order of `FIELDS`."""
         self._read_parts = self.objects_by_number(
             *MATCH_KINDS, "repetition chain", "no repetitions", "buffer slice"
@@ -569,7 +573,7 @@ class GraphReader:
         first = self._object_column(*MATCH_KINDS, is_source=True)
         optional_match = self._object_column(*MATCH_KINDS, is_optional=True)
         log, node = self._object_column("log"), self._object_column("node")
-        # The order of the checks is that of the attributes in `FIELDS`.
+        # The order of the checks is that of the attributes in `FIELDS`. The groups `*(...)` only save lines.
         interval: List[_ColumnCheck] = [_instant_column, _instant_column]
         match = [
             *(_column(sequence_of(_check_match_values)), *interval, self._mixed_column(self.check_token)),
@@ -650,7 +654,7 @@ class GraphReader:
 
     def _check_acyclic(self) -> None:
         """Check that no object consists of itself, by a depth-first search with an explicit stack."""
-        # 1 while the objects that an object consists of are being visited, then 2.
+        # By object: 0 before the visit, 1 while the objects that it consists of are being visited, then 2.
         progress = bytearray(len(self._objects))
         for number in list(self._sources):
             stack = [number]
@@ -670,7 +674,7 @@ class GraphReader:
 
 
 def _complete_event_matches(matches: Sequence[Any]) -> None:
-    """Set the attributes of full matches of events that follow from the event or are not used."""
+    """Set the attributes of matches of single events that follow from the event or are not used."""
     for match in matches:
         match.values = match.term[1:]
         match.event = match.parts = match.consumed_by = None
@@ -679,11 +683,6 @@ def _complete_event_matches(matches: Sequence[Any]) -> None:
 def _are_starts(objects: Sequence[Any], ends: Sequence[Any]) -> bool:
     """Return whether the ends are the starts of the objects, compared by identity as in `encode_records`."""
     return all(map(is_, map(attrgetter("start"), objects), ends))
-
-
-def _complete_event_match(match: Any) -> None:
-    match.values = match.term[1:]
-    match.event = match.parts = match.consumed_by = None
 
 
 def _complete_match(match: Any) -> None:
@@ -721,7 +720,6 @@ def _check_repetition_chain(tracked: Any) -> None:
 
 
 _COMPLETIONS: Dict[str, Callable[[Any], None]] = {
-    "event match": _complete_event_match,
     "match": _complete_match,
     "run": _complete_run,
     "run cursor": _complete_cursor,
@@ -782,13 +780,13 @@ def _check_aggregate_state(value: Decoded) -> Decoded:
     return value
 
 
-def _map_objects(data: Any, change: Callable[[Any], Any]) -> Any:
+def _map_objects(data: Any, convert: Callable[[Any], Any]) -> Any:
     """Return data with a function applied to everything but sequences and terms; deques become lists."""
     data_class = data.__class__
     if data_class is tuple:
         if data and data[0].__class__ is Functor:
             return data
-        return tuple([_map_objects(item, change) for item in data])
+        return tuple([_map_objects(item, convert) for item in data])
     if data_class is list or data_class is deque:
-        return [_map_objects(item, change) for item in data]
-    return change(data)
+        return [_map_objects(item, convert) for item in data]
+    return convert(data)

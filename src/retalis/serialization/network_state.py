@@ -148,18 +148,20 @@ class StreamCheck:
         if isinstance(stream, Throttle):
             return tuple_of(instant, elements)(value)
         if isinstance(stream, DistinctUntilChanged):
-            state = tuple_of(sequence_of(instant), elements)(value)
-            if len(state[0]) != len(state[1]):
-                raise invalid_value(len(state[0]), f"{len(state[1])} instants")
+            state = instants, last_elements = tuple_of(sequence_of(instant), elements)(value)
+            if len(instants) != len(last_elements):
+                raise invalid_value(len(instants), f"{len(last_elements)} instants")
             return state
         if isinstance(stream, Debounce):
-            state = tuple_of(count, instant, elements)(value)
-            self._check_distinct(state[2], state[0])
+            state = last_order, _, waiting_elements = tuple_of(count, instant, elements)(value)
+            self._check_distinct(waiting_elements, last_order)
             return state
         if isinstance(stream, AbsenceTimeout):
+            # Channel 1 are the events that must not happen.
             forbidden_elements = sequence_of(lambda element: self.check_element(element, 1))
             state = tuple_of(count, instant, elements, forbidden_elements)(value)
-            self._check_distinct([*state[2], *state[3]], state[0])
+            last_order, _, waiting_elements, forbidding_elements = state
+            self._check_distinct([*waiting_elements, *forbidding_elements], last_order)
             return state
         # The remaining operators are windows, which have the same state except for the items appended here.
         window_time: List[ValueCheck] = (
@@ -172,13 +174,13 @@ class StreamCheck:
         checked_state = tuple_of(
             instant, next_end, count, count, sequence_of(keyed_window), *window_time, *future_elements
         )(value)
-        self._check_partitions(
-            [elements_of_key for _, elements_of_key in checked_state[4]],
-            sum(map(list, checked_state[6:]), []),
-            checked_state[3],
-        )
+        # See `KeyedWindows.snapshot`.
+        _, next_window_end, _, last_order, keyed_windows, *appended_items = checked_state
+        partitions = [elements_of_key for _, elements_of_key in keyed_windows]
+        elements_of_later_windows = appended_items[1] if isinstance(stream, HoppingWindow) else []
+        self._check_partitions(partitions, elements_of_later_windows, last_order)
         if isinstance(stream, HoppingWindow):
-            _check_next_window(stream, checked_state)
+            _check_next_window(stream, next_window_end, partitions, elements_of_later_windows)
         return checked_state
 
     def _check_partitions(
@@ -259,14 +261,18 @@ class _ComputationStateData(NamedTuple):
     preceding_matches: int
 
 
-def _check_next_window(stream: HoppingWindow, state: Decoded) -> None:
+def _check_next_window(
+    stream: HoppingWindow,
+    next_end: Optional[int],
+    partitions: List[List[StreamElement]],
+    future_elements: List[StreamElement],
+) -> None:
     """Check that the end of the next window is a multiple of the step and follows its elements.
 
     If the window is empty, the first element of a later window must end before it. Otherwise the clock would have to
     close many empty windows.
     """
-    next_end, future_elements = state[1], state[6]
-    elements = [element for _, elements_of_key in state[4] for element in elements_of_key]
+    elements = list(chain.from_iterable(partitions))
     if next_end is None:
         is_valid = not elements and not future_elements
     elif elements:
@@ -288,7 +294,11 @@ def _is_certain(nfa: RowPatternNFA, state: _ComputationStateData) -> bool:
 def check_rule_state(graph: GraphReader, rule: EventRule, value: Decoded) -> RuleState:
     """Check the state of a rule; see `EventRule.state`."""
     nodes = [node for node, _, _ in rule.nodes]
-    named_states = sequence_of(tuple_of(text, any_value))(items(value)[2]) if len(items(value)) == 7 else []
+    saved_fields = items(value)
+    # The record is checked below; here only the states of its nodes are needed.
+    has_all_fields = len(saved_fields) == len(RuleState._fields)
+    saved_nodes = RuleState(*saved_fields).nodes if has_all_fields else []
+    named_states = sequence_of(tuple_of(text, any_value))(saved_nodes)
     # A rule with the same text can be compiled to other nodes by another version of the package.
     if [type_name for type_name, _ in named_states] != [type(node).__name__ for node in nodes]:
         raise UsageError(f"{rule.name}: its nodes differ from those in the state")
@@ -398,20 +408,20 @@ def _make_stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     return tuple_of(stream.check_state, count, optional(replay))
 
 
-def snapshot_rules(rules: RuleBase, graph_rules: Sequence[EventRule]) -> Dict[str, Any]:
+def snapshot_rules(rules: RuleBase, referenced_rules: Sequence[EventRule]) -> Dict[str, Any]:
     """Return the definitions of rules, the properties of labels, and the flags.
 
     Args:
         rules: the rule base of the program.
-        graph_rules: rules that other data refers to. They include deleted rules with pending alarms.
+        referenced_rules: rules that other data refers to. They include deleted rules with pending alarms.
     """
-    active = set(rules.rules)
+    active_rules = set(rules.rules)
     definitions = [
         (
             *(rule.definition.term, rule.definition.label, rule.definition.place),
-            *(dict(rule.definition.names), rule.serial, rule.name, rule in active),
+            *(dict(rule.definition.names), rule.serial, rule.name, rule in active_rules),
         )
-        for rule in graph_rules
+        for rule in referenced_rules
     ]
     return {
         "definitions": definitions,
@@ -491,7 +501,7 @@ def _write_state(graph: GraphWriter, rule: EventRule) -> Any:
     state = rule.snapshot()
     matches, buffer_numbers, orders = state.arrivals
     # A rule can have many partial matches, so they are columns of numbers instead of references.
-    arrivals: Any = list(map(graph.number, matches)), buffer_numbers, orders
+    arrivals: Any = list(map(graph.number_of, matches)), buffer_numbers, orders
     other_fields = graph.write(tuple(state._replace(arrivals=([], [], []))))
     return tuple(RuleState(*other_fields)._replace(arrivals=arrivals))
 

@@ -197,9 +197,7 @@ _check_predicate_items = tuple_of(
 
 def _check_predicate(value: Decoded) -> Decoded:
     """Check a predicate and its clauses."""
-    predicate, properties, clauses = tuple_of(
-        functor, tuple_of(boolean, boolean, boolean, boolean), sequence_of(check_clause)
-    )(value)
+    predicate, properties, clauses = _check_predicate_items(value)
     for head, body, _ in clauses:
         arity = len(head) - 1 if head.__class__ is tuple else 0
         # A clause in the wrong predicate would be called with missing arguments.

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from retalis import Definitions, Reports
 from retalis.engine.runtime import clock_skew
-from retalis.engine.runtime.clock_skew import AGREEING_STAMPS, MAX_FRAMES, ClockSkewMonitor, RefusedMessage
+from retalis.engine.runtime.clock_skew import (
+    MAX_FRAMES,
+    MIN_AGREEING_STAMPS,
+    ClockSkewMonitor,
+    RefusedMessage,
+)
 
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
@@ -142,9 +147,9 @@ def test_a_clock_that_is_set_is_taken_up(strict, caplog):
     for at in range(20, 50):
         taken.append(strict.send(ROBOT - 5000 + at))
         strict.pass_time(1)
-    assert taken == [False] * (AGREEING_STAMPS - 1) + [True] * (31 - AGREEING_STAMPS)
+    assert taken == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (31 - MIN_AGREEING_STAMPS)
     assert len(said(caplog)) == 2
-    assert f"the last {AGREEING_STAMPS} stamps agree and are" in said(caplog)[1]
+    assert f"the last {MIN_AGREEING_STAMPS} stamps agree and are" in said(caplog)[1]
 
 
 def test_what_alternates_is_not_taken_up(strict):
@@ -157,7 +162,7 @@ def test_what_alternates_is_not_taken_up(strict):
 def test_a_first_stamp_that_is_wrong_does_not_last(strict):
     strict.send(ROBOT + 3600)
     taken = [strict.send(ROBOT + at / 10) for at in range(50)]
-    assert taken == [False] * (AGREEING_STAMPS - 1) + [True] * (51 - AGREEING_STAMPS)
+    assert taken == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (51 - MIN_AGREEING_STAMPS)
 
 
 def test_stamps_of_zero_say_nothing(strict):

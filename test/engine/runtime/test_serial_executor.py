@@ -4,7 +4,7 @@ import time
 import pytest
 
 from retalis import UsageError
-from retalis.engine.runtime.serial_executor import Recovery, Request, SerialExecutor
+from retalis.engine.runtime.serial_executor import QueuedCall, Recovery, SerialExecutor
 
 
 def make(size=100, **options):
@@ -428,7 +428,7 @@ def test_what_is_called_in_vain_is_not_done_later():
 
 def test_work_is_done_once_and_its_result_waits_for_the_caller():
     done = []
-    call = Request(lambda: done.append(1) or 7)
+    call = QueuedCall(lambda: done.append(1) or 7)
     assert not call.is_running
     call()
     call()
@@ -441,7 +441,7 @@ def test_an_interrupt_is_no_result_of_a_request():
     def interrupted():
         raise KeyboardInterrupt
 
-    call = Request(interrupted)
+    call = QueuedCall(interrupted)
     with pytest.raises(KeyboardInterrupt):
         call()
     with pytest.raises(KeyboardInterrupt):  # for the caller that waits, who may be another
@@ -450,20 +450,20 @@ def test_an_interrupt_is_no_result_of_a_request():
 
 def test_what_its_caller_has_given_up_is_not_done():
     done = []
-    call = Request(lambda: done.append(1))
+    call = QueuedCall(lambda: done.append(1))
     assert call.claim()
     call()
     assert (done, call.claim()) == ([], False)
 
 
 def test_work_that_an_interrupt_has_ended_anywhere_wakes_who_waits():
-    call = Request(lambda: None)
+    call = QueuedCall(lambda: None)
     waiting = threading.Thread(target=call.wait, args=(10,))
     waiting.start()
-    call.abandon()
+    call.finish_if_interrupted()
     assert not call.is_finished  # it has not begun
     call.claim()
-    call.abandon()
+    call.finish_if_interrupted()
     waiting.join(10)
     assert not waiting.is_alive()
     with pytest.raises(KeyboardInterrupt):

@@ -7,10 +7,10 @@ the same as the last one, or advanced by the real time, by the node's time, or b
 distance to the nearest prediction is the skew.
 
 A bag can be paused or played faster than real time, so the highest observed rate (pace) is a factor of the
-prediction. After `AGREEING_STAMPS` distant timestamps that agree with each other, the clock counts as set, and they
-become the reference. At a jump of time back, messages that were still queued belong to the epoch before (refused),
-and messages of the next epoch can precede the clock (`EarlyMessage`); both are recognized if the frame's timestamps
-followed the node's time before.
+prediction. After `MIN_AGREEING_STAMPS` distant timestamps that agree with each other, the clock counts as set, and
+they become the reference. At a jump of time back, messages that were still queued belong to the epoch before
+(refused), and messages of the next epoch can precede the clock (`EarlyMessage`); both are recognized if the frame's
+timestamps followed the node's time before.
 """
 
 import time
@@ -19,7 +19,7 @@ from typing import Callable, Dict, Iterator, List, Optional
 from ...foundation.bounded_caches import Cache
 from ...foundation.errors import beginning, printable
 from ...messages.decoder import Decoder
-from ...messages.header_stamps import FrameStamp, frame_text, make_observed_decoder
+from ...messages.header_stamps import FrameStamp, format_frame_key, make_observed_decoder
 from ...prolog.terms.timestamps import SECOND
 from .clock import JUMP
 from .problem_reports import Reports
@@ -27,7 +27,7 @@ from .problem_reports import Reports
 MAX_UNREPORTED_SKEW_NS = 10 * SECOND
 """Maximum distance in ns of a timestamp from a prediction without a warning; ``max_distance_seconds`` may be less."""
 
-AGREEING_STAMPS = 10
+MIN_AGREEING_STAMPS = 10
 """Number of consecutive distant timestamps in agreement after which the clock counts as set."""
 
 MAX_UNKNOWN_PACE = 10.0
@@ -45,6 +45,9 @@ MAX_FRAMES = 5000
 
 MAX_FRAME_BYTES = 16 << 20
 """Maximum memory in bytes for the frames of all topics, and separately for those of the previous epoch."""
+
+_FRAME_BYTES = 500
+"""Estimated memory of a frame in bytes, in addition to its key."""
 
 MAX_TOPICS = 1000
 """Maximum number of topics; when it is reached, all frames are removed."""
@@ -68,17 +71,18 @@ class FrameClock:
         second: second of the last timestamp if messages of the same second need no check; negative if all need one.
         stamp: last timestamp.
         now: node's time at its receipt, which may be simulated.
-        wall: monotonic real time at its receipt.
+        real_time: monotonic time at its receipt, which is not simulated.
         progress: progress of the timestamps of all topics at its receipt.
         pace: highest rate of timestamps relative to real time; None if unknown.
-        pace_origin: timestamp and real time from which the pace is measured.
+        pace_start_stamp: timestamp from which the pace is measured.
+        pace_start: real time of its receipt.
         candidate: first of consecutive distant timestamps that agree with each other.
         agreeing_count: number of these.
         is_reported: whether a warning was logged.
-        min_ahead: minimum of timestamp minus node's time at receipt, negative if behind.
-        max_ahead: maximum of this difference.
+        min_offset: minimum offset, which is a timestamp minus the node's time at its receipt; negative if behind.
+        max_offset: maximum offset.
         comparison_time: node's time at the receipt that later ones are compared with; 0 before the node has a time.
-        ahead: timestamp minus node's time at that receipt.
+        comparison_offset: timestamp minus node's time at that receipt.
         follows_clock: whether the timestamps have advanced like the node's time.
         accepted_count: number of timestamps that fitted.
     """
@@ -87,44 +91,45 @@ class FrameClock:
         "second",
         "stamp",
         "now",
-        "wall",
+        "real_time",
         "progress",
         "pace",
-        "pace_origin",
+        "pace_start_stamp",
+        "pace_start",
         "candidate",
         "agreeing_count",
         "is_reported",
-        "min_ahead",
-        "max_ahead",
+        "min_offset",
+        "max_offset",
         "comparison_time",
-        "ahead",
+        "comparison_offset",
         "follows_clock",
         "accepted_count",
     )
 
-    def __init__(self, stamp: int, now: int, wall: int, progress: int):
+    def __init__(self, stamp: int, now: int, real_time: int, progress: int):
         self.second = _UNKNOWN_SECOND
         self.stamp = stamp
         self.now = now
-        self.wall = wall
+        self.real_time = real_time
         self.progress = progress
         self.pace: Optional[float] = None
-        self.pace_origin = stamp, wall
+        self.pace_start_stamp, self.pace_start = stamp, real_time
         self.candidate: Optional[FrameClock] = None
         self.agreeing_count = self.accepted_count = 0
         self.is_reported = self.follows_clock = False
         self.comparison_time = now
-        self.min_ahead = self.max_ahead = self.ahead = stamp - now
+        self.min_offset = self.max_offset = self.comparison_offset = stamp - now
 
-    def distance_from_prediction(self, stamp: int, now: int, wall: int, progress: int) -> int:
+    def distance_from_prediction(self, stamp: int, now: int, real_time: int, progress: int) -> int:
         """Return the signed distance of a timestamp from the nearest prediction, in ns; positive if later.
 
         Predictions are the last timestamp, and the last one advanced by the time that has passed by one of the clocks
-        or on other topics. A bag may be paused and may be played at another rate, so any timestamp up to the passed
-        real time times the highest measured pace fits; times `MAX_UNKNOWN_PACE` if the pace is
-        unknown, or if a pause of the bag may have hidden it.
+        or on other topics. A bag may be paused, and may be played at another rate. Any timestamp therefore fits that
+        has advanced by at most the passed real time multiplied by the highest measured pace, or by
+        `MAX_UNKNOWN_PACE` if the pace is unknown, or if a pause of the bag may have hidden it (after a second).
         """
-        step, elapsed = stamp - self.stamp, wall - self.wall
+        step, elapsed = stamp - self.stamp, real_time - self.real_time
         if 0 <= step <= elapsed * (MAX_UNKNOWN_PACE if elapsed >= SECOND or self.pace is None else self.pace):
             return 0
         return min(
@@ -132,16 +137,25 @@ class FrameClock:
             key=abs,
         )
 
-    def accept(self, stamp: int, now: int, wall: int, checks_all: bool) -> None:
-        """Record a timestamp that fits."""
+    def accept(self, stamp: int, now: int, real_time: int, checks_all: bool) -> None:
+        """Record a timestamp that fits.
+
+        Args:
+            stamp: the timestamp.
+            now: node's time.
+            real_time: monotonic time.
+            checks_all: whether later messages of the same second must be checked, too.
+        """
         # The pace is measured over at least half a second, because single intervals vary with the machine's load.
-        elapsed = wall - self.pace_origin[1]
+        elapsed = real_time - self.pace_start
         if elapsed >= SECOND // 2:
-            self.pace = max(self.pace or 1.0, min((stamp - self.pace_origin[0]) / elapsed, MAX_UNKNOWN_PACE))
-            self.pace_origin = stamp, wall
+            self.pace = max(
+                self.pace or 1.0, min((stamp - self.pace_start_stamp) / elapsed, MAX_UNKNOWN_PACE)
+            )
+            self.pace_start_stamp, self.pace_start = stamp, real_time
         self._update_clock_offset(stamp, now)
         self.progress += stamp - self.stamp
-        self.stamp, self.now, self.wall = stamp, now, wall
+        self.stamp, self.now, self.real_time = stamp, now, real_time
         self.accepted_count += 1
         # The decoder skips messages of the same second as the last one, once enough is known about the frame.
         self.second = (
@@ -152,67 +166,67 @@ class FrameClock:
         self.candidate, self.agreeing_count = None, 0
 
     def _update_clock_offset(self, stamp: int, now: int) -> None:
-        """Update the differences to the node's time, and decide whether timestamps advance like it.
+        """Update the offsets from the node's time, and decide whether timestamps advance like it.
 
         A busy machine delays messages, so that their timestamps seem to lag. A lagging timestamp therefore means
         nothing. One that is further ahead than before means that earlier ones were delayed, or that the timestamps
         advance too fast.
         """
-        ahead = stamp - now
+        offset = stamp - now
         # The node had no time at the first receipt.
         if not self.comparison_time:
             self.comparison_time = now
-            self.min_ahead = self.max_ahead = self.ahead = ahead
+            self.min_offset = self.max_offset = self.comparison_offset = offset
         elapsed = now - self.comparison_time
-        self.min_ahead, self.max_ahead = min(self.min_ahead, ahead), max(self.max_ahead, ahead)
+        self.min_offset, self.max_offset = min(self.min_offset, offset), max(self.max_offset, offset)
         # The message was accepted although it goes back, so the publisher's clock was set, and time did not go back.
         if stamp < self.stamp - JUMP:
-            self.comparison_time, self.ahead, self.follows_clock = now, ahead, False
-        elif not self.follows_clock and ahead > self.ahead + elapsed / 4:
-            self.comparison_time, self.ahead = now, ahead
+            self.comparison_time, self.comparison_offset, self.follows_clock = now, offset, False
+        elif not self.follows_clock and offset > self.comparison_offset + elapsed / 4:
+            self.comparison_time, self.comparison_offset = now, offset
         elif not self.follows_clock and elapsed >= MIN_FOLLOW_NS:
-            self.follows_clock = ahead >= self.ahead - elapsed / 4
+            self.follows_clock = offset >= self.comparison_offset - elapsed / 4
 
     def is_early(self, stamp: int, now: int) -> bool:
         """Return whether a timestamp goes back, and is further behind the node's time than any before.
 
         It may belong to the next epoch then.
         """
-        return stamp < self.stamp - JUMP and stamp - now < self.min_ahead - JUMP and self.follows_clock
+        return stamp < self.stamp - JUMP and stamp - now < self.min_offset - JUMP and self.follows_clock
 
     def continues_epoch(self, stamp: int, end: int, now: int) -> bool:
         """Return whether a timestamp continues the epoch that ended at ``end``: it is ahead of the present time."""
         is_continuation = (
-            self.stamp <= stamp <= end + self.max_ahead + JUMP + (self.max_ahead - self.min_ahead)
+            self.stamp <= stamp <= end + self.max_offset + JUMP + (self.max_offset - self.min_offset)
         )
-        return is_continuation and stamp - now > self.max_ahead + JUMP and self.follows_clock
+        return is_continuation and stamp - now > self.max_offset + JUMP and self.follows_clock
 
-    def add_distant(self, stamp: int, now: int, wall: int, progress: int, max_distance: int) -> bool:
+    def add_distant(self, stamp: int, now: int, real_time: int, progress: int, max_distance: int) -> bool:
         """Record a distant timestamp; return whether enough consecutive ones agree."""
         reference = self.candidate
         if (
             reference is not None
-            and abs(reference.distance_from_prediction(stamp, now, wall, progress)) <= max_distance
+            and abs(reference.distance_from_prediction(stamp, now, real_time, progress)) <= max_distance
         ):
             self.agreeing_count += 1
-            reference.accept(stamp, now, wall, True)
+            reference.accept(stamp, now, real_time, True)
         else:
-            self.candidate, self.agreeing_count = FrameClock(stamp, now, wall, progress), 1
+            self.candidate, self.agreeing_count = FrameClock(stamp, now, real_time, progress), 1
         self.second = _UNKNOWN_SECOND
-        return self.agreeing_count >= AGREEING_STAMPS
+        return self.agreeing_count >= MIN_AGREEING_STAMPS
 
 
-class TopicTimes(Cache[bytes, FrameClock]):
-    """Timestamps of a topic, by the bytes of the frame id.
+class TopicFrames(Cache[bytes, FrameClock]):
+    """Frames of a topic, by the bytes of their ids.
 
     Attributes:
         name: name of the topic.
         previous_frames: frames of the previous epoch that have not occurred in the present one.
         distant_count: number of messages with a distant timestamp.
         refused_count: number of these that were refused.
-        first_distance: distance of the first frame that was warned of.
+        first_distance: distance in ns in the first warning about a frame; None if there was none.
         are_all_reported: whether a warning about other frames at the same distance was logged.
-        reported_step: step of the last setting of the clock that was reported.
+        reported_step: step in ns in the last warning about a clock that was set; None if there was none.
     """
 
     __slots__ = (
@@ -250,7 +264,7 @@ class ClockSkewMonitor:
     Args:
         reports: receives a warning per topic and frame.
         now: returns the node's time.
-        wall: returns monotonic real time.
+        real_time: returns the monotonic time in ns, which is not simulated.
         max_distance_seconds: distance in seconds from which messages are refused; None for no limit.
         buffers_early_messages: returns whether messages may be delayed as `EarlyMessage`.
     """
@@ -259,13 +273,13 @@ class ClockSkewMonitor:
         self,
         reports: Reports,
         now: Callable[[], int],
-        wall: Callable[[], int] = time.monotonic_ns,
+        real_time: Callable[[], int] = time.monotonic_ns,
         max_distance_seconds: Optional[float] = None,
         buffers_early_messages: Callable[[], bool] = lambda: False,
     ):
         self._reports = reports
         self._now = now
-        self._wall = wall
+        self._wall = real_time
         self._max_distance = None if max_distance_seconds is None else round(max_distance_seconds * SECOND)
         self._max_skew = (
             MAX_UNREPORTED_SKEW_NS
@@ -273,42 +287,42 @@ class ClockSkewMonitor:
             else min(MAX_UNREPORTED_SKEW_NS, self._max_distance)
         )
         self._checks_all = self._max_skew < MAX_UNREPORTED_SKEW_NS
-        self._topics: Dict[str, TopicTimes] = {}
+        self._topics: Dict[str, TopicFrames] = {}
         self._progress = 0
         self._buffers_early_messages = buffers_early_messages
-        self._previous_end = 0
+        self._previous_epoch_end = 0
         self._frame_bytes = 0
 
-    def __iter__(self) -> Iterator[TopicTimes]:
+    def __iter__(self) -> Iterator[TopicFrames]:
         return iter(list(self._topics.values()))
 
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
         """Return a decoder that also checks the timestamps of each message.
 
-        Callers must call both `decode` and `stamp`.
-        The check raises `RefusedMessage` for a message to be dropped, and `EarlyMessage` for one to be delayed.
+        The caller must call both `decode` and `stamp`, because the check is in one of them. The check raises
+        `RefusedMessage` for a message to be dropped, and `EarlyMessage` for one to be delayed.
 
         Args:
             decoder: decoder of the message type.
             topic: name of the topic.
             publisher: name of the publisher, for warnings.
         """
-        times = self._topics.get(topic)
-        if times is None:
+        frames = self._topics.get(topic)
+        if frames is None:
             if len(self._topics) >= MAX_TOPICS:
                 # Also invalidates the references that existing decoders hold.
                 self.reset()
                 self._topics.clear()
-            times = self._topics[topic] = TopicTimes(topic)
-        topic_times = times
+            frames = self._topics[topic] = TopicFrames(topic)
+        topic_frames = frames
         return make_observed_decoder(
-            decoder, topic_times, lambda stamps: self._check_message(topic_times, publisher, stamps)
+            decoder, topic_frames, lambda stamps: self._check_message(topic_frames, publisher, stamps)
         )
 
     def reset(self) -> None:
         """Remove all frames, because another stream begins."""
-        for times in self:
-            times.previous_frames = {}
+        for frames in self:
+            frames.previous_frames = {}
         self._clear()
 
     def begin_epoch(self, previous_end: int) -> None:
@@ -317,108 +331,109 @@ class ClockSkewMonitor:
         Args:
             previous_end: last instant of the previous epoch; messages that continue it are refused.
         """
-        self._previous_end = previous_end
-        for times in self:
-            times.previous_frames = dict(times)
+        self._previous_epoch_end = previous_end
+        for frames in self:
+            frames.previous_frames = dict(frames)
         self._clear()
 
     def _clear(self) -> None:
-        for times in self:
-            times.clear()
+        for frames in self:
+            frames.clear()
         self._frame_bytes = 0
 
     def log_counts(self) -> None:
         """Log the number of messages with distant timestamps per topic, if more than one."""
-        for times in self:
-            if times.distant_count > 1:
-                refused = f", {times.refused_count} of them dropped" if times.refused_count else ""
+        for frames in self:
+            if frames.distant_count > 1:
+                refused = f", {frames.refused_count} of them dropped" if frames.refused_count else ""
                 self._reports.warning(
-                    f"topic {times.name}: {times.distant_count} messages in all "
+                    f"topic {frames.name}: {frames.distant_count} messages in all "
                     f"had a stamp far from those before{refused}"
                 )
 
-    def _check_message(self, times: TopicTimes, publisher: str, stamps: List[FrameStamp]) -> None:
+    def _check_message(self, frames: TopicFrames, publisher: str, stamps: List[FrameStamp]) -> None:
         """Check the timestamps of a message.
 
         Raises:
             RefusedMessage: if a timestamp is too far away, or belongs to the previous epoch.
             EarlyMessage: if a timestamp may belong to the next epoch.
         """
-        now, wall = self._now(), self._wall()
+        now, real_time = self._now(), self._wall()
         farthest = 0
-        self._check_epoch(times, stamps, now)
+        self._check_epoch(frames, stamps, now)
         for key, stamp in stamps:
-            frame = times.get(key)
+            frame = frames.get(key)
             if frame is None:
-                self._store_frame(times, key, FrameClock(stamp, now, wall, self._progress))
+                self._store_frame(frames, key, FrameClock(stamp, now, real_time, self._progress))
                 continue
             # Most timestamps are near the last one, which saves the full prediction.
             max_skew, distance = self._max_skew, stamp - frame.stamp
             if not -max_skew <= distance <= max_skew:
-                distance = frame.distance_from_prediction(stamp, now, wall, self._progress)
+                distance = frame.distance_from_prediction(stamp, now, real_time, self._progress)
             if not -max_skew <= distance <= max_skew:
-                if not frame.add_distant(stamp, now, wall, self._progress, self._max_skew):
+                if not frame.add_distant(stamp, now, real_time, self._progress, self._max_skew):
                     farthest = max(farthest, abs(distance))
-                    self._warn_about_distance(times, frame, key, distance, publisher)
+                    self._warn_about_distance(frames, frame, key, distance, publisher)
                     continue
-                self._warn_about_set_clock(times, key, stamp - frame.stamp)
+                self._warn_about_set_clock(frames, key, stamp - frame.stamp)
                 # A set clock is a step and not progress, so the common progress must not follow it.
-                frame.stamp, frame.pace_origin = stamp, (stamp, wall)
-            frame.accept(stamp, now, wall, self._checks_all)
+                frame.stamp = frame.pace_start_stamp = stamp
+                frame.pace_start = real_time
+            frame.accept(stamp, now, real_time, self._checks_all)
             if frame.progress > self._progress:
                 self._progress = frame.progress
         if farthest:
-            times.distant_count += 1
+            frames.distant_count += 1
             if self._max_distance is not None and farthest > self._max_distance:
-                times.refused_count += 1
+                frames.refused_count += 1
                 raise RefusedMessage
 
-    def _check_epoch(self, times: TopicTimes, stamps: List[FrameStamp], now: int) -> None:
+    def _check_epoch(self, frames: TopicFrames, stamps: List[FrameStamp], now: int) -> None:
         """Check whether a message belongs to another epoch.
 
         Raises:
             RefusedMessage: if it belongs to the previous epoch.
             EarlyMessage: if it may belong to the next epoch.
         """
-        previous_frames = times.previous_frames
+        previous_frames = frames.previous_frames
         for key, stamp in stamps:
-            frame = times.get(key)
+            frame = frames.get(key)
             if frame is not None and frame.is_early(stamp, now) and self._buffers_early_messages():
                 raise EarlyMessage
             previous_frame = previous_frames.get(key) if previous_frames else None
             if previous_frame is None:
                 continue
-            if previous_frame.continues_epoch(stamp, self._previous_end, now):
+            if previous_frame.continues_epoch(stamp, self._previous_epoch_end, now):
                 self._reports.warning(
-                    f"a message on {times.name} is dropped: it is of the time before the clock went back",
-                    ("left over", times.name),
+                    f"a message on {frames.name} is dropped: it is of the time before the clock went back",
+                    ("left over", frames.name),
                 )
                 raise RefusedMessage
             # The frame has occurred in the present epoch.
             del previous_frames[key]
 
-    def _store_frame(self, times: TopicTimes, key: bytes, frame: FrameClock) -> None:
+    def _store_frame(self, frames: TopicFrames, key: bytes, frame: FrameClock) -> None:
         """Store a frame. If the frames of all topics exceed the limit together, all are removed."""
-        bytes_before = times.total_bytes
-        times.store(key, frame, 2 * len(key) + 500)
-        self._frame_bytes += times.total_bytes - bytes_before
+        bytes_before = frames.total_bytes
+        frames.store(key, frame, _FRAME_BYTES + 2 * len(key))
+        self._frame_bytes += frames.total_bytes - bytes_before
         if self._frame_bytes > MAX_FRAME_BYTES:
             self._clear()
-            times.store(key, frame, 2 * len(key) + 500)
-            self._frame_bytes = times.total_bytes
+            frames.store(key, frame, _FRAME_BYTES + 2 * len(key))
+            self._frame_bytes = frames.total_bytes
 
     def _warn_about_distance(
-        self, times: TopicTimes, frame: FrameClock, key: bytes, distance: int, publisher: str
+        self, frames: TopicFrames, frame: FrameClock, key: bytes, distance: int, publisher: str
     ) -> None:
         if frame.is_reported:
             return
         frame.is_reported = True
-        topic = times.name
-        if times.first_distance is None:
-            times.first_distance = distance
+        topic = frames.name
+        if frames.first_distance is None:
+            frames.first_distance = distance
         # If the clock of the publisher was set, all of its frames are equally far; one warning covers them.
-        elif abs(times.first_distance - distance) <= MAX_UNREPORTED_SKEW_NS:
-            self._warn_about_all_frames(times, distance)
+        elif abs(frames.first_distance - distance) <= MAX_UNREPORTED_SKEW_NS:
+            self._warn_about_all_frames(frames, distance)
             return
         place = f"topic {topic}, frame {_format_frame_name(key)}"
         origin = f" from {printable(beginning(publisher))}" if publisher else ""
@@ -433,27 +448,27 @@ class ClockSkewMonitor:
             texts=MAX_NAMED_FRAMES,
         )
 
-    def _warn_about_all_frames(self, times: TopicTimes, distance: int) -> None:
-        if times.are_all_reported:
+    def _warn_about_all_frames(self, frames: TopicFrames, distance: int) -> None:
+        if frames.are_all_reported:
             return
-        times.are_all_reported = True
+        frames.are_all_reported = True
         cause = "a bag that is played again without /clock, or a clock" if distance < 0 else "a clock"
         self._reports.warning(
-            f"topic {times.name}: the stamps of other frames are {_format_distance(distance)} those before them too, "
-            f"as by {cause} that was set; such frames are not named"
+            f"topic {frames.name}: the stamps of other frames are {_format_distance(distance)} those before them "
+            f"too, as by {cause} that was set; such frames are not named"
         )
 
-    def _warn_about_set_clock(self, times: TopicTimes, key: bytes, step: int) -> None:
+    def _warn_about_set_clock(self, frames: TopicFrames, key: bytes, step: int) -> None:
         if (
-            times.are_all_reported
-            and times.reported_step is not None
-            and abs(times.reported_step - step) <= MAX_UNREPORTED_SKEW_NS
+            frames.are_all_reported
+            and frames.reported_step is not None
+            and abs(frames.reported_step - step) <= MAX_UNREPORTED_SKEW_NS
         ):
             return
-        times.reported_step = step
-        topic = times.name
+        frames.reported_step = step
+        topic = frames.name
         self._reports.warning(
-            f"topic {topic}, frame {_format_frame_name(key)}: the last {AGREEING_STAMPS} stamps agree and are "
+            f"topic {topic}, frame {_format_frame_name(key)}: the last {MIN_AGREEING_STAMPS} stamps agree and are "
             f"{_format_distance(step)} those before them; they count as correct from now on",
             ("set clock", topic),
             texts=MAX_NAMED_FRAMES,
@@ -465,7 +480,7 @@ MAX_NAMED_FRAMES = 20
 
 
 def _format_frame_name(key: bytes) -> str:
-    return printable(beginning(frame_text(key))) or "without a name"
+    return printable(beginning(format_frame_key(key))) or "without a name"
 
 
 def _format_distance(distance: int) -> str:

@@ -33,12 +33,12 @@ from ...prolog.system.prolog_system import (
 )
 from ...prolog.terms.types import atom
 
-REQUEST = atom("a request")
-"""Name of unnamed work in warnings about its duration."""
+UNNAMED_REQUEST = atom("a request")
+"""Name, in warnings about its duration, of work that has no name of its own."""
 
 
-class Request:
-    """A unit of work whose caller waits for the result.
+class QueuedCall:
+    """A unit of work that waits for the working thread: a call of another thread, or work scheduled by `call_next`.
 
     Args:
         work: function that does the work.
@@ -48,7 +48,9 @@ class Request:
     def __init__(self, work: Callable[[], object], entry: object = None):
         self._work = work
         self.entry = (work,) if entry is None else entry
-        self._ticket = [None]  # popped once: by the thread that runs the call, or by the one that abandons it
+        self._ticket = [
+            None
+        ]  # popped once: by the thread that does the work, or by the caller if it no longer waits
         self._state_changed = threading.Event()
         self._result: object = None
         self.error: Optional[BaseException] = None
@@ -69,7 +71,7 @@ class Request:
             self.finish()
 
     def claim(self) -> bool:
-        """Claim the call. Return False if another thread has claimed it."""
+        """Claim the call, so that no other thread does its work. Return False if another thread has claimed it."""
         try:
             self._ticket.pop()
         except IndexError:
@@ -86,8 +88,8 @@ class Request:
         """True while the work is in progress."""
         return not self._ticket and not self.is_finished
 
-    def abandon(self) -> None:
-        """Mark a call as done whose work was ended by an interrupt."""
+    def finish_if_interrupted(self) -> None:
+        """Mark the call as done if its work has begun, because an interrupt has ended it."""
         if self.is_running:
             self.error = self.error or KeyboardInterrupt()
             self.finish()
@@ -97,7 +99,7 @@ class Request:
         self._state_changed.set()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until the call is done or `wake` is called. Return False after the timeout."""
+        """Wait until the call is done or `wake` is called; return False after the timeout in seconds."""
         was_signalled = self._state_changed.wait(seconds)
         self._state_changed.clear()
         return was_signalled or self.is_finished
@@ -121,7 +123,7 @@ FULL_QUEUE_WAIT_SECONDS = 1.0
 
 
 class Recovery:
-    """Return to an earlier state after an error or an interrupt. This base class is for work without state."""
+    """Restoration of an earlier state after an error or an interrupt. This base class is for work without state."""
 
     def state(self) -> object:
         """Return the current state, for `restore`."""
@@ -163,9 +165,9 @@ class SerialExecutor:
     ):
         self._size = size
         self._queue: Deque[Tuple[Callable[..., object], Tuple[object, ...]]] = deque()
-        self._calls: Deque[Request] = deque()
+        self._calls: Deque[QueuedCall] = deque()
         self._lock = threading.RLock()
-        self._running: Optional[int] = None
+        self._working_thread: Optional[int] = None
         """The working thread. If it is set although the lock is free, the last work was interrupted."""
         self._waits_for_room = True
         """True if `post` waits for room in the queue; False after a timeout until the queue has been empty."""
@@ -189,22 +191,22 @@ class SerialExecutor:
     @property
     def thread(self) -> Optional[int]:
         """The working thread; None if the executor is idle."""
-        return self._running
+        return self._working_thread
 
     def post(self, work: Callable[..., object], *arguments: object) -> None:
-        """Do work now if the executor is idle, otherwise queue it."""
+        """Do work now if the executor is idle, otherwise queue it. Errors of the work are passed to ``on_error``."""
         this_thread = _thread_id()
-        if self._running == this_thread and self._is_nested():
+        if self._working_thread == this_thread and self._is_nested():
             self._append(work, arguments)
             return
         try:
             if not self._queue and not self._calls and self._lock.acquire(False):
-                if self._running is not None:
+                if self._working_thread is not None:
                     self._restore(True)
                 self.entry = arguments
-                self._running = this_thread
+                self._working_thread = this_thread
                 work(*arguments)
-                self._running = None
+                self._working_thread = None
                 self._lock.release()
             else:
                 self._append(work, arguments)
@@ -228,7 +230,7 @@ class SerialExecutor:
         """
         this_thread = _thread_id()
         remaining = iter(entries)
-        if self._running == this_thread and self._is_nested():
+        if self._working_thread == this_thread and self._is_nested():
             for first, second in remaining:
                 self._append(work, (first, second))
             return
@@ -236,7 +238,7 @@ class SerialExecutor:
             while self._post_under_lock(work, remaining):
                 pass
         except Exception as error:  # raised by the iterator: all entries before it are done
-            self._handle_failed_work(error, lambda error: None)
+            self._handle_failed_work(error, _ignore_error)
             raise
         except BaseException:
             self._return_to_idle()
@@ -260,9 +262,9 @@ class SerialExecutor:
                 self._append(work, (first, second))
             self._process_if_free()
             return entry is not None
-        if self._running is not None:
+        if self._working_thread is not None:
             self._restore(True)
-        self._running = _thread_id()
+        self._working_thread = _thread_id()
         entries_remain = False
         for first, second in remaining:
             self.entry = first, second  # a new tuple for each entry: the limits compare by identity
@@ -291,30 +293,33 @@ class SerialExecutor:
                 callback may wait for this thread.
         """
         this_thread = _thread_id()
-        if self._running == this_thread and self._is_nested():
+        if self._working_thread == this_thread and self._is_nested():
             return self._call_nested(work)
         try:
             if self._calls or not self._lock.acquire(False):
                 return self._wait_for_call(work, entry)
-            if self._running is not None:
+            if self._working_thread is not None:
                 self._restore(True)
             self.entry = (work,) if entry is None else entry
-            self._running = this_thread
+            self._working_thread = this_thread
             result = work()
             self._release()
             return result
         except Exception as error:
-            self._handle_failed_work(error, lambda error: None)
+            self._handle_failed_work(error, _ignore_error)
             raise
         except BaseException:
             self._return_to_idle()
             raise
 
     def _handle_failed_work(self, error: Exception, report: Callable[[Exception], None]) -> None:
-        """Return to the idle state after an error of this thread's work, and work off the queue."""
+        """Return to the idle state after an error of this thread's work, and work off the queue.
+
+        If this thread does not work, the error was raised before its work began, and there is nothing to restore.
+        """
         # A second `try` inside the calling methods would have a gap between both, in which an interrupt is lost.
         try:
-            if self._running == _thread_id():
+            if self._working_thread == _thread_id():
                 self._restore(is_unexpected(error))
                 report(error)
                 self._release()
@@ -323,6 +328,7 @@ class SerialExecutor:
             raise
 
     def _call_nested(self, work: Callable[[], _Result]) -> _Result:
+        """Do work as a part of the current work; after an error, return to the state at its start."""
         state = self._recovery.state()
         try:
             return work()
@@ -333,13 +339,13 @@ class SerialExecutor:
     def call_next(self, work: Callable[[], object]) -> None:
         """Schedule work directly after the current one; called from inside of work."""
         calls = self._calls
-        call = Request(work)
+        call = QueuedCall(work)
         call.is_follow_up = True
         calls.insert(1 if calls and calls[0].is_running else 0, call)
 
     def _wait_for_call(self, work: Callable[[], _Result], entry: object) -> _Result:
         """Pass a call to the working thread and wait for its result."""
-        call = Request(work, entry)
+        call = QueuedCall(work, entry)
         self._calls.append(call)
         try:
             self._process_if_free()
@@ -358,7 +364,8 @@ class SerialExecutor:
         result: _Result = call.result()
         return result
 
-    def _fail_waiting_call(self, call: Request, callback: Tuple[str]) -> None:
+    def _fail_waiting_call(self, call: QueuedCall, callback: Tuple[str]) -> None:
+        """Raise an error in the waiting thread, unless the work of its call has begun."""
         if call.claim():
             raise UsageError(
                 f"the engine has been in {callback[0]} for {self._callback_timeout:g} s or longer and may be waiting"
@@ -368,11 +375,12 @@ class SerialExecutor:
     def _is_nested(self) -> bool:
         """Return whether a caller of this method already runs work of this executor.
 
-        If not, the thread id in `_running` remains from interrupted work, and the executor returns to the idle state.
+        If not, the thread id in `_working_thread` remains from interrupted work, and the executor returns to the idle
+        state.
         """
         frame: Optional[FrameType] = sys._getframe(2)
         while frame is not None:
-            if frame.f_code in _WORKING_CODE and frame.f_locals.get("self") is self:
+            if frame.f_code in _CODE_OF_WORKING_METHODS and frame.f_locals.get("self") is self:
                 return True
             frame = frame.f_back
         self._return_to_idle()
@@ -386,10 +394,10 @@ class SerialExecutor:
     def _make_room(self) -> None:
         """Wait for room in the queue, or work it off; drop the oldest entry if there is no progress.
 
-        The wait is the backpressure of the engine: a connection that is not read fills up and blocks its publisher,
-        so a burst of messages loses nothing.
+        The wait is the backpressure of the engine: meanwhile the caller's connection is not read, so TCP slows down
+        the publisher, and a short burst of messages loses none.
         """
-        if self._waits_for_room and self._running != _thread_id():
+        if self._waits_for_room and self._working_thread != _thread_id():
             while len(self._queue) >= self._size:
                 oldest = self._oldest_entry()
                 if self._lock.acquire(timeout=FULL_QUEUE_WAIT_SECONDS):
@@ -419,6 +427,7 @@ class SerialExecutor:
         self._on_drop(self.dropped)
 
     def _process_if_free(self) -> None:
+        """Do all queued work, unless another thread works."""
         # Repeated after each release: a thread that found the lock taken may have appended work just before.
         while self._queue or self._calls:
             if not self._lock.acquire(False):
@@ -427,16 +436,16 @@ class SerialExecutor:
 
     def _release(self) -> None:
         """Release the lock, and do the work that arrived in the meantime."""
-        self._running = None
+        self._working_thread = None
         self._lock.release()
         if self._queue or self._calls:
             self._process_if_free()
 
     def _process_queue(self) -> None:
         """Do all queued work and release the lock, which the caller has acquired."""
-        if self._running is not None:
+        if self._working_thread is not None:
             self._restore(True)
-        self._running = _thread_id()
+        self._working_thread = _thread_id()
         queue, calls = self._queue, self._calls
         while True:
             if calls:
@@ -444,6 +453,7 @@ class SerialExecutor:
                 calls[0]()
                 if calls[0].error is not None:
                     self._restore(is_unexpected(calls[0].error))
+                # Removed last: during its work, `call_next` recognizes the running call by its place in the queue.
                 calls.popleft()
                 continue
             try:
@@ -456,7 +466,7 @@ class SerialExecutor:
             except Exception as error:  # a failing event must not affect the others
                 self._handle_entry_error(error)
         self._waits_for_room = True
-        self._running = None
+        self._working_thread = None
         self._lock.release()
 
     def _handle_entry_error(self, error: Exception) -> None:
@@ -469,10 +479,12 @@ class SerialExecutor:
             if not (call.is_running or call.is_follow_up):  # its caller is a thread of the parent process
                 self._calls.remove(call)
         if not self._lock.acquire(False):
+            # The thread that holds the lock does not exist in this process, so the lock is never released.
             self.__class__ = _UnusableExecutor
-        elif self._running == _thread_id():
+        elif self._working_thread == _thread_id():
             self._lock.release()  # the work that called fork continues
         else:
+            # After an interrupt, this thread may hold the lock more than once.
             self._lock = threading.RLock()
 
     def _restore(self, rebuild: bool) -> None:
@@ -483,13 +495,13 @@ class SerialExecutor:
         """Return to the idle state after an interrupt and release the lock; may be called again."""
         if not self._lock.acquire(False):
             return  # another thread holds the lock
-        if self._running is not None or self._calls:
-            self._restore(self._running is not None)
+        if self._working_thread is not None or self._calls:
+            self._restore(self._working_thread is not None)
             for call in tuple(self._calls):
-                call.abandon()
+                call.finish_if_interrupted()
                 if call.is_finished or call.is_follow_up:  # the recovery has done the scheduled work
                     self._calls.remove(call)
-            self._running = None
+            self._working_thread = None
         try:
             while True:
                 self._lock.release()
@@ -538,7 +550,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=_reset_executors_in_child)
 
 
-_WORKING_CODE = frozenset(
+_CODE_OF_WORKING_METHODS = frozenset(
     method.__code__
     for method in (
         SerialExecutor.post,
@@ -547,6 +559,11 @@ _WORKING_CODE = frozenset(
         SerialExecutor._process_queue,  # noqa: SLF001
     )
 )
+"""Code objects of the methods that do work; `_is_nested` searches the stack for them."""
+
+
+def _ignore_error(error: Exception) -> None:
+    """Ignore an error, because it is raised again in the caller."""
 
 
 def is_unexpected(error: BaseException) -> bool:
@@ -579,12 +596,14 @@ class EngineRecovery(Recovery):
         if state is not None and not rebuild:
             return  # a `RetalisError` leaves the engine in a consistent state, so there is nothing to restore
         dispatcher = self._dispatcher
-        machine, files, served, goals = (None, None, (None, None), None) if state is None else state
-        restore_machine(self._logic.machine, machine)
+        saved_machine, saved_files, saved_dispatch, new_goals = (
+            (None, None, (None, None), None) if state is None else state
+        )
+        restore_machine(self._logic.machine, saved_machine)
         if rebuild:
-            self._rules.files.restore(files)
-        dispatcher.restore(*served)
-        self._logic.new_goals = goals
+            self._rules.files.restore(saved_files)
+        dispatcher.restore(*saved_dispatch)
+        self._logic.new_goals = new_goals
         if rebuild and state is None:
             repair_after_interrupt(self._logic)
             self._logic.is_serving_client = False
