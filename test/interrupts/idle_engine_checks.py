@@ -81,7 +81,7 @@ def _of_states(knowledge):
     for state in knowledge.states:
         there = set(state.open)
         ways = {key for group in state._open_by_shared_key.values() for key in group}  # noqa: SLF001
-        if not there == ways == {one.key for one in state._by_order.values()}:  # noqa: SLF001
+        if not there == ways == {one.key for one in state._open_by_order.values()}:  # noqa: SLF001
             yield f"{state.name}: what is open is not found in all ways"
 
 

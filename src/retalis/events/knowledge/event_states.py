@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 _VERSIONS = count()
 
 _MAX_OPENINGS = 100
-"""Events with which a state may have begun that are remembered, in case the first of them is retracted."""
+"""Maximum number of remembered events with which a state may have begun, in case the first of them is retracted."""
 
 Opening = Tuple[int, Optional[Occurrence]]
 """End of an event with which a state may have begun, and the occurrence of that event if events are tracked."""
@@ -79,6 +79,7 @@ class OpenState:
 
     Attributes:
         key: key of its term.
+        term: its term.
         shared_key: keys of the values that it shares with the event that ends it.
         order: identity; increases in the order in which states began.
         openings: events with which it may have begun, first one first.
@@ -86,10 +87,10 @@ class OpenState:
 
     __slots__ = ("key", "term", "shared_key", "order", "openings")
 
-    def __init__(self, key: Hashable, term: Term, shared: Hashable, order: int, openings: List[Opening]):
+    def __init__(self, key: Hashable, term: Term, shared_key: Hashable, order: int, openings: List[Opening]):
         self.key = key
         self.term = term
-        self.shared_key = shared
+        self.shared_key = shared_key
         self.order = order
         self.openings = openings
 
@@ -123,7 +124,7 @@ class PastState(NamedTuple):
 class DeclaredState:
     """One declaration with its open and past states.
 
-    As frame code it dispatches the events of states that have ended.
+    As the code of a frame ``(self, ended states, next frame)`` it dispatches the events of states that have ended.
 
     Args:
         form: the declaration.
@@ -152,19 +153,19 @@ class DeclaredState:
         self._build_state_term = compile_builder(form.state, begin_vars, "state")
         self._shared_at_begin = [begin_vars.index(var) for var in shared_vars]
         self._shared_at_end = [end_vars.index(var) for var in shared_vars]
-        self._unused: Tuple[Set[Var], Set[Var]] = (
+        self._unused_vars: Tuple[Set[Var], Set[Var]] = (
             set(begin_vars) - set(state_vars),
             set(end_vars) - set(shared_vars),
         )
         # An OrderedDict finds its first entry directly. A dict would search it behind all entries that were removed.
         self.open: OrderedDict[Hashable, OpenState] = OrderedDict()
         self._open_by_shared_key: Dict[Hashable, Dict[Hashable, OpenState]] = {}
-        self._by_order: Dict[int, OpenState] = {}
+        self._open_by_order: Dict[int, OpenState] = {}
         self._next_order = count()
         self.past: Deque[PastState] = deque(maxlen=form.past)
         self.dropped_count = 0
         self.version = next(_VERSIONS)
-        self._timeouts = Timeouts(clock, self._by_order, self._end_by_timeout)
+        self._timeouts = Timeouts(clock, self._open_by_order, self._end_by_timeout)
         self.listeners: List[Listener] = []
 
     def listen(self) -> None:
@@ -172,10 +173,10 @@ class DeclaredState:
 
         The ending event is registered first, so that one event can end a state and begin the next one.
         """
-        listen, (begin_vars, end_vars) = self._dispatcher.listen, self._unused
+        listen, (begin_vars, end_vars) = self._dispatcher.listen, self._unused_vars
         self.listeners = [
-            listen(ListenerPhase.STATES, self.form.ends, self._on_end_event, unused=end_vars),
-            listen(ListenerPhase.STATES, self.form.begins, self._on_begin_event, unused=begin_vars),
+            listen(ListenerPhase.STATES, self.form.ends, self._process_end_event, unused=end_vars),
+            listen(ListenerPhase.STATES, self.form.begins, self._process_begin_event, unused=begin_vars),
         ]
 
     def unlisten(self) -> None:
@@ -186,22 +187,22 @@ class DeclaredState:
 
     # ---- beginning -----------------------------------------------------------------------------------
 
-    def _on_begin_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _process_begin_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         state = self._build_state_term(values)
         try:
             key = freeze(state)
-            shared = tuple([freeze(values[position]) for position in self._shared_at_begin])
+            shared_key = tuple([freeze(values[position]) for position in self._shared_at_begin])
         except ValueError:
             self._warn_of_variables(term, "begins")
             return frame
         token = self._dispatcher.token() if self._dispatcher.tracks_lineage else None
         open_state = self.open.get(key)
-        # All events with which it may have begun were retracted, so this state does not hold.
+        # A state does not hold if all events with which it may have begun were retracted.
         if open_state is not None and open_state.start is None:
             self._remove_open_state(open_state)
             open_state = None
         if open_state is None:
-            self._add_open_state(OpenState(key, state, shared, next(self._next_order), [(end, token)]))
+            self._add_open_state(OpenState(key, state, shared_key, next(self._next_order), [(end, token)]))
         # The state holds already. This event would have begun it if the earlier ones are retracted.
         elif token is not None and len(open_state.openings) < _MAX_OPENINGS:
             open_state.openings.append((end, token))
@@ -216,7 +217,7 @@ class DeclaredState:
             self._drop_oldest(next(iter(self.open.values())))
         self.open[state.key] = state
         self._open_by_shared_key.setdefault(state.shared_key, {})[state.key] = state
-        self._by_order[state.order] = state
+        self._open_by_order[state.order] = state
         start = state.start
         if self.form.within is not None and start is not None:
             self._timeouts.add_at(state.order, int(start) + self.form.within)
@@ -230,7 +231,7 @@ class DeclaredState:
     def _remove_open_state(self, state: OpenState) -> None:
         self.version = next(_VERSIONS)
         del self.open[state.key]
-        del self._by_order[state.order]
+        del self._open_by_order[state.order]
         states_with_key = self._open_by_shared_key[state.shared_key]
         del states_with_key[state.key]
         # Empty groups are removed: the values of states are unbounded in the long run.
@@ -243,7 +244,7 @@ class DeclaredState:
 
     # ---- ending --------------------------------------------------------------------------------------
 
-    def _on_end_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
+    def _process_end_event(self, term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
         try:
             states_to_end = self._open_by_shared_key.get(
                 tuple([freeze(values[position]) for position in self._shared_at_end])
@@ -257,12 +258,12 @@ class DeclaredState:
         # All states are ended before their events are dispatched: such an event may begin or end states of this
         # declaration.
         ended_states = [self._end_state(state, start, token) for state in list(states_to_end.values())]
-        return self._dispatch_ended(
+        return self._dispatch_ended_states(
             (self, iter([state for state in ended_states if state is not None]), frame)
         )
 
     def _end_state(self, state: OpenState, end: int, token: Optional[Occurrence]) -> Optional[PastState]:
-        """End a state; return None if it begins after the given instant, or was retracted."""
+        """End a state and return it; return None if it begins after the instant, or its beginning was retracted."""
         start = state.start
         if start is not None and start > end:
             return None
@@ -280,9 +281,9 @@ class DeclaredState:
 
     def run(self, frame: Frame) -> Frame:
         """Dispatch the events of the remaining states."""
-        return self._dispatch_ended(frame)
+        return self._dispatch_ended_states(frame)
 
-    def _dispatch_ended(self, frame: Frame) -> Frame:
+    def _dispatch_ended_states(self, frame: Frame) -> Frame:
         """Dispatch the events of states that have ended, one after the other."""
         ended_states: Iterator[PastState] = frame[1]
         for past_state in ended_states:
@@ -296,7 +297,7 @@ class DeclaredState:
 
     def _end_by_timeout(self, order: int, instant: int) -> None:
         """End a state whose time has passed."""
-        state, within = self._by_order[order], self.form.within
+        state, within = self._open_by_order[order], self.form.within
         start = state.start
         if within is not None and start is not None and int(start) + within > instant:
             # The first opening was retracted, so the state began later.
@@ -307,18 +308,18 @@ class DeclaredState:
             machine = self._logic.machine
             # The alarm may be called while another event is dispatched; the event of the state does not depend on it.
             self._dispatcher.run_without_context(
-                lambda: machine.run(self._dispatch_ended((self, iter([ended_state]), machine.done)))
+                lambda: machine.run(self._dispatch_ended_states((self, iter([ended_state]), machine.done)))
             )
 
     # ---- queries -------------------------------------------------------------------------------------
 
     def open_states(self, key: Optional[Hashable]) -> List[Tuple[Term, int]]:
-        """Return the open states with their beginnings: the one with a key, or all if the key is None."""
+        """Return the terms and starts of open states: of the state with a key, or of all if the key is None."""
         states = list(self.open.values()) if key is None else [self.open[key]] if key in self.open else []
         return [(state.term, start) for state in states for start in (state.start,) if start is not None]
 
     def states_at(self, key: Optional[Hashable], instant: int) -> List[Term]:
-        """Return the states that held at an instant, as far as they are stored."""
+        """Return the terms of stored states that held at an instant; ``key`` as in `open_states`."""
         terms: Dict[Hashable, Term] = {}
         for past_state in list(self.past):
             if (
@@ -338,13 +339,13 @@ class DeclaredState:
         """Remove all open and past states, because the clock went back or the declaration was deleted."""
         self.close(True)
 
-    def close(self, past: bool) -> None:
-        """Remove the open states, and with ``past`` also the past ones."""
+    def close(self, includes_past: bool) -> None:
+        """Remove the open states, and with ``includes_past`` also the past ones."""
         self.version = next(_VERSIONS)
-        for index in (self.open, self._open_by_shared_key, self._by_order):
+        for index in (self.open, self._open_by_shared_key, self._open_by_order):
             index.clear()
         self._timeouts.clear()
-        if past:
+        if includes_past:
             self.past.clear()
 
     def repair(self) -> None:
@@ -352,7 +353,7 @@ class DeclaredState:
         open_states = list(self.open.values())
         self.open.clear()
         self._open_by_shared_key.clear()
-        self._by_order.clear()
+        self._open_by_order.clear()
         self._timeouts.clear()
         for state in open_states:
             self._add_open_state(state)
@@ -365,11 +366,11 @@ class DeclaredState:
         return open_rows, [tuple(state) for state in self.past], self.dropped_count
 
     def restore(self, saved: DeclarationState) -> None:
-        """Set the states that another declaration returned."""
+        """Set the states from `snapshot` of an equal declaration."""
         open_rows, past, self.dropped_count = saved
         self.version = next(_VERSIONS)
-        for key, term, shared, openings in open_rows:
-            self._add_open_state(OpenState(key, term, shared, next(self._next_order), list(openings)))
+        for key, term, shared_key, openings in open_rows:
+            self._add_open_state(OpenState(key, term, shared_key, next(self._next_order), list(openings)))
         self.past.extend([PastState(*fields) for fields in past])
 
 
@@ -397,15 +398,15 @@ class StateRegistry:
         self._dispatcher = dispatcher
         self._clock = clock
         self._warn = warn
-        self._all: Dict[Hashable, DeclaredState] = {}
+        self._declarations: Dict[Hashable, DeclaredState] = {}
         self._detached: Dict[Hashable, DeclaredState] = {}
-        self._by_functor: Dict[Functor, List[DeclaredState]] = {}
+        self._declarations_by_functor: Dict[Functor, List[DeclaredState]] = {}
         self._tables = tables_of(logic.machine)
         self.on_event: Callable[[Term], None] = lambda event: None
         _StatePredicates(self).define(logic)
 
     def __iter__(self) -> Iterator[DeclaredState]:
-        return iter(list(self._all.values()))
+        return iter(list(self._declarations.values()))
 
     def declare(self, definition: Term) -> None:
         """Declare a state; a declaration that exists already continues.
@@ -415,28 +416,30 @@ class StateRegistry:
             PrologError: if the state is declared differently, or there are too many.
         """
         form = parse_state_declaration(copy(definition))
-        existing = self._all.get(form.key)
+        existing = self._declarations.get(form.key)
         if existing is not None:
-            if _is_same_form(existing.form, form):
+            if _are_equal_forms(existing.form, form):
                 return
             raise permission_error("create", "state", form.state, "it is declared otherwise already")
-        if len(self._all) >= MAX_STATES:
+        if len(self._declarations) >= MAX_STATES:
             raise resource_error("states", reason=f"more than {MAX_STATES} states are declared")
         detached_declaration = self._detached.get(form.key)
         # The declaration was detached by a reload and is unchanged: it keeps its open states.
-        if detached_declaration is not None and _is_same_form(detached_declaration.form, form):
+        if detached_declaration is not None and _are_equal_forms(detached_declaration.form, form):
             declaration = self._detached.pop(form.key)
         else:
             declaration = DeclaredState(form, self._logic, self._dispatcher, self._clock, self._warn)
         declaration.listen()
-        self._all[form.key] = declaration
+        self._declarations[form.key] = declaration
         self._index_by_functor()
 
     def delete(self, state: Term) -> bool:
         """Delete the declarations whose states unify with a term; return whether there were any."""
-        keys = [key for key, declaration in self._all.items() if may_unify(declaration.form.state, state)]
+        keys = [
+            key for key, declaration in self._declarations.items() if may_unify(declaration.form.state, state)
+        ]
         for key in keys:
-            declared = self._all.pop(key)
+            declared = self._declarations.pop(key)
             declared.unlisten()
             declared.clear()
         self._index_by_functor()
@@ -445,13 +448,13 @@ class StateRegistry:
     def _index_by_functor(self) -> None:
         """Build the index of declarations by the functors of their states."""
         by_functor: Dict[Functor, List[DeclaredState]] = {}
-        for declaration in self._all.values():
+        for declaration in self._declarations.values():
             by_functor.setdefault(declaration.form.functor, []).append(declaration)
-        self._by_functor = by_functor
+        self._declarations_by_functor = by_functor
 
     def declarations_with_functor_of(self, state: Any) -> Sequence[DeclaredState]:
         """Return the declarations of states with the functor of an atom or a compound term."""
-        return self._by_functor.get(state[0] if state.__class__ is tuple else state.functor, ())
+        return self._declarations_by_functor.get(state[0] if state.__class__ is tuple else state.functor, ())
 
     def declarations_for(self, state: Any) -> Tuple[Sequence[DeclaredState], Optional[Hashable]]:
         """Return the declarations that a query refers to, and the key of the state if the query is ground.
@@ -464,7 +467,7 @@ class StateRegistry:
         if state.__class__ is Var:
             if self._tables.active:
                 self._tables.record_read(self, None)
-            return list(self._all.values()), None
+            return list(self._declarations.values()), None
         callable_of(state)
         key = state[0] if state.__class__ is tuple else state.functor
         if self._tables.active:
@@ -479,29 +482,31 @@ class StateRegistry:
 
     def version(self, part: Hashable) -> object:
         """Return a value that changes with the states of a functor; with None, with the states of all functors."""
-        declarations = self._all.values() if part is None else self._by_functor.get(part, ())  # type: ignore[call-overload]
+        declarations: Iterable[DeclaredState] = self._declarations.values()
+        if part is not None:
+            declarations = self._declarations_by_functor.get(part, ())  # type: ignore[call-overload]
         return self._dispatcher.retractions, tuple([declaration.version for declaration in declarations])
 
     # ---- administration --------------------------------------------------------------------------------
 
     def clear(self) -> None:
         """Remove all open and past states, because the clock went back; the declarations remain."""
-        for declaration in self._all.values():
+        for declaration in self._declarations.values():
             declaration.clear()
 
-    def close(self, past: bool) -> None:
-        """Remove the open states, and with ``past`` also the past ones; no events are dispatched."""
-        for declaration in self._all.values():
-            declaration.close(past)
+    def close(self, includes_past: bool) -> None:
+        """Remove the open states, and with ``includes_past`` also the past ones; no events are dispatched."""
+        for declaration in self._declarations.values():
+            declaration.close(includes_past)
 
     def all_by_key(self) -> Dict[Hashable, DeclaredState]:
         """Return all declarations by their keys."""
-        return dict(self._all)
+        return dict(self._declarations)
 
     def detach(self, keys: Iterable[Hashable]) -> None:
         """Remove declarations; those that are declared again without a change continue with their states."""
         for key in keys:
-            declaration = self._detached[key] = self._all.pop(key)
+            declaration = self._detached[key] = self._declarations.pop(key)
             declaration.unlisten()
         self._index_by_functor()
 
@@ -513,7 +518,7 @@ class StateRegistry:
 
     def restore_all(self, saved_declarations: Dict[Hashable, DeclaredState]) -> None:
         """Restore exactly these declarations, whether or not they have been detached meanwhile."""
-        self.detach(list(self._all))
+        self.detach(list(self._declarations))
         self._detached = {**self._detached, **saved_declarations}
         for declaration in saved_declarations.values():
             self.declare(declaration.form.term)
@@ -522,26 +527,26 @@ class StateRegistry:
     def repair(self) -> None:
         """Repair the declarations after an interrupt."""
         self._index_by_functor()
-        for declaration in self._all.values():
+        for declaration in self._declarations.values():
             declaration.repair()
         # An interrupt may leave listeners of a declaration that was not completed.
         owned_listeners = {
-            listener for declaration in self._all.values() for listener in declaration.listeners
+            listener for declaration in self._declarations.values() for listener in declaration.listeners
         }
         self._dispatcher.remove_all_except(ListenerPhase.STATES, owned_listeners)
 
     def snapshot(self) -> List[Any]:
         """Return the states of each declaration, in order; see `restore`."""
-        return [declaration.snapshot() for declaration in self._all.values()]
+        return [declaration.snapshot() for declaration in self._declarations.values()]
 
     def restore(self, saved: Sequence[Any]) -> None:
-        """Set the states that equal declarations returned."""
-        for declaration, state in zip(self._all.values(), saved):
+        """Set the states from `snapshot` of a registry with equal declarations."""
+        for declaration, state in zip(self._declarations.values(), saved):
             declaration.restore(state)
 
 
 class _StatePredicates:
-    """Predicates about states."""
+    """The predicates ``state``, ``delete_state``, ``holds`` and ``holds_at``."""
 
     def __init__(self, states: StateRegistry):
         self.states = states
@@ -569,7 +574,7 @@ class _StatePredicates:
         if key is not None:
             return any(declaration.open_states(key) for declaration in declarations)
         solutions = [(term,) for declaration in declarations for term, _ in declaration.open_states(None)]
-        return _unify_solutions(machine, (state,), solutions)
+        return _unify_each_solution(machine, (state,), solutions)
 
     def holds_since(self, machine: Machine, state: Term, start: Term) -> Iterator[bool]:
         declarations, key = self.states.declarations_for(deref(state))
@@ -578,16 +583,16 @@ class _StatePredicates:
             for declaration in declarations
             for term, instant in declaration.open_states(key)
         ]
-        return _unify_solutions(machine, (state, start), solutions)
+        return _unify_each_solution(machine, (state, start), solutions)
 
     def holds_at(self, machine: Machine, state: Term, time: Term) -> Union[bool, Iterator[bool]]:
         declarations, key = self.states.declarations_for(deref(state))
         instant = instant_of(time)
         solutions = [(term,) for declaration in declarations for term in declaration.states_at(key, instant)]
-        return bool(solutions) if key is not None else _unify_solutions(machine, (state,), solutions)
+        return bool(solutions) if key is not None else _unify_each_solution(machine, (state,), solutions)
 
 
-def _unify_solutions(
+def _unify_each_solution(
     machine: Machine, terms: Tuple[Term, ...], solutions: Sequence[Tuple[Term, ...]]
 ) -> Iterator[bool]:
     """Unify terms with one solution after the other."""
@@ -596,5 +601,5 @@ def _unify_solutions(
             yield True
 
 
-def _is_same_form(first: StateForm, second: StateForm) -> bool:
+def _are_equal_forms(first: StateForm, second: StateForm) -> bool:
     return term_key(first.term) == term_key(second.term)

@@ -102,14 +102,14 @@ class KnowledgeBase:
         self.subscriptions.clear()
         self.states.clear()
 
-    def reset(self, past: bool) -> None:
+    def reset(self, includes_past: bool) -> None:
         """Remove what has begun and not ended, as rules remove partial matches.
 
         Args:
-            past: also remove past states.
+            includes_past: also remove past states.
         """
         self.subscriptions.clear()
-        self.states.close(past)
+        self.states.close(includes_past)
 
     def repair(self) -> None:
         """Repair all parts after an interrupt."""
@@ -204,17 +204,17 @@ class KnowledgeBase:
             self._warn(f"there is no subscription {show(deref(name))} of topic {show(deref(topic))}")
         return True
 
-    def _define_size_predicate(self, name: str, size_of: Callable[[MemoryInstance], int]) -> None:
+    def _define_size_predicate(self, name: str, get_size: Callable[[MemoryInstance], int]) -> None:
         """Define a predicate of a memory's id and a number."""
         find, read_all = self.memories.find, self.memories.read_all
 
-        def of_one(name: Term) -> Optional[int]:
+        def read_size(name: Term) -> Optional[int]:
             instance = find(name)
-            return None if instance is None else size_of(instance)
+            return None if instance is None else get_size(instance)
 
-        def of_all(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
+        def enumerate_sizes(machine: Machine, name: Term, value: Term) -> Iterator[bool]:
             for instance in read_all():
-                if machine.unify_all((name, instance.id), (value, size_of(instance))):
+                if machine.unify_all((name, instance.id), (value, get_size(instance))):
                     yield True
 
-        self._logic.define_nondeterministic(name, 2, of_all, of_one)
+        self._logic.define_nondeterministic(name, 2, enumerate_sizes, read_size)

@@ -92,9 +92,9 @@ def compile_recording(
     name: str,
     warn: Warn,
 ) -> Tuple[Recording, bool]:
-    """Compile ``conditions`` and ``template``, which share their variables with ``pattern``.
+    """Compile ``conditions`` and ``template``, which share their variables with ``pattern``, to a recording.
 
-    The first solution of the conditions counts. A ``template`` that is a variable of its own stands for the event.
+    Only the first solution of the conditions is used. A template that is a variable of its own stands for the event.
 
     Args:
         logic: the system that compiles the conditions.
@@ -106,38 +106,41 @@ def compile_recording(
         warn: receives a report about a condition that raised an error.
 
     Returns:
-        The function, and whether it makes a ground record of every ground event.
+        The recording, and whether the record of every ground event is ground.
 
     Raises:
         PrologError: if pattern, conditions or template have the wrong type.
     """
     if pattern.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", pattern)
-    body = conjunction(_condition_goals(conditions))
+    body = conjunction(_check_condition_goals(conditions))
     inputs = variables(pattern)
-    is_event = is_event_variable(pattern, conditions, template)
-    if not is_event and template.__class__ not in (tuple, Atom, Var):
+    records_event = is_event_variable(pattern, conditions, template)
+    if not records_event and template.__class__ not in (tuple, Atom, Var):
         raise type_error("callable", template)
     pattern_variables = set(inputs)
-    body_vars = set(variables(body)) - pattern_variables
-    output_vars = [] if is_event else [var for var in variables(template) if var in body_vars]
+    condition_vars = set(variables(body)) - pattern_variables
+    output_vars = [] if records_event else [var for var in variables(template) if var in condition_vars]
     recording: Recording = record_event
-    if not is_event:
-        recording = _template_recording(
+    if not records_event:
+        recording = _create_template_recording(
             compile_builder(template, inputs, "form"), compare(template, pattern) == 0
         )
-    preserves_ground = is_event or pattern_variables.issuperset(variables(template))
+    preserves_ground = records_event or pattern_variables.issuperset(variables(template))
     if body is TRUE:
         return recording, preserves_ground
-    test = logic.compile_goal(body, inputs, output_vars, name=name).first_solution
-    # An event with variables may have them bound by the conditions, so the template is then an output of the goal.
-    test_open = logic.compile_goal(body, inputs, [TRUE if is_event else template], name=name).first_solution
-    build = compile_builder(template, [*inputs, *output_vars], "form")
+    find_solution = logic.compile_goal(body, inputs, output_vars, name=name).first_solution
+    # The conditions may bind variables of the event itself, so for events with variables the template is the output
+    # of the goal.
+    find_solution_of_nonground = logic.compile_goal(
+        body, inputs, [TRUE if records_event else template], name=name
+    ).first_solution
+    build_record = compile_builder(template, [*inputs, *output_vars], "form")
 
     def record(term: Term, values: Values, ground: bool) -> Optional[Term]:
         event = dispatcher.current
         try:
-            solution = test(values) if ground else test_open(values)
+            solution = find_solution(values) if ground else find_solution_of_nonground(values)
         except PrologError as error:
             dispatcher.restore(event, dispatcher.cause)
             if record_caught_error(error):
@@ -145,9 +148,9 @@ def compile_recording(
             return None
         if solution is None:
             return None
-        if is_event or ground and not output_vars:
+        if records_event or ground and not output_vars:
             return recording(term, values, ground)
-        return build(values + solution) if ground else solution[0]
+        return build_record(values + solution) if ground else solution[0]
 
     return record, preserves_ground
 
@@ -157,7 +160,7 @@ def record_event(term: Term, values: Values, ground: bool) -> Term:
     return term
 
 
-def _template_recording(build: Callable[[Values], Term], is_same: bool) -> Recording:
+def _create_template_recording(build: Callable[[Values], Term], is_same: bool) -> Recording:
     """Return the recording of a template.
 
     If the template equals the pattern and the event is ground, this is the event itself.
@@ -167,7 +170,7 @@ def _template_recording(build: Callable[[Values], Term], is_same: bool) -> Recor
     return lambda term, values, ground: term if ground else build(values)
 
 
-def _condition_goals(conditions: Term) -> List[Term]:
+def _check_condition_goals(conditions: Term) -> List[Term]:
     items = list_items(conditions)
     if items is None:
         raise type_error("list", conditions)
@@ -190,7 +193,7 @@ NO_POSITION = 1 << 100
 """Larger than the positions of all records."""
 
 WIDE_STEP_FACTOR = 10
-"""Factor by which a step between two records exceeds the mean of the others to be called wide."""
+"""A step between two records is wide if it is at least this many times the mean of the other steps."""
 
 _EPOCHS = count()
 
@@ -543,7 +546,11 @@ class MemoryInstance(QueryQueue):
     """A memory with its name, its recorder, and the queries that wait for it.
 
     Attributes:
-        definition: its definition ``(Functor, Pattern, Conditions, Record, Id, Size)``.
+        id: its name, any ground term.
+        active: whether its creation, updates and deletion are reported as events.
+        definition: its definition ``(Functor, Pattern, Conditions, Template, Id, Size)``.
+        memory: its records.
+        recorder: the recorder that fills it.
         has_variables: whether records may contain variables, so that a reader needs a copy.
     """
 
@@ -587,9 +594,9 @@ _STALE_TOLERANCE = 16
 
 
 class Recorder:
-    """Records the events of one pattern into all memories that record them alike, in the order of these.
+    """Listener to one event pattern that adds records to memories with equal definitions, in order of their creation.
 
-    As frame code it continues with the remaining memories.
+    As the code of a frame it continues with the remaining memories.
 
     Args:
         dispatcher: dispatcher of the events.
@@ -612,7 +619,7 @@ class Recorder:
         self.key = key
         self.instances: Tuple[MemoryInstance, ...] = ()
         self._dispatcher = dispatcher
-        self._make_record, self._preserves_ground = recording
+        self._create_record, self._preserves_ground = recording
         self._on_update = on_update
         self._updates = dispatcher.event_filter(UPDATED)
         self._records_all_events = pattern.__class__ is Var
@@ -646,14 +653,14 @@ class Recorder:
         # Computed once per event and cached for all listeners.
         if ground is None:
             ground = dispatcher.ground()
-        record_term = self._make_record(term, values, ground)
+        record_term = self._create_record(term, values, ground)
         if record_term is None:
             return frame
         has_variables = not (self._preserves_ground and ground) and not is_ground(record_term)
         return self._add_to_memories((record_term, start, end), has_variables, iter(self.instances), frame)
 
     def run(self, frame: Frame) -> Frame:
-        """Continue with the remaining memories."""
+        """Continue with the remaining memories; the frame holds the arguments of `_add_to_memories`."""
         return self._add_to_memories(*frame[1:])
 
     def _add_to_memories(
@@ -674,8 +681,8 @@ class Recorder:
                 memory.records.append(record)
                 if len(ends) >= memory.trim_length:
                     memory.trim()
-            # The frame contains the iterator: after the queries and reports of this memory, recording continues
-            # with the next one.
+            # The frame contains the iterator, so that the recording continues with the next memory after the queries
+            # and reports of this one.
             if instance.next_instant <= end or (has_update_listeners and instance.active):
                 resumption = (self, record, has_variables, instances, frame)
                 next_frame = self._on_update(instance, record[2], resumption)
@@ -685,7 +692,7 @@ class Recorder:
 
     def _is_own_update(self, term: Term) -> bool:
         """Return whether an event reports an update of a memory of this recorder, which records all events."""
-        # Recording its own update would make the next update, without end.
+        # A record of such an event would be an update again, and so on without end.
         if term.__class__ is not tuple or term[0] is not UPDATED:
             return False
         name = deref(term[1])

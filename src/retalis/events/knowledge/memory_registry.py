@@ -51,8 +51,8 @@ class MemoryInstances:
 
     Attributes:
         instances: instances by the keys of their names.
-        on_update: called with an instance that has reached the instant of a pending query, the end of the recorded
-            event, and the next frame; returns the frame to continue with.
+        on_update: called when an instance has reached the instant of a pending query, with the instance, the end of
+            the recorded event, and the next frame; returns the frame to continue with.
         on_delete: called with an instance that is deleted.
         on_create: called with an instance that is created.
     """
@@ -109,10 +109,7 @@ class MemoryInstances:
         return list(self.instances.values())
 
     def version(self, part: Hashable) -> object:
-        """Return a value that changes with the records of a memory, given its key.
-
-        With None, with the set of memories.
-        """
+        """Return a value that changes with the records of the memory with a key, or, for None, with the memories."""
         if part is None:
             return tuple(self.instances)
         instance = self.instances.get(part)
@@ -124,7 +121,7 @@ class MemoryInstances:
             instance.memory.clear()
 
     def create(self, definition: Term, active: bool, frame: Frame) -> Frame:
-        """Create a memory of ``Pattern, Conditions, Record, Id, Size``; return the frame that reports it.
+        """Create a memory, and return the frame that reports it; the definition is as in `MemoryInstance`.
 
         Raises:
             PrologError: if the id is taken, or the arguments do not define a memory.
@@ -274,7 +271,7 @@ class MemoryInstances:
         return frame
 
     def run(self, frame: Frame) -> Frame:
-        """Report an update, as frame code."""
+        """Report an update, as the code of the frame ``(self, update, instant, next frame)``."""
         next_frame: Frame
         _, update, instant, next_frame = frame
         try:
@@ -287,7 +284,7 @@ class MemoryInstances:
 
 
 def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
-    """Define the deterministic predicates that read memories."""
+    """Define the predicates that look up one record by time: ``prev/5``, ``next/6`` and ``next_inf/5``."""
     get_instance, to_term = memories.instances.get, timestamps.to_term
     active_tables = tables_of(logic.machine).active
 
@@ -295,7 +292,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         instance = get_instance(name) if name.__class__ is Atom and not active_tables else memories.find(name)
         if instance is None:
             return None
-        # As in `instant_of`.
+        # As in `instant_of`, without a call: a time that is not decoded yet has the instant as its source.
         is_unconverted = time.__class__ is Lazy and time.decoder is to_term and time.decoded_term is None
         record = instance.memory.at_or_before(time.source if is_unconverted else instant_of(time))
         return record if not instance.has_variables or record is None else _with_new_variables(record)
@@ -304,7 +301,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         instance = get_instance(name) if name.__class__ is Atom and not active_tables else memories.find(name)
         if instance is None:
             return None
-        # As in `instant_of`.
+        # As in `prev`.
         is_unconverted = time.__class__ is Lazy and time.decoder is to_term and time.decoded_term is None
         record = instance.memory.at_or_after(time.source if is_unconverted else instant_of(time))
         return record if not instance.has_variables or record is None else _with_new_variables(record)
@@ -328,7 +325,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
 
 
 def _with_new_variables(record: MemoryRecord) -> MemoryRecord:
-    """Return a record with new variables."""
+    """Return a copy of a record, because its variables must not be bound by the reader."""
     return copy(record[0]), record[1], record[2]
 
 

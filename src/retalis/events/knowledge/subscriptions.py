@@ -1,8 +1,8 @@
-"""Subscriptions: events that are sent to topics, their form, and output rate limiting.
+"""Subscriptions: events that are sent to topics, and output rate limiting.
 
-A subscription listens to an event pattern, tests its conditions, makes a term of its form, and delivers it to a
-topic. With ``P with S`` as its pattern, an `OutputRateLimiter` forwards only some of the events, for example one per
-second (``throttle``) or the last one of a burst (``debounce``). It uses the same stream operators as rules do, which
+A subscription listens to an event pattern, tests its conditions, creates a term from its template, and delivers it
+to a topic. With ``P with S`` as its pattern, an `OutputRateLimiter` forwards only some of the events, for example one
+per second (``throttle``) or the last one of a burst (``debounce``). It uses the stream operators of rules, which
 Esper calls output rate limiting.
 """
 
@@ -44,15 +44,16 @@ RateLimiterState = Tuple[Any, int, int]
 """State of the operator, number of late events, and number of dropped events."""
 
 
-def rate_terms(rate_pattern: RatePattern) -> Tuple[Term, ...]:
+def terms_of_rate_operator(rate_pattern: RatePattern) -> Tuple[Term, ...]:
     """Return the terms of a pattern that a rate operator uses."""
     return rate_pattern.keys if rate_pattern.value is None else (rate_pattern.value, *rate_pattern.keys)
 
 
 class OutputRateLimiter:
-    """Forwards some of the events of a subscription.
+    """Rate operator of a subscription, which forwards some of the events.
 
-    The clock calls it at its alarms like the nodes of rules, but before them: subscribers receive an event first.
+    The clock calls it at its alarms as it calls the nodes of rules, but before these: subscribers receive an event
+    first.
 
     Args:
         rate_pattern: the rate operator.
@@ -209,7 +210,7 @@ class OutputRateLimiter:
 
 
 Deliver = Callable[[Term, str, Term], None]
-
+"""Takes the term of an event, the topic as text, and the id of the subscription."""
 
 SubscriptionKey = Tuple[str, Hashable]
 """Topic and id."""
@@ -245,7 +246,7 @@ class Subscriptions:
     Args:
         logic: the system that compiles conditions.
         dispatcher: dispatcher of the events that are delivered.
-        deliver: called with the term, the topic as text, and the id of the subscription.
+        deliver: receives the events that are sent.
         warn: receives warnings, and reports about conditions that raised an error.
         rules: rules of the program; they call the rate limiters at their deadlines.
     """
@@ -258,7 +259,7 @@ class Subscriptions:
         self._deliver = deliver
         self._warn = warn
         self._rules = rules
-        self._positions = count()
+        self._next_position = count()
         self._all: Dict[SubscriptionKey, Subscription] = {}
         self._detached: Dict[SubscriptionKey, Subscription] = {}
 
@@ -274,7 +275,7 @@ class Subscriptions:
         return list(self._all.items())
 
     def create(self, definition: Term) -> None:
-        """Add a subscription of ``Pattern, Conditions, Format, Topic, Id``.
+        """Add a subscription of ``(Functor, Pattern, Conditions, Template, Topic, Id)``.
 
         Raises:
             PrologError: if the key is taken, or the arguments do not define a subscription.
@@ -314,14 +315,17 @@ class Subscriptions:
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
-            self._event_action(recording, sent_counter, topic_text, subscription_id, rate_limiter),
+            self._create_event_action(recording, sent_counter, topic_text, subscription_id, rate_limiter),
             unused=unused_variables(
-                pattern, conditions, template, () if rate_operator is None else rate_terms(rate_operator)
+                pattern,
+                conditions,
+                template,
+                () if rate_operator is None else terms_of_rate_operator(rate_operator),
             ),
         )
         self._all[key] = Subscription(listener, subscription_id, sent_counter, copied, rate_limiter)
 
-    def _event_action(
+    def _create_event_action(
         self,
         recording: Recording,
         sent_counter: SentCounter,
@@ -371,7 +375,7 @@ class Subscriptions:
     ) -> OutputRateLimiter:
         """Return the rate limiter, with the state of an unchanged subscription that was detached."""
         rate_limiter = OutputRateLimiter(
-            rate_operator, pattern_variables, title, self._rules, self._warn, next(self._positions)
+            rate_operator, pattern_variables, title, self._rules, self._warn, next(self._next_position)
         )
         if unchanged is not None and unchanged.rate_limiter is not None:
             rate_limiter.restore(unchanged.rate_limiter.snapshot())

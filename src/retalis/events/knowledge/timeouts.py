@@ -37,11 +37,11 @@ def timeout_of(options: Term, brief: Callable[[Term], str]) -> int:
 
 
 class Timeouts:
-    """Deadlines of queries.
+    """Deadlines of queries or states; an *order* is the number that identifies one.
 
     Args:
         clock: clock that calls the alarms.
-        pending_orders: orders of the pending queries.
+        pending_orders: orders of the queries and states that are still pending; others have no deadline any more.
         on_timeout: called with the order of a query and its deadline.
     """
 
@@ -61,7 +61,13 @@ class Timeouts:
         return len(self._deadlines)
 
     def add(self, order: int, end: int, wait: int) -> None:
-        """Add a deadline, ``wait`` ns after the later one of the end of the query's event and the present instant."""
+        """Add a deadline, ``wait`` ns after ``end`` or the present instant, whichever is later.
+
+        Args:
+            order: order of the query.
+            end: end of the query's event.
+            wait: the timeout in ns.
+        """
         self.add_at(order, max(self._clock.now(), end) + wait)
 
     def add_at(self, order: int, instant: int) -> None:

@@ -11,9 +11,9 @@ instant at which all frames of the path have transforms.
 samples are stored here in any case, for errors, gaps, counts, and waiting queries. A frame with new samples that the
 other code needs (`CoordinateFrame.is_copied`) is added to `_pending_frames`, and the next look-up copies the samples.
 
-A query that waits for a transform is registered with the frame of the path that is behind (`find_blocking`). Each
-`CoordinateFrame` therefore is a queue of the queries that need its next samples, like a memory is one. Queries about
-frames that are unknown or not connected are registered with `TransformBuffer.topology`.
+A query that waits for a transform is registered with a frame of the path that has no sample at the instant yet
+(`find_blocking`). Each `CoordinateFrame` is therefore a `QueryQueue` of the queries that need its next samples.
+Queries about frames that are unknown or not connected are registered with `TransformBuffer.topology`.
 """
 
 from bisect import bisect_left, bisect_right
@@ -216,8 +216,8 @@ class TransformFault(NamedTuple):
     Attributes:
         kind: ``invalid`` (a frame's name), ``unknown`` (a frame), ``unconnected`` (two frames), ``loop`` (of the
             tree), ``before`` the first or ``after`` the last sample of a frame.
-        frame: the frame.
-        other_frame: the other frame, if two are not connected.
+        frame: name of the frame.
+        other_frame: name of the other frame, if two are not connected.
         instant: instant in nanoseconds of the frame's first or last sample; None if it has none.
     """
 
@@ -643,25 +643,25 @@ def _interpolate(first: Numbers, second: Numbers, ratio: float) -> Pose:
     """
     ax, ay, az, ai, aj, ak, aw = first
     bx, by, bz, bi, bj, bk, bw = second
-    rest = 1.0 - ratio
-    position = rest * ax + ratio * bx, rest * ay + ratio * by, rest * az + ratio * bz
+    complement = 1.0 - ratio
+    position = complement * ax + ratio * bx, complement * ay + ratio * by, complement * az + ratio * bz
     dot = ai * bi + aj * bj + ak * bk + aw * bw
-    lengths = sqrt((ai * ai + aj * aj + ak * ak + aw * aw) * (bi * bi + bj * bj + bk * bk + bw * bw))
-    cosine = abs(dot) / lengths
+    norm_product = sqrt((ai * ai + aj * aj + ak * ak + aw * aw) * (bi * bi + bj * bj + bk * bk + bw * bw))
+    cosine = abs(dot) / norm_product
     # Equal up to rounding: the sine would be zero.
     angle = acos(cosine) if cosine < 1.0 else 0.0
     if not angle:
         return position, (ai, aj, ak, aw)
     scale = 1.0 / sin(angle)
-    near, far = sin(rest * angle) * scale, sin(ratio * angle) * scale
+    first_factor, second_factor = sin(complement * angle) * scale, sin(ratio * angle) * scale
     # q and -q are the same rotation; the negative one of them is on the shorter arc.
     if dot < 0:
-        far = -far
+        second_factor = -second_factor
     return position, (
-        ai * near + bi * far,
-        aj * near + bj * far,
-        ak * near + bk * far,
-        aw * near + bw * far,
+        ai * first_factor + bi * second_factor,
+        aj * first_factor + bj * second_factor,
+        ak * first_factor + bk * second_factor,
+        aw * first_factor + bw * second_factor,
     )
 
 

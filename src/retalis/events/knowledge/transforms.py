@@ -11,7 +11,7 @@ number of pending queries. When that frame gets the sample, the condition is reg
 path. If a frame gets its first sample or another parent, all conditions are registered again.
 
 The engine does not know topics. The node or the bag player passes a function that subscribes to the transform topics
-to `set_feed`. It is called when the program first uses transforms, so that other programs do not pay for them.
+to `set_feed`. It is called when the program first uses transforms; other programs do not receive these topics.
 """
 
 from difflib import get_close_matches
@@ -127,14 +127,14 @@ class Transforms:
         logic: the system in which the predicates are defined.
         dispatcher: dispatcher of the events that waiting queries trigger.
         buffer: the buffer.
-        gaps: maximum time between two samples in nanoseconds.
+        gaps: limit for the time between two samples.
         warn: receives warnings about refused transforms and unknown frames.
 
     Attributes:
         buffer: the buffer.
         is_required: whether the program reads transforms.
-        on_reached: called with the transforms that have become available and a continuation of the machine; returns
-            the continuation that calls the queries first.
+        on_reached: called with the transforms that have become available and the next frame; returns the frame that
+            calls the queries first.
     """
 
     def __init__(
@@ -154,17 +154,15 @@ class Transforms:
         self._start_feed: Callable[[], object] = lambda: None
         self._frame_names: Dict[Term, str] = {}
         self._reported_frames: Set[str] = set()
-        self._awaited_by_frames: Dict[Tuple[str, str], AwaitedTransform] = {}
-        self._registered: Dict[AwaitedTransform, None] = {}
+        self._transforms_by_frames: Dict[Tuple[str, str], AwaitedTransform] = {}
+        self._awaited_transforms: Dict[AwaitedTransform, None] = {}
         self._seen_topology_version = 0
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
-        self.on_reached: Callable[[ReachedTransforms, Frame], Frame] = lambda reached, continuation: (
-            continuation
-        )
+        self.on_reached: Callable[[ReachedTransforms, Frame], Frame] = lambda reached, next_frame: next_frame
         self._define_lookups()
-        logic.define_function("tf_missing", 4, self._missing_reason)
-        logic.define_control("tf_add", 4, self._add)
+        logic.define_function("tf_missing", 4, self._find_missing_reason)
+        logic.define_control("tf_add", 4, self._add_dynamic)
         logic.define_control("tf_add_static", 3, self._add_static)
 
     # ---- topics --------------------------------------------------------------------------------------
@@ -209,7 +207,7 @@ class Transforms:
                 self._warn(f"the transform of frame '{child[:80]}' is refused: {result}", ("tf", child))
         if self.buffer.topology_version != self._seen_topology_version:
             self._seen_topology_version = self.buffer.topology_version
-            if self._registered:
+            if self._awaited_transforms:
                 reached += self._register_all_again()
         return reached
 
@@ -229,7 +227,7 @@ class Transforms:
     def _register_all_again(self) -> ReachedTransforms:
         """Register all conditions again, because the tree has changed; return those that are fulfilled."""
         entries: List[AwaitedCondition] = []
-        for awaited in self._registered:
+        for awaited in self._awaited_transforms:
             for instant, frame in awaited.frames.items():
                 frame.remove_query(instant, awaited)
                 entries.append((awaited, instant))
@@ -245,7 +243,7 @@ class Transforms:
             self._seen_topology_version = -1
         frame.add_query(instant, awaited, (awaited, instant))
         awaited.frames[instant] = frame
-        self._registered[awaited] = None
+        self._awaited_transforms[awaited] = None
 
     def unregister(self, awaited: AwaitedTransform, instant: int) -> None:
         """Remove the registration of a condition."""
@@ -255,7 +253,7 @@ class Transforms:
     def _drop_registration(self, awaited: AwaitedTransform, instant: int) -> None:
         del awaited.frames[instant]
         if not awaited.frames:
-            del self._registered[awaited]
+            del self._awaited_transforms[awaited]
 
     def clear(self) -> None:
         """Drop the samples, because the clock went back; static transforms remain."""
@@ -264,10 +262,10 @@ class Transforms:
 
     def clear_queries(self) -> None:
         """Remove all waiting queries."""
-        for awaited in self._registered:
+        for awaited in self._awaited_transforms:
             awaited.queries.clear()
             awaited.frames.clear()
-        self._registered.clear()
+        self._awaited_transforms.clear()
         self.buffer.topology.clear_queries()
         for frame in self.buffer.frames():
             frame.clear_queries()
@@ -293,11 +291,11 @@ class Transforms:
             target, source = self._frame_name(transform_term[1]), self._frame_name(transform_term[2])
         except Exception as error:
             raise UsageError(f"expected tf(Target, Source) with names of frames: {error}") from None
-        awaited = self._awaited_by_frames.get((target, source))
+        awaited = self._transforms_by_frames.get((target, source))
         if awaited is None:
-            if len(self._awaited_by_frames) >= _MAX_CACHED_NAMES:
-                self._awaited_by_frames.clear()
-            awaited = self._awaited_by_frames[target, source] = AwaitedTransform(
+            if len(self._transforms_by_frames) >= _MAX_CACHED_NAMES:
+                self._transforms_by_frames.clear()
+            awaited = self._transforms_by_frames[target, source] = AwaitedTransform(
                 self, (TF, atom(target), atom(source)), target, source
             )
         return awaited
@@ -305,7 +303,7 @@ class Transforms:
     # ---- predicates ----------------------------------------------------------------------------------
 
     def version(self, part: Hashable) -> int:
-        """Return a value that changes with the transforms, for incremental tables; there is one for all parts."""
+        """Return a value that changes with the transforms, for incremental tables; ``part`` is ignored."""
         return self.buffer.version
 
     def _define_lookups(self) -> None:  # noqa: C901 - the closures
@@ -320,16 +318,16 @@ class Transforms:
             self._active_tables,
         )
 
-        def find(target: Term, source: Term, time: Any) -> Any:
+        def find_pose(target: Term, source: Term, time: Any) -> Any:
             try:
                 target_name, source_name = frame_names[target], frame_names[source]
                 # A time of a message, ``[Sec,NSec]``.
-                one, seconds, (two, nanoseconds, end) = time
+                first_functor, seconds, (second_functor, nanoseconds, end) = time
             except (KeyError, TypeError, ValueError):
                 target_name, source_name = self._frame_name(target), self._frame_name(source)
                 instant = instant_of(time)
             else:
-                is_ros_time = one is two is CONS and end is NIL
+                is_ros_time = first_functor is second_functor is CONS and end is NIL
                 if is_ros_time and seconds.__class__ is nanoseconds.__class__ is int:
                     instant = seconds * SECOND + nanoseconds
                 else:
@@ -341,24 +339,26 @@ class Transforms:
             pose_in_target = lookup(target_name, source_name, instant)
             if pose_in_target is None:
                 self._report_unknown(target_name, source_name)
-            elif gaps.max_distance != UNLIMITED_GAP and self._gap_reason(target_name, source_name, instant):
+            elif gaps.max_distance != UNLIMITED_GAP and self._find_gap_reason(
+                target_name, source_name, instant
+            ):
                 return None
             return pose_in_target
 
-        def look_up(target: Term, source: Term, time: Term) -> Optional[Term]:
+        def look_up_pose(target: Term, source: Term, time: Term) -> Optional[Term]:
             """Return the pose of the source frame in the target frame."""
-            source_pose = find(target, source, time)
+            source_pose = find_pose(target, source, time)
             return None if source_pose is None else lazy_pose_term(source_pose)
 
         def transform_pose(pose_term: Term, source: Term, target: Term, time: Term) -> Optional[Term]:
             """Return a pose, given in the source frame, in the target frame."""
-            source_pose = find(target, source, time)
+            source_pose = find_pose(target, source, time)
             return None if source_pose is None else lazy_pose_term(compose(source_pose, pose(pose_term)))
 
-        self._logic.define_function("tf_lookup", 4, look_up)
+        self._logic.define_function("tf_lookup", 4, look_up_pose)
         self._logic.define_function("tf_transform", 5, transform_pose)
 
-    def _missing_reason(self, target: Term, source: Term, time: Term) -> Optional[Term]:
+    def _find_missing_reason(self, target: Term, source: Term, time: Term) -> Optional[Term]:
         """Return the reason why there is no pose; None if there is one."""
         target_name, source_name = self._frame_name(target), self._frame_name(source)
         self.require()
@@ -367,7 +367,7 @@ class Transforms:
         instant = int(instant_of(time))
         fault = self.buffer.find_fault(target_name, source_name, instant)
         if fault is None:
-            return self._gap_reason(target_name, source_name, instant)
+            return self._find_gap_reason(target_name, source_name, instant)
         if fault.kind == "unconnected":
             return (_UNCONNECTED, atom(fault.frame), atom(fault.other_frame))
         key = _REASON_FUNCTORS[fault.kind]
@@ -379,23 +379,23 @@ class Transforms:
             atom("none") if fault.instant is None else timestamps.shown(fault.instant),
         )
 
-    def _gap_reason(self, target: str, source: str, instant: int) -> Optional[Term]:
+    def _find_gap_reason(self, target: str, source: str, instant: int) -> Optional[Term]:
         """Return ``gap(Frame, Seconds)`` if the samples of a frame are further apart than is allowed."""
         distance, frame = self.buffer.widest_gap(target, source, instant)
         return (_GAP, atom(frame), distance / SECOND) if distance > self._gaps.max_distance else None
 
-    def _add(self, machine: Machine, arguments: Sequence[Term], continuation: Frame) -> Frame:
+    def _add_dynamic(self, machine: Machine, arguments: Sequence[Term], next_frame: Frame) -> Frame:
         parent, child, time, pose_term = arguments
-        return self._add_transform(parent, child, int(instant_of(time)), pose_term, False, continuation)
+        return self._add_transform(parent, child, int(instant_of(time)), pose_term, False, next_frame)
 
-    def _add_static(self, machine: Machine, arguments: Sequence[Term], continuation: Frame) -> Frame:
+    def _add_static(self, machine: Machine, arguments: Sequence[Term], next_frame: Frame) -> Frame:
         parent, child, pose_term = arguments
-        return self._add_transform(parent, child, 0, pose_term, True, continuation)
+        return self._add_transform(parent, child, 0, pose_term, True, next_frame)
 
     def _add_transform(
-        self, parent: Term, child: Term, instant: int, pose_term: Term, is_static: bool, continuation: Frame
+        self, parent: Term, child: Term, instant: int, pose_term: Term, is_static: bool, next_frame: Frame
     ) -> Frame:
-        """Store one transform; return the continuation that first calls the queries that waited for it."""
+        """Store one transform; return the frame that first calls the queries that waited for it."""
         position, rotation = pose(pose_term)
         x, y, z, qx, qy, qz, qw = map(float, (*position, *rotation))
         numbers: Numbers = x, y, z, qx, qy, qz, qw
@@ -404,7 +404,7 @@ class Transforms:
         if reason:
             raise permission_error("create", "transform", deref(child), reason)
         reached = self._store([(*names, instant, numbers)], is_static)
-        return self.on_reached(reached, continuation) if reached else continuation
+        return self.on_reached(reached, next_frame) if reached else next_frame
 
     def _frame_name(self, term: Term) -> str:
         """Return the name of a frame, given as an atom or a string.
@@ -446,7 +446,7 @@ class Transforms:
 
 
 def _mentions_transforms(terms: Iterable[Term]) -> bool:
-    """Return whether terms contain a goal that reads transforms, or a condition that waits for one."""
+    """Return whether terms contain a goal that reads transforms, or a synchronized query that waits for one."""
     stack = list(terms)
     while stack:
         term: Any = deref(stack.pop())
