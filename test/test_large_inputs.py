@@ -11,8 +11,7 @@ import pytest
 from retalis import Engine, ProgramErrors
 from retalis.events.dispatch import matcher_compiler
 from retalis.foundation import codegen
-from retalis.prolog.compiler import goal_code
-from retalis.prolog.database import clause_index
+from retalis.prolog.database import clause_index, compiled_goal
 
 
 def slots(count):
@@ -155,7 +154,7 @@ def test_what_is_run_without_code_of_its_own_does_the_same(monkeypatch):
         "a(1.0, f(1))",
     ]
     compiled = run(text, goals_text, events)
-    for module in (matcher_compiler, clause_index, goal_code):
+    for module in (matcher_compiler, clause_index, compiled_goal):
         monkeypatch.setattr(module, "MAX_TERM_ARGUMENTS", 0)
     assert run(text, goals_text, events) == compiled
     assert len(compiled) > 8

@@ -177,7 +177,6 @@ CASES: Dict[str, Case] = {
     r"""[^ -&(-\[\]-~]|[\\'"`]""": Case(
         "search", "one look at each character", ("",), ("a", "'", "\\", "\n")
     ),
-    # prolog/syntax/quoted_text.py
     r"""\\(?: x([0-9a-fA-F]+)\\?
           | ([0-7]+)\\?
           | u([0-9a-fA-F]{4}) | U([0-9a-fA-F]{8})

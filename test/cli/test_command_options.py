@@ -131,7 +131,7 @@ def test_the_time_that_a_user_takes_is_not_counted(capsys):
 
         def wants_more(self):
             budget = console.engine.logic.machine.budget
-            asked.append(budget.turn.entry)
+            asked.append(budget.executor.entry)
             return True
 
     asked = []

@@ -201,7 +201,7 @@ class Engine:
         self.executor = SerialExecutor(
             settings.queue, self._report_drop, reports.error, recovery, settings.patience
         )
-        budget.attach_turn(self.executor)
+        budget.attach_executor(self.executor)
         self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
         call = self._call_undisturbed if settings.allow_goals else None
         self.event_input = EventInput(

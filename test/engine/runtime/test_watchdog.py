@@ -11,8 +11,8 @@ from retalis.engine.runtime.watchdog import RunningWork, Watchdog, describe_work
 from retalis.prolog.machine.resource_limits import Budget, LimitError
 
 
-class Turn:
-    """What an executor tells a watchdog."""
+class Executor:
+    """The state of an executor that a watchdog reads."""
 
     def __init__(self):
         self.thread = self.entry = None
@@ -25,42 +25,42 @@ class Turn:
 
 
 @pytest.fixture
-def turn():
-    return Turn()
+def executor():
+    return Executor()
 
 
 @pytest.fixture
-def watched(turn):
+def watched(executor):
     """A watchdog with a patience of a second, for a limit of ten, and what it has warned of."""
     budget = Budget()
-    budget.attach_turn(turn)
+    budget.attach_executor(executor)
     budget.set_limits(Limits(seconds=10.0))
     warned = []
-    dog = Watchdog(turn, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
+    dog = Watchdog(executor, budget, 1.0, lambda seconds, entry: warned.append((seconds, entry)))
     dog.warned, dog.budget = warned, budget
     return dog
 
 
-def test_what_runs_for_long_is_warned_of_ever_more_seldom(turn, watched):
-    turn.begin("a")
+def test_what_runs_for_long_is_warned_of_ever_more_seldom(executor, watched):
+    executor.begin("a")
     for instant in (0.0, 0.5, 1.1, 1.3, 1.9, 2.2, 3.0, 4.5, 5.0):
         watched.sample(instant)
     assert watched.warned == [(1.1, ("a",)), (2.2, ("a",)), (4.5, ("a",))]
 
 
-def test_what_came_meanwhile_is_not_taken_for_what_was_there(turn, watched):
+def test_what_came_meanwhile_is_not_taken_for_what_was_there(executor, watched):
     for instant in range(20):
-        turn.begin("a")
+        executor.begin("a")
         watched.sample(float(instant))
         if instant % 3 == 0:
-            turn.thread = None
+            executor.thread = None
             watched.sample(instant + 0.5)
     assert watched.warned == []
     assert not watched.budget.needs_check
 
 
-def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(turn, watched):
-    turn.begin("a")
+def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(executor, watched):
+    executor.begin("a")
     watched.sample(0.0)
     watched.sample(9.9)
     assert not watched.budget.needs_check
@@ -76,19 +76,19 @@ def test_past_its_seconds_an_entry_is_ended_and_gets_the_same_time_to_clean_up(t
     assert caught.value.is_final
 
 
-def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(turn, watched):
-    turn.begin("a")
+def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(executor, watched):
+    executor.begin("a")
     watched.sample(0.0)
     watched.sample(10.1)
-    turn.begin("b")
+    executor.begin("b")
     watched.budget.check_entry()
     assert not watched.budget.needs_check
 
 
-def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
+def test_what_is_held_and_for_how_long_is_said_between_the_looks(executor, watched):
     assert watched.running_entry(0.0) is None
     for first, name in ((1.0, "a"), (10.0, "b")):
-        turn.begin(name)
+        executor.begin(name)
         assert watched.running_entry(first) == ((name,), 0.0)
         assert watched.running_entry(first + 0.5) == ((name,), 0.5)
         for passed in (0.9, 1.0, 1.5, 2.0):
@@ -96,7 +96,7 @@ def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
         assert watched.running_entry(first + 3.0) == ((name,), 3.0)
         assert watched.warned == [(1.0, (name,)), (2.0, (name,))]
         watched.warned.clear()
-    turn.thread = None
+    executor.thread = None
     assert watched.running_entry(14.0) is None
 
 
@@ -110,10 +110,12 @@ def test_what_is_held_and_for_how_long_is_said_between_the_looks(turn, watched):
         (0.0, 9.0, 0.005),
     ],
 )
-def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(turn, patience, seconds, pause):
+def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(executor, patience, seconds, pause):
     budget = Budget()
     budget.set_limits(Limits(seconds=seconds))
-    assert Watchdog(turn, budget, patience, lambda ran, entry: None).sample_interval() == pytest.approx(pause)
+    assert Watchdog(executor, budget, patience, lambda ran, entry: None).sample_interval() == pytest.approx(
+        pause
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,11 +135,11 @@ def test_what_came_in_is_named_in_short(entry, named):
     assert describe_work(engine.logic, engine.dispatcher, entry) == RunningWork(named, "", "", None)
 
 
-def test_no_limit_and_no_patience_is_none(turn):
+def test_no_limit_and_no_patience_is_none(executor):
     budget = Budget()
-    budget.attach_turn(turn)
-    dog = Watchdog(turn, budget, None, lambda seconds, entry: pytest.fail("warned"))
-    turn.begin("a")
+    budget.attach_executor(executor)
+    dog = Watchdog(executor, budget, None, lambda seconds, entry: pytest.fail("warned"))
+    executor.begin("a")
     for instant in (0.0, 1e3, 1e6):
         dog.sample(instant)
     assert not budget.needs_check

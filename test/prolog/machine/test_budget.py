@@ -20,8 +20,8 @@ from retalis.prolog.machine.resource_limits import (
 )
 
 
-class Turn:
-    """A turn in which one entry is at work."""
+class Executor:
+    """An executor in which one entry is at work."""
 
     def __init__(self):
         self.thread, self.entry, self.following = threading.get_ident(), ("outer",), []
@@ -125,17 +125,17 @@ def test_an_error_that_is_kept_back_in_a_later_entry_refuses_goals_of_that_one_o
 
 
 @pytest.fixture
-def turn():
-    made = Turn()
+def executor():
+    made = Executor()
     yield made
     made.thread = None  # what comes after is no work of this entry
 
 
-def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, turn):
+def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, executor):
     reports = []
     budget.on_stopped = lambda rule, limit, steps, entry: reports.append((rule, limit, steps))
     budget.set_limits(Limits(inferences=100))
-    budget.attach_turn(turn)
+    budget.attach_executor(executor)
     meter = budget.meter("rule")
     while not meter(10):
         pass
@@ -144,25 +144,25 @@ def test_each_step_of_pattern_work_that_is_left_out_is_counted_once(budget, turn
     assert reports == [("rule", "inferences", 3)]
 
 
-def test_an_entry_inside_of_another_has_limits_of_its_own(budget, turn):
-    budget.attach_turn(turn)
+def test_an_entry_inside_of_another_has_limits_of_its_own(budget, executor):
+    budget.attach_executor(executor)
     budget.set_limits(Limits(inferences=1000))
     budget.goal = outer = object()
     budget.check_limits(900)
 
     def inner():
-        assert turn.entry == ("inner",) and budget.goal is None
+        assert executor.entry == ("inner",) and budget.goal is None
         budget.goal = object()
         budget.check_limits(900)
         return budget.remaining_limits()
 
     assert budget.run_as_entry(("inner",), inner) == RemainingLimits(None, 100, None)
-    assert turn.entry == ("outer",) and budget.goal is outer
+    assert executor.entry == ("outer",) and budget.goal is outer
     assert budget.remaining_limits() == RemainingLimits(None, 100, None)
 
 
-def test_output_is_limited_for_each_entry(budget, turn):
-    budget.attach_turn(turn)
+def test_output_is_limited_for_each_entry(budget, executor):
+    budget.attach_executor(executor)
     budget.set_limits(Limits(output_megabytes=1))
     budget.count_output(MEGABYTE)
     with pytest.raises(LimitError, match="output") as caught:
@@ -172,7 +172,7 @@ def test_output_is_limited_for_each_entry(budget, turn):
     with pytest.raises(LimitError, match="output") as caught:
         budget.count_output(1)
     assert caught.value.is_final
-    (end,) = turn.following
+    (end,) = executor.following
     end()
     budget.count_output(MEGABYTE)
 
@@ -285,9 +285,9 @@ class Model:
 @settings(deadline=None, derandomize=True, max_examples=300)
 @given(st.lists(STEPS, max_size=25))
 def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_error(steps):
-    model, budget, turn = Model(), Budget(), Turn()
+    model, budget, executor = Model(), Budget(), Executor()
     budget.set_limits(Model.LIMITS)
-    budget.attach_turn(turn)
+    budget.attach_executor(executor)
     budget.goal = object()
     budget.inner = lambda: budget.run_as_entry(("inner",), lambda: budget.check_limits(0))
     budget.write = budget.count_output
@@ -310,4 +310,4 @@ def test_a_goal_may_use_what_the_limits_say_and_once_a_little_more_after_an_erro
                             model.deadline, Model.LIMITS.inferences - model.spent, None
                         )
     finally:
-        turn.thread = None
+        executor.thread = None

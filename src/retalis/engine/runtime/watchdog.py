@@ -15,10 +15,11 @@ from ...events.dispatch.dispatcher import Dispatcher
 from ...events.dispatch.listeners import TERM
 from ...foundation.errors import Place, RuleError, beginning
 from ...prolog.database.compiled_goal import CompiledGoal
-from ...prolog.machine.resource_limits import Budget, Turn
+from ...prolog.machine.resource_limits import Budget
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import COMMA, Atom, deref
 from .problem_reports import Reports
+from .serial_executor import SerialExecutor
 
 OnSlowWork = Callable[[float, object], None]
 
@@ -60,7 +61,9 @@ class Watchdog:
         on_warning: called in the watchdog's thread with the duration in seconds and the entry.
     """
 
-    def __init__(self, executor: Turn, budget: Budget, warn_after: Optional[float], on_warning: OnSlowWork):
+    def __init__(
+        self, executor: SerialExecutor, budget: Budget, warn_after: Optional[float], on_warning: OnSlowWork
+    ):
         self._executor = executor
         self._budget = budget
         self._warn_after = warn_after
@@ -117,7 +120,11 @@ class Watchdog:
 
 
 def start_watchdog(
-    executor: Turn, logic: PrologSystem, dispatcher: Dispatcher, reports: Reports, warn_after: Optional[float]
+    executor: SerialExecutor,
+    logic: PrologSystem,
+    dispatcher: Dispatcher,
+    reports: Reports,
+    warn_after: Optional[float],
 ) -> Watchdog:
     """Create the watchdog of an engine, and start its thread if it has a time to check."""
     budget = logic.machine.budget

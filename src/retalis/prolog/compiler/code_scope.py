@@ -240,7 +240,7 @@ class Scope:
         depth: indentation of the next statement.
         names: Python names of the variables that have a value.
         fresh: variables that are certainly unbound and that no term refers to.
-        numbers: names that hold the numeric value of a variable, with its class (see `arithmetic_code.Operand`).
+        numbers: names that hold the numeric value of a variable, with its class (see `inline_goals.Operand`).
         fail: the statement that fails.
         cut: the statement that fails after a cut.
         give_up: the statement that leaves the goal to the machine, in predicates that are called as functions.

@@ -32,6 +32,7 @@ from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python
 from .resource_limits import SLICE, Budget
 
 if TYPE_CHECKING:
+    from ..database.compiled_goal import CompiledGoal
     from ..system.prolog_system import PrologSystem
 
 
@@ -40,23 +41,6 @@ class OutputCollector(Protocol):
 
     def collect(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
         """Receive the outputs of a solution; return the next frame, or None to request the next solution."""
-
-
-class RunnableGoal(Protocol):
-    """The part of a `CompiledGoal` that the machine uses."""
-
-    @property
-    def function(self) -> Optional[Callable[..., Any]]:
-        """The goal as a Python function, or None if there is none.
-
-        The function returns the outputs, None for failure, or `BAIL`.
-        """
-
-    def count_bail(self) -> None:
-        """Count a call of the function that returned `BAIL`."""
-
-    def make_frame(self, values: Values, collector: Frame, /) -> Frame:
-        """Return the frame that runs the goal and passes its outputs to an `OutputCollector`."""
 
 
 BAIL = object()
@@ -261,7 +245,7 @@ class Machine:
             elif budget.has_use and not base and not budget.is_processing_entry:
                 budget.reset()
 
-    def check(self, frame: Frame, goal: RunnableGoal) -> bool:
+    def check(self, frame: Frame, goal: "CompiledGoal") -> bool:
         """Return whether a `CompiledGoal` that keeps the choice points has a solution; keep no bindings.
 
         Unlike `run`, it executes the first step without pushing a choice point; most goals finish in that step.
@@ -495,7 +479,7 @@ class Machine:
 
     def attempt(
         self,
-        goal: RunnableGoal,
+        goal: "CompiledGoal",
         values: Values,
         then: Callable[[Values], Optional[Frame]],
         otherwise: Optional[Frame],
@@ -534,7 +518,7 @@ class Machine:
         return (self._enter_code, goal, values, then, on_error, otherwise)
 
     def _enter_attempt(self, frame: Frame) -> Frame:
-        goal: RunnableGoal
+        goal: CompiledGoal
         _, goal, values, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)

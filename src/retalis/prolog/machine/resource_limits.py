@@ -1,8 +1,8 @@
 """Resource limits of events and queries: seconds, inferences, memory and output.
 
 An *entry* is a unit of accounting: an event or a query with everything that it starts. Each entry may use what
-`Limits` allows, and `Budget` counts it. An engine announces the entries of its turns (`Budget.attach_turn`); without
-an engine, each outermost run of the machine is an entry.
+`Limits` allows, and `Budget` counts it. An engine announces entries by its executor (`Budget.attach_executor`);
+without an engine, each outermost run of the machine is an entry.
 
 The machine counts steps in slices of `SLICE` and checks the limits after each slice, so counting costs nothing for a
 single step. Long steps (sorting, copying a large term) call `check_limits`, which counts their work and checks the
@@ -26,6 +26,7 @@ from contextlib import contextmanager
 from threading import get_ident
 from time import monotonic
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Dict,
@@ -34,7 +35,6 @@ from typing import (
     List,
     NamedTuple,
     Optional,
-    Protocol,
     Tuple,
     Type,
     TypeVar,
@@ -45,6 +45,9 @@ from ...foundation.cancellation import CURRENT_CHECK, register_budget
 from ...foundation.errors import UsageError, shortened
 from ..terms.types import Term
 from .errors import PrologError, resource_error
+
+if TYPE_CHECKING:
+    from ...engine.runtime.serial_executor import SerialExecutor
 
 SLICE = (None,) * 1021
 """Steps between two checks of the limits. The number is prime, so that the checks of a loop fall on different
@@ -142,13 +145,6 @@ class Limits(_LimitFields):
 NO_LIMITS = Limits(output_megabytes=None)
 
 
-class RefusingBudget(Protocol):
-    """The budget of a limit that has been exceeded."""
-
-    def refuse_goals(self, error: "LimitError") -> None:
-        """Refuse further goals of the entry because of an error."""
-
-
 class LimitError(PrologError):
     """A limit has been exceeded.
 
@@ -160,7 +156,7 @@ class LimitError(PrologError):
     """
 
     is_final = False
-    budget: Optional[RefusingBudget] = None
+    budget: "Optional[Budget]" = None
     limit_name = ""
     was_refused = False
 
@@ -225,19 +221,6 @@ LimitCheck = Optional[Callable[[int, int], None]]
 """The function that long steps call to check limits; see `foundation.cancellation`."""
 
 
-class Turn(Protocol):
-    """An engine's turns, which delimit the entries."""
-
-    entry: object
-
-    @property
-    def thread(self) -> Optional[int]:
-        """The thread that processes an entry; None while there is none."""
-
-    def call_next(self, work: Callable[[], None], /) -> None:
-        """Call ``work`` after the current entry."""
-
-
 Meter = Callable[[int], bool]
 """Counts steps of pattern matching (pairs, items, derived events); returns True if pattern matching has to stop."""
 
@@ -248,14 +231,14 @@ BudgetState = Tuple[bool, LimitCheck, object, int, Tuple[int, ...]]
 class Budget:
     """Resource use and limits of the current entry: an event or query with everything that it starts.
 
-    An engine announces the entries of its turns (`attach_turn`). Without an engine, each outermost run of the machine
-    is an entry.
+    An engine announces entries by its executor (`attach_executor`). Without an engine, each outermost run of the
+    machine is an entry.
 
     Attributes:
         limits: the limits of each entry.
         limited: whether the machine must `enter` each run, because limits are set and no engine announces entries.
         needs_check: whether goals must call `check_entry` before they start.
-        turn: announces entries. Its ``thread`` processes one, or is None; its ``entry`` identifies it.
+        executor: announces entries. Its ``thread`` processes one, or is None; its ``entry`` identifies it.
         goal: the running goal, a `CompiledGoal` or a term; None while only patterns are matched.
         inferences: inferences since the start.
         alarms: instants of the monotonic clock (s), with the errors to throw after them.
@@ -276,7 +259,7 @@ class Budget:
     """
 
     def __init__(self) -> None:
-        self.turn: Optional[Turn] = None
+        self.executor: Optional[SerialExecutor] = None
         self.goal: object = None
         self.on_reset: Callable[[], None] = lambda: None
         self.on_refused: Callable[[int, str, object], None] = lambda number, what, entry: None
@@ -292,7 +275,7 @@ class Budget:
         self._steps = 0  # not yet counted as inferences
         self._memory_check_time = 0.0
         self._expired_entry: object = None
-        self._entry: object = None  # the turn's entry at the first use
+        self._entry: object = None  # the executor's entry at the first use
         self.reset()
 
     def set_limits(self, limits: Limits) -> None:
@@ -305,24 +288,24 @@ class Budget:
         # this error small.
         steps = len(SLICE) if limits.inferences is None else int(limits.inferences) // 8
         self._pattern_slice = self.pattern_steps[0] = min(len(SLICE), max(1, steps))
-        self.limited = limits != NO_LIMITS and self.turn is None
+        self.limited = limits != NO_LIMITS and self.executor is None
 
-    def attach_turn(self, turn: Turn) -> None:
-        """Treat the units of work of a turn as entries; ``turn.call_next`` schedules the reset after each of them."""
-        self.turn = turn
+    def attach_executor(self, executor: "SerialExecutor") -> None:
+        """Treat each unit of work of an executor as an entry; reset the use of resources after each."""
+        self.executor = executor
         self.meters_patterns = self._has_limits
         self.limited = False
         register_budget(self)
 
     @property
     def is_processing_entry(self) -> bool:
-        """True while a turn processes an entry."""
-        return self.turn is not None and self.turn.thread is not None
+        """True while the executor processes an entry."""
+        return self.executor is not None and self.executor.thread is not None
 
     @property
     def runs_here(self) -> bool:
-        """True while this thread runs a goal of a turn's entry."""
-        return self.goal is not None and self.turn is not None and self.turn.thread == get_ident()
+        """True while this thread runs a goal of the executor's entry."""
+        return self.goal is not None and self.executor is not None and self.executor.thread == get_ident()
 
     # Entries
 
@@ -411,20 +394,20 @@ class Budget:
             self.on_stopped(*self.pattern_stop, self.skipped_pattern_steps, self._entry)
 
     def run_as_entry(self, entry: object, work: Callable[[], T]) -> T:
-        """Run ``work`` as an entry of its own in the middle of another entry of a turn; return its result."""
-        turn = self.turn
-        assert turn is not None
-        previous_goal = turn.entry, self.goal
+        """Run ``work`` as an entry of its own in the middle of another entry; return its result."""
+        executor = self.executor
+        assert executor is not None
+        previous_goal = executor.entry, self.goal
         # The use of the outer entry is saved attribute by attribute, because generated code and the machine refer to
         # this budget object.
         saved = [getattr(self, name) for name in _ENTRY_ATTRIBUTES] if self.has_use else None
         if saved is not None:
             self._reset_use()
-        turn.entry, self.goal = entry, None
+        executor.entry, self.goal = entry, None
         try:
             return work()
         finally:
-            turn.entry, self.goal = previous_goal
+            executor.entry, self.goal = previous_goal
             if self.has_use:
                 self._report()
                 self._reset_use()
@@ -441,15 +424,15 @@ class Budget:
 
         Afterwards the entry may use its limits again.
         """
-        turn = self.turn
-        assert turn is not None
+        executor = self.executor
+        assert executor is not None
         entry: Any
-        entry, turn.entry = turn.entry, None
+        entry, executor.entry = executor.entry, None
         try:
             yield
         finally:
             # A new identity with the same name: a watchdog that still times the old entry must not expire this one.
-            turn.entry = None if entry is None else (*entry, None)
+            executor.entry = None if entry is None else (*entry, None)
             self._reset_use()
 
     # Goals of entries
@@ -605,10 +588,10 @@ class Budget:
         """Record that the entry has used resources, so that they are reset at its end."""
         if not self.has_use:
             self.has_use = True
-            turn = self.turn
-            if turn is not None and turn.thread is not None:
-                self._entry = turn.entry
-                turn.call_next(self.end)
+            executor = self.executor
+            if executor is not None and executor.thread is not None:
+                self._entry = executor.entry
+                executor.call_next(self.end)
 
     def _count_steps(self) -> None:
         self._mark_used()
@@ -655,8 +638,8 @@ class Budget:
                 return "seconds"
             if (
                 self._expired_entry is not None
-                and self.turn is not None
-                and self._expired_entry is self.turn.entry
+                and self.executor is not None
+                and self._expired_entry is self.executor.entry
             ):
                 return "seconds"
         if limits.megabytes is not None and (

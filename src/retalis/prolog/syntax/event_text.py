@@ -33,9 +33,8 @@ from ...foundation.errors import SyntaxFault
 from ..terms.list_terms import make_list
 from ..terms.timestamps import SECOND, datime
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Functor, String, Term, Var, atom, deref, serial
-from .literals import atom_text, integer_text, quote
+from .literals import atom_text, integer_text, quote, quote_end, unquote
 from .operators import Operators
-from .quoted_text import closing, unquote
 from .term_reader import read_term
 from .tokenizer import ReadFlags
 
@@ -501,7 +500,7 @@ def _split_escaped(text: str) -> Optional[Parts]:
     while quote_match is not None:
         start = quote_match.start()
         rest.append(text[end:start])
-        closing_at = closing(text, start)
+        closing_at = quote_end(text, start)
         if closing_at is None:
             return None
         end = closing_at

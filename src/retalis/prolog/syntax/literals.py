@@ -1,7 +1,8 @@
-"""Text of atoms, quoted text and numbers, and conversion of numbers from text.
+"""Atoms, quoted text and numbers: conversion to text, and from text.
 
-Atoms are quoted if they would not be read back as the same atom (ISO 13211-1, 7.10.5). Floats are written as the
-shortest decimal text that reads back, which is what Python's ``repr`` returns.
+Atoms are quoted if they would not be read back as the same atom (ISO 13211-1, 7.10.5). The escapes of quoted text are
+those of ISO 13211-1, 6.4.2.1, and of SWI-Prolog. Floats are written as the shortest decimal text that reads back,
+which is what Python's ``repr`` returns.
 
 Long integers: Python refuses to convert decimal texts of more than 4,300 digits, because its conversion takes
 quadratic time. The conversions here divide a number into halves, which is faster and needs no change of Python's
@@ -11,24 +12,49 @@ limit.
 import re
 import unicodedata
 from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
-from typing import Callable, Dict, Match
+from typing import Callable, Dict, Match, Optional, Pattern
 
 from ...foundation.bounded_caches import TextCache
 from ...foundation.cancellation import check_limits
 from ...foundation.cpython_and_pypy import LONG_DECIMALS
 
-_PLAIN = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
+_UNQUOTED_NAME = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 """Names that need no quotes: words, symbol characters, and solo atoms."""
-_ESCAPED = re.compile(r"""[^ -&(-\[\]-~]|[\\'"`]""")
+_ESCAPE_CANDIDATE = re.compile(r"""[^ -&(-\[\]-~]|[\\'"`]""")
 """Characters that may need an escape within quotes."""
 _CHUNK_CHARACTERS = 1 << 14
 """Characters that are escaped between two checks of the goal's limits."""
-_NAMED = {"\a": "\\a", "\b": "\\b", "\f": "\\f", "\n": "\\n", "\t": "\\t", "\v": "\\v", "\r": "\\r"}
+_ESCAPES = {"\a": "\\a", "\b": "\\b", "\f": "\\f", "\n": "\\n", "\t": "\\t", "\v": "\\v", "\r": "\\r"}
+_ESCAPE = re.compile(
+    r"""\\(?: x([0-9a-fA-F]+)\\?
+          | ([0-7]+)\\?
+          | u([0-9a-fA-F]{4}) | U([0-9a-fA-F]{8})
+          | (\n)
+          | (c)\s*
+          | ([\s\S]?) )
+      | (['"`])\8""",
+    re.VERBOSE,
+)
+"""An escape sequence or a doubled quote; see `unquote` for the groups."""
+_ESCAPE_END = re.compile(r"\\(?:x[0-9a-fA-F]+\\?|[0-7]+\\?|c\s*|[\s\S])")
+"""An escape sequence of any kind, valid or not."""
+_PLAIN_TEXT = {
+    "'": re.compile(r"[^'\\\n]*"),
+    '"': re.compile(r'[^"\\\n]*'),
+    "`": re.compile(r"[^`\\\n]*"),
+}
+"""For each quote, text without the quote itself, escapes and line ends."""
+_PLAIN_TEXT_OF_LINE = re.compile(r"[^\\\n]*")
+_ESCAPED_CHARACTERS = {
+    "a": "\a", "b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t", "v": "\v", "0": "\0", "e": "\x1b",
+    "s": " ", "\\": "\\", "'": "'", '"': '"', "`": "`",
+}  # fmt: skip
+"""Characters after a backslash, and the characters that they denote."""
 
 
 def needs_quotes(name: str) -> bool:
     """Return whether an atom of this name must be quoted to be read back."""
-    if _PLAIN.match(name) is None:
+    if _UNQUOTED_NAME.match(name) is None:
         return len(name) != 1 or ord(name) < 128 or unicodedata.category(name)[0] != "S"
     first = name[0]
     # Title-case letters (category Lt) begin variables, too. `.` would end the clause, and `/*` begin a comment.
@@ -44,17 +70,17 @@ def quote(text: str, mark: str) -> str:
             return "\\" + char if char == mark else char
         if char == "\\":
             return "\\\\"
-        escape_letter = _NAMED.get(char)
+        escape_letter = _ESCAPES.get(char)
         if escape_letter is not None:
             return escape_letter
         return char if char.isprintable() else f"\\x{ord(char):X}\\"
 
     if len(text) <= _CHUNK_CHARACTERS:
-        return f"{mark}{_ESCAPED.sub(escape, text)}{mark}"
+        return f"{mark}{_ESCAPE_CANDIDATE.sub(escape, text)}{mark}"
     check_limits(size=len(text))
     pieces = []
     for start in range(0, len(text), _CHUNK_CHARACTERS):
-        pieces.append(_ESCAPED.sub(escape, text[start : start + _CHUNK_CHARACTERS]))
+        pieces.append(_ESCAPE_CANDIDATE.sub(escape, text[start : start + _CHUNK_CHARACTERS]))
         check_limits()
     check_limits(size=sum(map(len, pieces)))
     return f"{mark}{''.join(pieces)}{mark}"
@@ -66,6 +92,100 @@ def _atom_text(name: str) -> str:
 
 atom_text: Callable[[str], str] = TextCache(_atom_text, 8192, 4 << 20, 2048).__getitem__
 """Return an atom as ``writeq/1`` writes it; cached."""
+
+
+def quote_end(text: str, start: int, multiline: bool = False) -> Optional[int]:
+    """Return the offset after the quoted text at ``start``, or None if it is not closed on its line.
+
+    Args:
+        text: the whole text.
+        start: offset of the opening quote.
+        multiline: allow line ends without a backslash before them.
+    """
+    # Runs of plain characters are skipped by a regular expression, escapes one by one: a single expression for the
+    # whole would take a kilobyte of memory for every escape.
+    quote = text[start]
+    run = _PLAIN_TEXT[quote]
+    offset = start + 1
+    while True:
+        offset = _match_end(run, text, offset)
+        char = text[offset : offset + 1]
+        if char == quote:
+            if text[offset + 1 : offset + 2] != quote:
+                return offset + 1
+            offset += 2
+            continue
+        if multiline and char == "\n":
+            offset += 1
+            continue
+        escape = _ESCAPE_END.match(text, offset)
+        if escape is None:
+            return None
+        offset = escape.end()
+
+
+def unclosed_quote_end(text: str, start: int) -> int:
+    """Return the end of an unclosed quote: the end of its line, or before a full stop there."""
+    offset = start + 1
+    while True:
+        end = _match_end(_PLAIN_TEXT_OF_LINE, text, offset)
+        escape = _ESCAPE_END.match(text, end)
+        if escape is None:
+            break
+        offset = escape.end()
+    # A full stop at the end of the line probably ends the clause; leaving it out of the quote lets the reader
+    # continue with the next clause.
+    line = text[offset:end].rstrip(" \t")
+    return offset + len(line) - 1 if line.endswith(".") and text[end : end + 1] != "\\" else end
+
+
+def _match_end(pattern: "Pattern[str]", text: str, offset: int) -> int:
+    run = pattern.match(text, offset)
+    assert run is not None
+    return run.end()
+
+
+def unquote(body: str, quote: str, strict: bool = False) -> str:
+    """Return the text that quoted text denotes.
+
+    Args:
+        body: the text without its outer quotes.
+        quote: the quote around it; if doubled inside, it denotes itself.
+        strict: accept only the escapes of ISO 13211-1, with character codes closed by a backslash.
+
+    Raises:
+        ValueError: with a message and the offset of an invalid escape.
+    """
+
+    def value(match: "Match[str]") -> str:
+        hexadecimal, octal, short, long, newline, nothing, letter, doubled = match.groups()
+        if doubled is not None:
+            return doubled if doubled == quote else doubled + doubled
+        if strict and not _is_standard(match):
+            raise ValueError(f"{match.group(0)} is not an escape sequence of ISO Prolog", match.start())
+        if newline or nothing:
+            return ""
+        if letter is not None:
+            if letter in _ESCAPED_CHARACTERS and letter:
+                return _ESCAPED_CHARACTERS[letter]
+            raise ValueError(_unknown_escape_message(match.group(0)), match.start())
+        code = int(octal, 8) if octal else int(hexadecimal or short or long, 16)
+        if code > 0x10FFFF or 0xD800 <= code < 0xE000:
+            raise ValueError(f"{match.group(0)} is not a Unicode character", match.start())
+        return chr(code)
+
+    return _ESCAPE.sub(value, body)
+
+
+def _is_standard(match: "Match[str]") -> bool:
+    hexadecimal, octal, _, _, newline, _, letter, _ = match.groups()
+    if hexadecimal or octal:
+        return match.group(0).endswith("\\")
+    return bool(newline) or (letter is not None and letter not in ("e", "s"))
+
+
+def _unknown_escape_message(escape: str) -> str:
+    return rf"{escape} is not an escape sequence: to write a backslash in quotes, double it (\\)"
 
 
 _SAFE_DIGITS = 4000

@@ -12,10 +12,12 @@ An integer in a float slot denotes a float: ``{x: 0}`` matches 0.0, because ROS 
 """
 
 from math import copysign
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, Iterator, List, NamedTuple, Sequence, Set, Tuple
 
-from ...foundation.bounded_caches import Cache
 from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
+
+if TYPE_CHECKING:
+    from ...messages.named_slots import SlotNames
 
 _ARROW = functor("<-", 2)
 _DO = functor("do", 2)
@@ -94,22 +96,6 @@ class MessageNotation(NamedTuple):
     integer_slots: Tuple[int, ...] = ()
 
 
-class MessageTypes(Protocol):
-    """Provider of the slots of messages; stores the notations that programs use."""
-
-    notations: "Cache[MessageNotation, bool]"
-
-    def find(self, name: str) -> Optional[Sequence[MessageSlot]]:
-        """Return the slots of a message by its functor name; None if no message has the name.
-
-        Raises:
-            RetalisError: if the definition cannot be read.
-        """
-
-    def suggest(self, name: str) -> "MessageSuggestions":
-        """Return the messages that a misspelt name probably denotes."""
-
-
 class MessageSuggestions(NamedTuple):
     """Messages that a name probably denotes.
 
@@ -181,7 +167,7 @@ def compound_subterms(term: Term) -> Iterator[CompoundTerm]:
 
 
 def bind_defaults(
-    term: Term, messages: Sequence[ParsedMessage], message_types: MessageTypes, is_constructed: bool
+    term: Term, messages: Sequence[ParsedMessage], message_types: "SlotNames", is_constructed: bool
 ) -> None:
     """Bind unnamed slots to their default values in constructed messages, and store the notations of all messages.
 

@@ -2,28 +2,31 @@
 
 A message with named slots is an entry of kind ``SLOTS`` on the parser's stack. When its bracket closes, the term is
 built with all arguments in the order of the message type: a variable for each slot that is not named, and floats in
-place of integers in float slots. `MessageTypes` provides the slots of a message type.
+place of integers in float slots. `SlotNames` (in `messages.named_slots`) provides the slots of a message type.
 
 `misnamed_message_error` creates the error for a name before the bracket that is not a message type: a ROS notation
 (``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
 
 from difflib import get_close_matches
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RetalisError, SyntaxFault
 from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
-from .message_slots import MessageSlot, MessageTypes, ParsedMessage, integers_to_floats
+from .message_slots import MessageSlot, ParsedMessage, integers_to_floats
 from .parser_stack import LIST, SLOTS, ParserStack, ParserState
 from .tokenizer import NAME, QUOTED, VARIABLE, shown
+
+if TYPE_CHECKING:
+    from ...messages.named_slots import SlotNames
 
 _MAX_SUGGESTED_TYPES = 3
 """Maximum number of message types that an error suggests."""
 
 
-def misnamed_message_error(parser: ParserState, message_types: MessageTypes) -> Optional[SyntaxFault]:
+def misnamed_message_error(parser: ParserState, message_types: "SlotNames") -> Optional[SyntaxFault]:
     """Return the error for a curly bracket after a name that is not a message type.
 
     Returns:
@@ -49,7 +52,7 @@ def misnamed_message_error(parser: ParserState, message_types: MessageTypes) -> 
     return parser.source.fault(f"no message type or event of a topic is called {name}{hint}", start)
 
 
-def _is_message(name: str, message_types: MessageTypes) -> bool:
+def _is_message(name: str, message_types: "SlotNames") -> bool:
     try:
         return message_types.find(name) is not None
     except RetalisError:  # The message type exists, but its definition cannot be read.

@@ -5,11 +5,25 @@ The reader knows no event operator by itself. The event language registers them 
 """
 
 from functools import lru_cache
-from typing import AbstractSet, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    AbstractSet,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from ...foundation.errors import UsageError
 from ..terms.types import Functor, functor
-from .message_slots import MessageTypes
+
+if TYPE_CHECKING:
+    from ...messages.named_slots import SlotNames
 
 
 class Operator(NamedTuple):
@@ -171,7 +185,7 @@ class Operators:
         self.prefix: Dict[str, Operator] = {}
         self.infix: Dict[str, Operator] = {}
         self.postfix: Dict[str, Operator] = {}
-        self.message_types: Optional[MessageTypes] = None
+        self.message_types: Optional[SlotNames] = None
         self._patterns: Optional[Dict[str, Operator]] = None
 
     @classmethod

@@ -19,7 +19,6 @@ from ...foundation.errors import Place, SyntaxFault, place_on
 from ..terms.list_terms import make_list
 from ..terms.types import String, Term, atom
 from . import literals
-from .quoted_text import closing, unclosed_end, unquote
 
 NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
 """Kinds of tokens. Brackets, commas and bars are kinds of their own, named by their character."""
@@ -113,7 +112,7 @@ TOKEN_PATTERNS: Dict[str, str] = {
         )
     ),
     # Atoms, strings and back-quoted text without escapes and doubled quotes. Others begin with QUOTE, and
-    # quoted_text.py finds their end: a regular expression takes a kilobyte of memory for every escape.
+    # `literals` finds their end: a regular expression takes a kilobyte of memory for every escape.
     "QUOTED": r"""'[^'\\\n]*'(?!')|"[^"\\\n]*"(?!")|`[^`\\\n]*`(?!`)""",
     "QUOTE": r"""['"`]""",
     "SYMBOL": r"[-+*/\\^<>=~:.?@#&$]+",
@@ -185,9 +184,9 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
         elif token_kind == "END":
             yield END, None, start, end
         elif token_kind == "QUOTE":
-            end = closing(text, start, flags().multiline)
+            end = literals.quote_end(text, start, flags().multiline)
             if end is None:
-                end = unclosed_end(text, start)
+                end = literals.unclosed_quote_end(text, start)
                 yield "bad", unclosed(text[start], start, text), start, end
             else:
                 yield _quoted_token(text[start:end], start, end, flags())
@@ -258,7 +257,7 @@ def _number_value(text: str, flags: ReadFlags) -> Term:
     if flags.iso and (text == "0''" or (second == "'" and text[0] != "0")):
         raise ValueError(f"{text} is not a number in ISO Prolog")
     if second == "'" and text[0] == "0":
-        char = "'" if text == "0'''" else unquote(text[2:], "", flags.iso)
+        char = "'" if text == "0'''" else literals.unquote(text[2:], "", flags.iso)
         if not char:
             raise ValueError(f"{text} is not a character")
         return ord(char[0])
@@ -282,7 +281,7 @@ def _quoted_token(token_text: str, start: int, end: int, flags: ReadFlags) -> An
     body = token_text[1:-1]
     if "\\" in body or quote in body:
         try:
-            body = unquote(body, quote, flags.iso)
+            body = literals.unquote(body, quote, flags.iso)
         except ValueError as error:
             message, offset = error.args
             return "bad", message, start + 1 + offset, end

@@ -4,7 +4,7 @@ import pytest
 
 from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader
-from retalis.prolog.syntax.quoted_text import closing, unclosed_end
+from retalis.prolog.syntax.literals import quote_end, unclosed_quote_end
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
 
@@ -33,7 +33,7 @@ OPERATORS = Operators.prolog()
     ],
 )
 def test_where_it_ends(text, end):
-    assert closing(text, 0) == end
+    assert quote_end(text, 0) == end
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_where_it_ends(text, end):
     ],
 )
 def test_where_one_that_is_not_closed_ends(text, end):
-    assert unclosed_end(text, 0) == end
+    assert unclosed_quote_end(text, 0) == end
 
 
 @pytest.mark.parametrize(
