@@ -318,7 +318,7 @@ def test_what_a_table_costs_is_linear_in_its_answers(rules):
         logic = prolog(f":- table p/2, q/2, r(_, _, min).\n{rules}\n{edges}")
         seen = Counter()
         tables = tables_of(logic.machine)
-        tables.give = counted(tables.give, seen)
+        tables.bind_answer = counted(tables.bind_answer, seen)
         assert int(first(logic, "aggregate_all(count, p(0, _), N)")) >= size // 2
         return seen["calls"]
 

@@ -64,28 +64,37 @@ def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optiona
         # Checked before the free variables are collected: an unbound goal would be its own free variable.
         if inner_goal.__class__ is Var:
             raise instantiation_error()
-        local = set(variables((COMMA, template, *quantified)))
-        free = [var for var in variables(inner_goal) if var not in local]
-        witness = make_list(free)
+        local_vars = set(variables((COMMA, template, *quantified)))
+        free_vars = [var for var in variables(inner_goal) if var not in local_vars]
+        witness = make_list(free_vars)
 
-        def finish(items: List[Term]) -> Term:
+        def make_group(items: List[Term]) -> Term:
             return make_list(sort_unique(items) if sort else items)
 
-        if not free:
+        if not free_vars:
             # Without free variables there is one group, so the sort by witnesses is not needed.
 
-            def done(solutions: List[Term]) -> Optional[Frame]:
-                return continuation if solutions and unify(result, finish(solutions), machine.trail) else None
+            def unify_group(solutions: List[Term]) -> Optional[Frame]:
+                return (
+                    continuation
+                    if solutions and unify(result, make_group(solutions), machine.trail)
+                    else None
+                )
 
-            return machine.logic.control.collect(inner_goal, template, done)
+            return machine.logic.control.collect(inner_goal, template, unify_group)
 
-        def done_grouped(solutions: List[Term]) -> Optional[Frame]:
+        def enumerate_groups(solutions: List[Term]) -> Optional[Frame]:
             groups = _group_by_witness(solutions)
             return _enumerate_groups(
-                machine, witness, result, [(key, finish(items)) for key, items in groups], 0, continuation
+                machine,
+                witness,
+                result,
+                [(key, make_group(items)) for key, items in groups],
+                0,
+                continuation,
             )
 
-        return machine.logic.control.collect(inner_goal, (MINUS, witness, template), done_grouped)
+        return machine.logic.control.collect(inner_goal, (MINUS, witness, template), enumerate_groups)
 
     return run
 
@@ -121,6 +130,7 @@ def _enumerate_groups(
     position: int,
     continuation: Frame,
 ) -> Optional[Frame]:
+    """Return a solution for each group from ``position`` on whose witness and list unify."""
     while position < len(groups):
         mark = len(machine.trail)
         key, items = groups[position]
@@ -141,7 +151,7 @@ control("bagof/3")(_grouped_solutions(False))
 control("setof/3")(_grouped_solutions(True))
 
 
-# Solutions in portions
+# Solutions in lists of limited length
 
 
 @control("findnsols/4", "findnsols/5")
@@ -153,15 +163,28 @@ def findnsols(machine: Machine, args: Values, continuation: Frame) -> Optional[F
     partial_items(result)
     # The goal is resumed after the first list has been returned. The copy keeps the bindings that it makes separate
     # from those of the continuation.
-    pair = copy((MINUS, args[1], args[2]))
+    _, template, goal = copy((MINUS, args[1], args[2]))
     solutions: List[Term] = []
     base = len(machine.choices)
-    machine.choices.append((_REMAINING, machine, solutions, result, tail, continuation, len(machine.trail)))
-    collect = (_COLLECT, machine, base, solutions, pair[1], count, result, tail, continuation)
-    return machine.logic.control.call(pair[2], collect)
+    machine.choices.append(
+        (_REMAINING_SOLUTIONS, machine, solutions, result, tail, continuation, len(machine.trail))
+    )
+    collect_frame = (
+        _COLLECT_SOLUTION,
+        machine,
+        base,
+        solutions,
+        template,
+        count,
+        result,
+        tail,
+        continuation,
+    )
+    return machine.logic.control.call(goal, collect_frame)
 
 
 def _collect_solution(frame: Frame) -> Optional[Frame]:
+    """Add a solution to the current list of ``findnsols``, and return the list when it is full."""
     machine: Machine
     solutions: List[Term]
     continuation: Frame
@@ -179,24 +202,27 @@ def _collect_solution(frame: Frame) -> Optional[Frame]:
 
 
 def _remaining_solutions(entry: Frame) -> Optional[Frame]:
+    """Return the last list of ``findnsols``, when the goal has no more solutions."""
     machine: Machine
     continuation: Frame
     _, machine, solutions, result, tail, continuation, _ = entry
     return continuation if unify(result, make_list(solutions, tail), machine.trail) else None
 
 
-_COLLECT = Code("findnsols", _collect_solution)
-_REMAINING = Code("findnsols", _remaining_solutions, True)
+_COLLECT_SOLUTION = Code("findnsols", _collect_solution)
+_REMAINING_SOLUTIONS = Code("findnsols", _remaining_solutions, True)
 
 
 # Aggregates
 
-Finish = Callable[[List[Term]], Optional[Term]]
+AggregateFunction = Callable[[List[Term]], Optional[Term]]
 """Function that computes an aggregate from the collected terms; it returns None if the aggregate has no value."""
 
 _COUNT = atom("count")
 _WITNESS_SIGNS = {functor("max", 2): 1, functor("min", 2): -1}
-# Any functor: the pair is only taken apart by `_extremum_with_witness`.
+"""Sign of the comparison for ``max(X, Witness)`` and ``min(X, Witness)``."""
+
+# Any functor of arity 2 would do: the pair is only taken apart by `_extremum_with_witness`.
 _WITNESS_PAIR = functor("r", 2)
 
 
@@ -211,16 +237,16 @@ def _sum(values: List[Term]) -> Term:
 def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over the solutions with distinct pairs of discriminator and template."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
-    finish, template = _aggregate(spec)
+    compute_aggregate, template = _parse_aggregate(spec)
 
-    def done(solutions: List[Term]) -> Optional[Frame]:
+    def unify_aggregate(solutions: List[Term]) -> Optional[Frame]:
         # Sorting removes duplicates, and does so by discriminator and template together, as in SWI-Prolog.
         distinct: List[Any] = sort_unique(solutions)
-        value = finish([pair[2] for pair in distinct])
+        value = compute_aggregate([pair[2] for pair in distinct])
         return continuation if value is not None and unify(result, value, machine.trail) else None
 
     inner_goal, _ = _strip_quantifiers(machine, goal)
-    return machine.logic.control.collect(inner_goal, (MINUS, discriminator, template), done)
+    return machine.logic.control.collect(inner_goal, (MINUS, discriminator, template), unify_aggregate)
 
 
 @control("aggregate_all/3", is_locked=False)
@@ -231,17 +257,17 @@ def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Option
     these such as r(count, max(X)).
     """
     spec, goal, result = deref(args[0]), args[1], args[2]
-    finish, template = _aggregate(spec)
+    compute_aggregate, template = _parse_aggregate(spec)
 
-    def done(solutions: List[Term]) -> Optional[Frame]:
-        value = finish(solutions)
+    def unify_aggregate(solutions: List[Term]) -> Optional[Frame]:
+        value = compute_aggregate(solutions)
         return continuation if value is not None and unify(result, value, machine.trail) else None
 
     inner_goal, _ = _strip_quantifiers(machine, goal)
-    return machine.logic.control.collect(inner_goal, template, done)
+    return machine.logic.control.collect(inner_goal, template, unify_aggregate)
 
 
-def _aggregate(term: Term) -> Tuple[Finish, Term]:
+def _parse_aggregate(term: Term) -> Tuple[AggregateFunction, Term]:
     """Return the function that computes an aggregate, and the template to collect."""
     spec = deref(term)
     if spec is _COUNT:
@@ -253,42 +279,44 @@ def _aggregate(term: Term) -> Tuple[Finish, Term]:
     if spec.__class__ is not tuple:
         raise type_error("aggregate_template", spec)
     key = spec[0]
-    finish = _AGGREGATES.get(key)
-    if finish is not None:
-        return finish, spec[1]
+    compute_aggregate = _AGGREGATES.get(key)
+    if compute_aggregate is not None:
+        return compute_aggregate, spec[1]
     if key in _WITNESS_SIGNS:
         return _extremum_with_witness(key, _WITNESS_SIGNS[key]), (_WITNESS_PAIR, spec[1], spec[2])
-    return _compound_aggregate(key, [_aggregate(part_spec) for part_spec in spec[1:]])
+    return _compound_aggregate(key, [_parse_aggregate(part_spec) for part_spec in spec[1:]])
 
 
-def _compound_aggregate(key: Functor, parts: List[Tuple[Finish, Term]]) -> Tuple[Finish, Term]:
+def _compound_aggregate(
+    key: Functor, parts: List[Tuple[AggregateFunction, Term]]
+) -> Tuple[AggregateFunction, Term]:
     """Return the aggregate of a compound specification such as ``r(count, max(X))``."""
 
-    def finish(solutions: List[Term]) -> Optional[Term]:
+    def compute_aggregate(solutions: List[Term]) -> Optional[Term]:
         values = [part(column) for (part, _), column in zip(parts, _columns(solutions, len(parts)))]
         # One part without a value, such as `max` of no solutions, makes the whole aggregate fail.
         return None if any(value is None for value in values) else (key, *values)
 
-    return finish, (key, *[template for _, template in parts])
+    return compute_aggregate, (key, *[template for _, template in parts])
 
 
 def _columns(solutions: List[Any], count: int) -> List[List[Term]]:
     return [[item[column] for item in solutions] for column in range(1, count + 1)]
 
 
-def _extremum(better: Callable[..., Number]) -> Finish:
-    def finish(terms: List[Term]) -> Optional[Term]:
+def _extremum(choose: Callable[..., Number]) -> AggregateFunction:
+    def compute_aggregate(terms: List[Term]) -> Optional[Term]:
         value: Optional[Number] = None
         for item in terms:
             number = evaluate(item)
-            value = number if value is None else better(value, number)
+            value = number if value is None else choose(value, number)
         return value
 
-    return finish
+    return compute_aggregate
 
 
-def _extremum_with_witness(key: Functor, sign: int) -> Finish:
-    def finish(terms: List[Any]) -> Optional[Term]:
+def _extremum_with_witness(key: Functor, sign: int) -> AggregateFunction:
+    def compute_aggregate(terms: List[Any]) -> Optional[Term]:
         best: Optional[Tuple[Number, Term]] = None
         for _, item, witness in terms:
             item = deref(item)
@@ -299,10 +327,10 @@ def _extremum_with_witness(key: Functor, sign: int) -> Finish:
                 best = item, witness
         return None if best is None else (key, *best)
 
-    return finish
+    return compute_aggregate
 
 
-_AGGREGATES: Dict[Functor, Finish] = {
+_AGGREGATES: Dict[Functor, AggregateFunction] = {
     functor("count", 1): len,
     functor("sum", 1): _sum,
     functor("bag", 1): make_list,

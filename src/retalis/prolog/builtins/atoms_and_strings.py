@@ -48,15 +48,15 @@ from .text_arguments import (
 @deterministic("atom_length/2")
 def atom_length(machine: Machine, text: Term, length: Term) -> bool:
     """Unify with the number of characters of an atom."""
-    size = deref(length)
+    length = deref(length)
     # SWI-Prolog accepts numbers and other texts too; ISO 13211-1 only atoms.
-    value = len(atom_of(text).name if is_iso(machine) else text_of(text))
-    if size.__class__ is not Var:
-        if size.__class__ is not int:
-            raise type_error("integer", size)
-        if size < 0:
-            raise domain_error("not_less_than_zero", size)
-    return unify(size, value, machine.trail)
+    size = len(atom_of(text).name if is_iso(machine) else text_of(text))
+    if length.__class__ is not Var:
+        if length.__class__ is not int:
+            raise type_error("integer", length)
+        if length < 0:
+            raise domain_error("not_less_than_zero", length)
+    return unify(length, size, machine.trail)
 
 
 _MAX_CASE_CHARACTERS = 1 << 16
@@ -65,12 +65,12 @@ _MAX_CASE_CHARACTERS = 1 << 16
 _ATOM_BYTES = 64
 """Approximate size of a short atom, for the memory limit."""
 
-Make = Callable[[str], Term]
-"""Constructor of a term from a text."""
+TextConstructor = Callable[[str], Term]
+"""Function that returns a text as a term of one type, such as `atom` or `codes`."""
 
 
 def _text_converter(
-    to_list: Make, from_text: Callable[[Machine, str], Term], kind: str
+    to_list: TextConstructor, from_text: Callable[[Machine, str], Term], type_name: str
 ) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that converts between a constant and the list of its codes or characters."""
 
@@ -83,7 +83,7 @@ def _text_converter(
                 return text_or_parts.text == text
             return unify(parts, to_list(text), machine.trail)
         if deref(constant).__class__ is not Var:
-            raise type_error(kind, deref(constant))
+            raise type_error(type_name, deref(constant))
         text = text_of_list(machine, parts, to_list is codes)
         return unify(constant, from_text(machine, text), machine.trail)
 
@@ -104,7 +104,9 @@ deterministic("atom_chars/2")(_text_converter(chars, _parse_as_atom, "atom"))
 deterministic("name/2")(_text_converter(codes, _parse_as_constant, "atomic"))
 
 
-def _number_converter(to_list: Make) -> Callable[[Machine, Term, Term], bool]:
+def _number_converter(to_list: TextConstructor) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that converts between a number and the list of its codes or characters."""
+
     def run(machine: Machine, number: Term, parts: Term) -> bool:
         number = deref(number)
         if number.__class__ not in (Var, int, float):
@@ -124,7 +126,7 @@ deterministic("number_codes/2")(_number_converter(codes))
 deterministic("number_chars/2")(_number_converter(chars))
 
 
-def _no_code(machine: Machine, code: int) -> Exception:
+def _code_error(machine: Machine, code: int) -> Exception:
     return representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
 
 
@@ -138,7 +140,7 @@ def char_code(machine: Machine, char: Term, code: Term) -> bool:
         if code.__class__ not in (Var, int):
             raise type_error("integer", code)
         if code.__class__ is int and not 0 <= code <= MAX_CODE:
-            raise _no_code(machine, code)
+            raise _code_error(machine, code)
         return unify(code, ord(char.name), machine.trail)
     if char.__class__ is not Var:
         raise type_error("character", char)
@@ -147,7 +149,7 @@ def char_code(machine: Machine, char: Term, code: Term) -> bool:
     if code.__class__ is not int:
         raise type_error("integer", code)
     if not 0 <= code <= MAX_CODE:
-        raise _no_code(machine, code)
+        raise _code_error(machine, code)
     return unify(char, atom(chr(code)), machine.trail)
 
 
@@ -196,7 +198,7 @@ def string_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Ou
     return _concat(machine, left, right, joined, String)
 
 
-def _concat(machine: Machine, left: Term, right: Term, joined: Term, make: Make) -> Outcome:
+def _concat(machine: Machine, left: Term, right: Term, joined: Term, make: TextConstructor) -> Outcome:
     left, right = deref(left), deref(right)
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
@@ -217,10 +219,12 @@ def _concat(machine: Machine, left: Term, right: Term, joined: Term, make: Make)
     if end is not None:
         return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
     # Only this mode, with both parts unbound, has more than one solution.
-    return halves(machine, left, right, text, make)
+    return _enumerate_divisions(machine, left, right, text, make)
 
 
-def halves(machine: Machine, left: Term, right: Term, text: str, make: Make) -> Solutions:
+def _enumerate_divisions(
+    machine: Machine, left: Term, right: Term, text: str, make: TextConstructor
+) -> Solutions:
     """Enumerate the divisions of a text into two parts."""
     for position in range(len(text) + 1):
         # Each solution copies the whole text, so each is charged to the limits.
@@ -242,13 +246,13 @@ def sub_string(machine: Machine, text: Term, before: Term, length: Term, after: 
 
 
 def sub_text(
-    machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term, make: Make
+    machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term, make: TextConstructor
 ) -> Outcome:
     """Enumerate the substrings of a text in the order of their start, then of their length."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
-    kind = "atom" if make is atom else "string"
-    source_text = atomic_text(text, kind)
+    type_name = "atom" if make is atom else "string"
+    source_text = atomic_text(text, type_name)
     size = len(source_text)
     before_count, length_count, after_count = (
         integer_or_var(before),
@@ -267,7 +271,7 @@ def sub_text(
         return _find_known_substring(
             machine,
             source_text,
-            atomic_text(part_term, kind),
+            atomic_text(part_term, type_name),
             before,
             length,
             after,
@@ -285,7 +289,7 @@ def sub_text(
         return _enumerate_substrings(
             machine,
             source_text,
-            _spans(size, before_count, length_count, after_count),
+            _candidate_spans(size, before_count, length_count, after_count),
             before,
             length,
             after,
@@ -308,7 +312,7 @@ def _enumerate_substrings(
     length: Term,
     after: Term,
     part: Term,
-    make: Make,
+    make: TextConstructor,
 ) -> Solutions:
     size = len(source_text)
     for index, (start, end) in enumerate(spans):
@@ -322,9 +326,10 @@ def _enumerate_substrings(
             yield None
 
 
-def _spans(
+def _candidate_spans(
     size: int, before_count: Optional[int], length_count: Optional[int], after_count: Optional[int]
 ) -> Iterator[Tuple[int, int]]:
+    """Return the starts and ends of the substrings of a text, of which at most one number is known."""
     if before_count is not None:
         return ((before_count, end) for end in range(before_count, size + 1))
     if length_count is not None:
@@ -424,7 +429,7 @@ def _join(parts: Term, separator_text: str) -> Optional[str]:
 
 
 def _case_converter(
-    change: Callable[[str], str], make: Make, kind: str
+    change_case: Callable[[str], str], make: TextConstructor, type_name: str
 ) -> Callable[[Machine, Term, Term], bool]:
     def run(machine: Machine, text: Term, result: Term) -> bool:
         source_text = atomic_text(text)
@@ -432,10 +437,10 @@ def _case_converter(
         # A long text is converted in pieces, with a check of the limits after each. The lower case of a capital sigma
         # depends on the letters around it, which may be in another piece.
         if len(source_text) > _MAX_CASE_CHARACTERS and "Σ" not in source_text:
-            changed = "".join([change(piece) for piece in in_checked_slices(source_text)])
+            changed = "".join([change_case(piece) for piece in in_checked_slices(source_text)])
         else:
-            changed = change(source_text)
-        require_no_compound(result, kind)
+            changed = change_case(source_text)
+        require_no_compound(result, type_name)
         return unify(result, make(changed), machine.trail)
 
     return run
@@ -448,6 +453,7 @@ deterministic("string_lower/2")(_case_converter(str.lower, String, "string"))
 
 
 _CHECK_INTERVAL_MASK = len(STEPS_PER_ROUND) - 1
+"""Mask of a position that is 0 where the limits are checked; the number of steps per round is a power of 2."""
 
 
 @deterministic("string_length/2")
@@ -458,13 +464,15 @@ def string_length(machine: Machine, text: Term, length: Term) -> bool:
     return unify(length, size, machine.trail)
 
 
-def _string_converter(to_parts: Callable[[str], Term]) -> Callable[[Machine, Term, Term], bool]:
+def _string_converter(to_list: TextConstructor) -> Callable[[Machine, Term, Term], bool]:
+    """Return a predicate that converts between a string and the list of its codes or characters."""
+
     def run(machine: Machine, text: Term, parts: Term) -> bool:
         if deref(text).__class__ is not Var:
             source_text, parts_term = text_of(text), deref(parts)
             if parts_term is not NIL and parts_term.__class__ not in (Var, tuple):
                 return source_text == constant_text(parts_term)
-            return unify(parts, to_parts(source_text), machine.trail)
+            return unify(parts, to_list(source_text), machine.trail)
         return unify(text, String(text_of_list(machine, parts, True)), machine.trail)
 
     return run
@@ -523,7 +531,7 @@ def text_to_string(machine: Machine, text: Term, result: Term) -> bool:
     return unify(result, String(value), machine.trail)
 
 
-def _wanted_code(term: Term) -> Term:
+def _parse_code_argument(term: Term) -> Term:
     """Return the code argument of ``string_code/3``, which may be given as a character."""
     term = deref(term)
     if term.__class__ is Var or (term.__class__ is int and term >= 0):
@@ -541,13 +549,13 @@ def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcom
     position = integer_or_var(index)
     source_text = text_of(text, numbers=False)
     if position is None:
-        return _codes(machine, index, source_text, _wanted_code(code))
+        return _enumerate_codes(machine, index, source_text, _parse_code_argument(code))
     if position < 0:
         raise domain_error("not_less_than_zero", position)
     return 0 < position <= len(source_text) and unify(code, ord(source_text[position - 1]), machine.trail)
 
 
-def _codes(machine: Machine, index: Term, source_text: str, code: Term) -> Solutions:
+def _enumerate_codes(machine: Machine, index: Term, source_text: str, code: Term) -> Solutions:
     for position, char in enumerate(source_text, 1):
         if machine.unify_all((index, position), (code, ord(char))):
             yield LAST if position == len(source_text) else None
@@ -569,7 +577,7 @@ def text_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outc
         return text.startswith(start) and unify(right, make(text[len(start) :]), machine.trail)
     if end is not None:
         return text.endswith(end) and unify(left, make(text[: len(text) - len(end)]), machine.trail)
-    return halves(machine, left, right, text, make)
+    return _enumerate_divisions(machine, left, right, text, make)
 
 
 @deterministic("split_string/4")
@@ -624,10 +632,10 @@ def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
         raise instantiation_error()
     if not is_sink(sink):
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
-    return fill_sink(machine, sink, join_texts(_words(atomic_text(text)), " "))
+    return fill_sink(machine, sink, join_texts(_split_words(atomic_text(text)), " "))
 
 
-def _words(text: str) -> List[str]:
+def _split_words(text: str) -> List[str]:
     """Return the words of a text, which are separated by white space."""
     words: List[str] = []
     is_complete = True
@@ -641,7 +649,7 @@ def _words(text: str) -> List[str]:
     return words
 
 
-# Characters
+# Character types
 
 _CHAR_TYPE_TESTS: Dict[str, Callable[[str], bool]] = {
     "alnum": str.isalnum,
@@ -668,17 +676,19 @@ _CHAR_TYPE_TESTS: Dict[str, Callable[[str], bool]] = {
     "digit": lambda char: char.isdigit(),
     "newline": lambda char: char == "\n",
 }
-
+"""Tests of the types that are atoms. SWI-Prolog enumerates the types in this order."""
 
 _COMPOUND_CHAR_TYPES = ("digit", "xdigit", "to_lower", "to_upper", "upper", "lower")
+"""Names of the types with an argument, such as ``digit(Weight)``."""
 
 
-def _character(term: Term) -> Optional[str]:
+def _known_character(term: Term) -> Optional[str]:
+    """Return the character of an argument, which may be a code; None if it is unbound."""
     term = deref(term)
     if term.__class__ is Var:
         return None
     if term.__class__ is int:
-        if not 0 <= term <= 0x10FFFF:
+        if not 0 <= term <= MAX_CODE:
             raise domain_error("character", term)
         return chr(term)
     text = constant_text(term)
@@ -687,20 +697,22 @@ def _character(term: Term) -> Optional[str]:
     return text
 
 
-def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
-    def wrap(char: str) -> Term:
+def _char_type_predicate(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
+    """Return ``code_type/2`` if characters are returned as codes, otherwise ``char_type/2``."""
+
+    def make_character(char: str) -> Term:
         return ord(char) if as_code else atom(char)
 
     def run(machine: Machine, char: Term, char_type: Term) -> Outcome:
         """Test or enumerate the types of a character, or the characters of a type up to code 255."""
         char_type = deref(char_type)
-        _check_type(char_type)
-        character = _character(char)
+        _check_char_type(char_type)
+        character = _known_character(char)
         if character is None and char_type.__class__ is Var:
             raise instantiation_error()
         if character is None or char_type.__class__ is Var:
             return enumerate_types(machine, char, char_type, character)
-        type_term = next(_types(character, char_type, wrap), None)
+        type_term = next(_matching_types(character, char_type, make_character), None)
         return type_term is not None and unify(char_type, type_term, machine.trail)
 
     def enumerate_types(
@@ -708,10 +720,10 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
     ) -> Solutions:
         # Without a character only Latin-1 is enumerated, since the types of all of Unicode take seconds.
         for character in [known_character] if known_character is not None else map(chr, range(256)):
-            for type_term in _types(character, char_type, wrap):
+            for type_term in _matching_types(character, char_type, make_character):
                 pairs = [(char_type, type_term)]
                 if known_character is None:
-                    pairs.append((char, wrap(character)))
+                    pairs.append((char, make_character(character)))
                 if machine.unify_all(*pairs):
                     yield None
 
@@ -719,11 +731,11 @@ def _char_type(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
 
 
 def _single_case(char: str, changed: str) -> str:
-    """Return a character in the other case, or unchanged if that has more than one character."""
+    """Return ``changed``, the character in the other case; if that has more than one character, return ``char``."""
     return changed if len(changed) == 1 else char
 
 
-def _check_type(char_type: Term) -> None:
+def _check_char_type(char_type: Term) -> None:
     """Raise a type error for a term that is not a character type."""
     if char_type.__class__ is tuple and len(char_type) == 2 and char_type[0].name in _COMPOUND_CHAR_TYPES:
         return
@@ -733,7 +745,7 @@ def _check_type(char_type: Term) -> None:
         raise type_error("char_type", char_type)
 
 
-def _types(char: str, char_type: Term, wrap: Callable[[str], Term]) -> Iterator[Term]:
+def _matching_types(char: str, char_type: Term, make_character: Callable[[str], Term]) -> Iterator[Term]:
     """Yield the types of a character that may unify with a requested type."""
     name = (
         char_type.name
@@ -743,9 +755,9 @@ def _types(char: str, char_type: Term, wrap: Callable[[str], Term]) -> Iterator[
         else None
     )
     # With a known type only its own test runs; with an unbound one, all types are yielded in the order of the table.
-    for plain, test in _CHAR_TYPE_TESTS.items():
-        if (name is None or (plain == name and char_type.__class__ is Atom)) and test(char):
-            yield atom(plain)
+    for type_name, test in _CHAR_TYPE_TESTS.items():
+        if (name is None or (type_name == name and char_type.__class__ is Atom)) and test(char):
+            yield atom(type_name)
     if char_type.__class__ is Atom:
         return
     if name in (None, "digit") and char.isdigit() and char.isascii():
@@ -755,14 +767,14 @@ def _types(char: str, char_type: Term, wrap: Callable[[str], Term]) -> Iterator[
     # As in SWI-Prolog, the argument of `to_lower` is the upper case of the character, and that of `to_upper` its
     # lower case.
     if name in (None, "to_lower"):
-        yield (functor("to_lower", 1), wrap(_single_case(char, char.upper())))
+        yield (functor("to_lower", 1), make_character(_single_case(char, char.upper())))
     if name in (None, "to_upper"):
-        yield (functor("to_upper", 1), wrap(_single_case(char, char.lower())))
+        yield (functor("to_upper", 1), make_character(_single_case(char, char.lower())))
     if name in (None, "upper") and char.isupper():
-        yield (functor("upper", 1), wrap(char.lower()[0]))
+        yield (functor("upper", 1), make_character(char.lower()[0]))
     if name in (None, "lower") and char.islower():
-        yield (functor("lower", 1), wrap(char.upper()[0]))
+        yield (functor("lower", 1), make_character(char.upper()[0]))
 
 
-nondeterministic("char_type/2")(_char_type(False))
-nondeterministic("code_type/2")(_char_type(True))
+nondeterministic("char_type/2")(_char_type_predicate(False))
+nondeterministic("code_type/2")(_char_type_predicate(True))

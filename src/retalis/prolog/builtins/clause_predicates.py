@@ -36,7 +36,7 @@ from ..terms.types import (
 from ..terms.unification import undo, unify
 from .argument_checks import callable_of, indicator_of, is_iso, is_true, items, option_values
 from .builtin_registry import Outcome, Solutions, control, deterministic, nondeterministic
-from .tabling import AS, Mode, modes_of, tables_of
+from .tabling import AS, Mode, parse_moded_head, tables_of
 
 _NECK = functor(":-", 2)
 
@@ -427,7 +427,7 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
         declare_as(machine, item[1], (*options, *conjuncts(item[2])))
         return
     if item.__class__ is tuple and item[0] is not SLASH:
-        key, modes = modes_of(item)
+        key, modes = parse_moded_head(item)
     else:
         key, modes = indicator_of(item), {}
     names = [_table_option(machine, key, option) for option in options]

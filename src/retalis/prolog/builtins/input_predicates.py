@@ -25,10 +25,10 @@ from .output_predicates import character_of
 from .text_arguments import MAX_CODE, end_of_file, flags_of, unify_options
 from .text_streams import InputStream, OutputStream, streams_of, syntax_error_in
 
-_END = atom("end_of_file")
+_END_OF_FILE = atom("end_of_file")
 
 
-# Files
+# Streams
 
 
 @deterministic("open/3")
@@ -44,7 +44,7 @@ def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: T
 
 
 def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
-    stream_mode, values = _mode_of(mode), dict(_OPEN_OPTIONS)
+    stream_mode, values = _parse_mode(mode), dict(_OPEN_OPTIONS)
     if deref(name).__class__ is Var:
         raise instantiation_error()
     # The order of these checks is that of ISO 13211-1, 8.11.5.3.
@@ -60,7 +60,7 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
         raise domain_error("stream_option", options[-1])
     streams = streams_of(machine)
     # Latin-1 maps each byte to the character with its code, so binary streams need no second implementation.
-    python_encoding = "latin-1" if stream_type == "binary" else _ENCODINGS.get(encoding, "utf-8")
+    python_encoding = "latin-1" if stream_type == "binary" else _PYTHON_ENCODINGS.get(encoding, "utf-8")
     open_stream = streams.open(
         deref(name), stream_mode, values["alias"] or None, stream_type, python_encoding
     )
@@ -71,7 +71,7 @@ def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[
     return unify(stream, open_stream, machine.trail)
 
 
-def _mode_of(term: Term) -> str:
+def _parse_mode(term: Term) -> str:
     """Return the mode of a stream: ``read``, ``write`` or ``append``.
 
     Raises:
@@ -88,7 +88,9 @@ def _mode_of(term: Term) -> str:
 
 
 _OPEN_OPTIONS = {"alias": "", "type": "text", "encoding": "", "eof_action": ""}
-_ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "latin-1"}
+"""Options of ``open/4`` that have an effect, with their defaults."""
+
+_PYTHON_ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "latin-1"}
 
 
 @deterministic("close/1")
@@ -115,7 +117,7 @@ def close_with(machine: Machine, stream: Term, options: Term) -> bool:
 def set_input(machine: Machine, stream: Term) -> bool:
     """Set the current input."""
     streams = streams_of(machine)
-    streams.input = streams.to_read(stream)
+    streams.input = streams.find_input(stream)
     return True
 
 
@@ -123,7 +125,7 @@ def set_input(machine: Machine, stream: Term) -> bool:
 def set_output(machine: Machine, stream: Term) -> bool:
     """Set the current output."""
     streams = streams_of(machine)
-    streams.set_output(streams.to_write(stream))
+    streams.set_output(streams.find_output(stream))
     return True
 
 
@@ -154,13 +156,13 @@ def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
     if alias in streams.aliases or alias in ("user", "user_input", "user_output", "user_error"):
         return name
     # A file that was opened by `see` or `tell` before is continued, not opened again (Edinburgh input and output).
-    names = {
+    streams_by_name = {
         open_stream.opening_name: open_stream
         for open_stream in streams.open_streams.values()
         if open_stream.mode == mode
     }
-    if alias in names:
-        return streams.term_of(names[alias])
+    if alias in streams_by_name:
+        return streams_by_name[alias].stream_term
     open_stream = streams.open(name, mode)
     streams.find_open(open_stream).opening_name = alias
     return open_stream
@@ -198,8 +200,7 @@ def _require_stream(machine: Machine, stream: Term) -> None:
 def current_input(machine: Machine, stream: Term) -> bool:
     """Unify with the current input."""
     _require_stream(machine, stream)
-    streams = streams_of(machine)
-    return unify(stream, streams.term_of(streams.input), machine.trail)
+    return unify(stream, streams_of(machine).input.stream_term, machine.trail)
 
 
 @deterministic("current_output/1", "telling/1")
@@ -213,7 +214,7 @@ def current_output(machine: Machine, stream: Term) -> bool:
 @deterministic("flush_output/1")
 def flush_output_of(machine: Machine, stream: Term) -> bool:
     """Write the buffered text of a stream to its file."""
-    open_stream = streams_of(machine).to_write(stream)
+    open_stream = streams_of(machine).find_output(stream)
     if isinstance(open_stream, OutputStream):
         open_stream.flush()
     return True
@@ -240,11 +241,11 @@ def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
 
 
 def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
-    source = streams_of(machine).to_read(stream)
+    source = streams_of(machine).find_input(stream)
     result = source.read_term(machine.logic.operators, flags_of(machine, options))
     # The reader has skipped the invalid term, so the next read continues after it.
     if isinstance(result, SyntaxFault):
-        raise syntax_error_in(source, streams_of(machine).term_of(source), result)
+        raise syntax_error_in(source, source.stream_term, result)
     if result is None:
         result = end_of_file(machine)
     return unify(term, result.term, machine.trail) and unify_options(machine, result, options)
@@ -265,17 +266,17 @@ def read_from(machine: Machine, stream: Term, term: Term) -> bool:
 @deterministic("read_term/2")
 def read_term(machine: Machine, term: Term, options: Term) -> bool:
     """Read a term from the current input with options."""
-    return _read(machine, None, _options(options), term)
+    return _read(machine, None, _compound_options(options), term)
 
 
 @deterministic("read_term/3")
 def read_term_from(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
     """Read a term from a stream with options."""
-    requested = _options(options)
+    requested = _compound_options(options)
     return _read(machine, stream, requested, term)
 
 
-def _options(options: Term) -> List[CompoundTerm]:
+def _compound_options(options: Term) -> List[CompoundTerm]:
     values = option_values(options)
     return [option for option in values if isinstance(option, tuple)]
 
@@ -283,22 +284,24 @@ def _options(options: Term) -> List[CompoundTerm]:
 # Characters
 
 
-def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callable[[Term], None]) -> None:
+def _define_reader(
+    name: str, is_consumed: bool, to_term: Callable[[str], Term], check_output: Callable[[Term], None]
+) -> None:
     """Define a predicate such as ``get_char``, with one argument and with two.
 
     Args:
         name: the name of the predicate.
-        take: whether it consumes the character.
-        as_term: converts a character to a term; "" is the end of the stream.
-        check: raises an error for an invalid output argument.
+        is_consumed: whether it consumes the character.
+        to_term: converts a character to a term; "" is the end of the stream.
+        check_output: raises an error for an invalid output argument.
     """
     stream_type = "binary" if name.endswith("byte") else "text"
 
     def read_character(machine: Machine, source: InputStream, value: Term) -> bool:
         # Checked before a character is consumed, so that an error loses no input.
-        check(deref(value))
-        _require_kind(source, stream_type)
-        return unify(value, as_term(source.read_character(take)), machine.trail)
+        check_output(deref(value))
+        _require_type(source, stream_type)
+        return unify(value, to_term(source.read_character(is_consumed)), machine.trail)
 
     @deterministic(f"{name}/1")
     def one_argument(machine: Machine, value: Term) -> bool:
@@ -306,10 +309,10 @@ def _define(name: str, take: bool, as_term: Callable[[str], Term], check: Callab
 
     @deterministic(f"{name}/2")
     def two_arguments(machine: Machine, stream: Term, value: Term) -> bool:
-        return read_character(machine, streams_of(machine).to_read(stream), value)
+        return read_character(machine, streams_of(machine).find_input(stream), value)
 
 
-def _require_kind(source: InputStream, stream_type: str) -> None:
+def _require_type(source: InputStream, stream_type: str) -> None:
     """Check that a stream is binary if bytes are read from it. Characters may be read from any stream.
 
     Raises:
@@ -319,17 +322,17 @@ def _require_kind(source: InputStream, stream_type: str) -> None:
         raise permission_error("input", "text_stream", source.stream_term)
 
 
-def _code(character: str) -> Term:
+def _to_code(character: str) -> Term:
     return ord(character) if character else -1
 
 
-def _atom(character: str) -> Term:
-    return atom(character) if character else _END
+def _to_atom(character: str) -> Term:
+    return atom(character) if character else _END_OF_FILE
 
 
 def _check_character(value: Term) -> None:
     if value.__class__ is not Var and not (
-        isinstance(value, Atom) and (len(value.name) == 1 or value is _END)
+        isinstance(value, Atom) and (len(value.name) == 1 or value is _END_OF_FILE)
     ):
         raise type_error("character", value)
 
@@ -348,26 +351,26 @@ def _check_byte(value: Term) -> None:
         raise type_error("in_byte", value)
 
 
-for _name, _as_term, _check in (
-    ("char", _atom, _check_character),
-    ("code", _code, _check_code),
-    ("byte", _code, _check_byte),
+for _name, _to_term, _check in (
+    ("char", _to_atom, _check_character),
+    ("code", _to_code, _check_code),
+    ("byte", _to_code, _check_byte),
 ):
-    _define(f"get_{_name}", True, _as_term, _check)
-    _define(f"peek_{_name}", False, _as_term, _check)
+    _define_reader(f"get_{_name}", True, _to_term, _check)
+    _define_reader(f"peek_{_name}", False, _to_term, _check)
 
 
 @deterministic("peek_string/3")
 def peek_string(machine: Machine, stream: Term, length: Term, text: Term) -> bool:
     """Unify with the next characters of a stream, without consuming them."""
-    source, count = streams_of(machine).to_read(stream), natural(length)
+    source, count = streams_of(machine).find_input(stream), natural(length)
     return unify(text, String(source.peek_text(count)), machine.trail)
 
 
 @deterministic("get0/1")
 def get_any(machine: Machine, code: Term) -> bool:
     """Read the code of a character."""
-    return unify(code, _code(streams_of(machine).input.read_character(True)), machine.trail)
+    return unify(code, _to_code(streams_of(machine).input.read_character(True)), machine.trail)
 
 
 @deterministic("get/1")
@@ -377,7 +380,7 @@ def get_visible(machine: Machine, code: Term) -> bool:
     char = source.read_character(True)
     while char and char.isspace():
         char = source.read_character(True)
-    return unify(code, _code(char), machine.trail)
+    return unify(code, _to_code(char), machine.trail)
 
 
 @deterministic("skip/1")
@@ -393,7 +396,7 @@ def skip_in(machine: Machine, stream: Term, character: Term) -> bool:
 
 
 def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
-    source, stop = streams_of(machine).to_read(stream), character_of(machine, character)
+    source, stop = streams_of(machine).find_input(stream), character_of(machine, character)
     steps = 0
     while source.read_character(True) not in (stop, ""):
         steps += 1
@@ -412,4 +415,4 @@ def at_end(machine: Machine) -> bool:
 @deterministic("at_end_of_stream/1")
 def at_end_of(machine: Machine, stream: Term) -> bool:
     """Test for the end of a stream."""
-    return not streams_of(machine).to_read(stream).read_character(False)
+    return not streams_of(machine).find_input(stream).read_character(False)

@@ -19,7 +19,7 @@ from ..terms.term_traversal import copy
 from ..terms.types import COMMA, SLASH, TRUE, Atom, Functor, String, Term, Var, atom, deref, functor
 from .argument_checks import atom_of, indicator_of
 from .builtin_registry import Solutions, deterministic, nondeterministic
-from .output_predicates import formatted, letter_names, write_to
+from .output_predicates import format_to_text, make_variable_names, write_to
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
 _FORMAT = functor("format", 2)
@@ -46,7 +46,7 @@ def message_text(machine: Machine, message: Term) -> str:
     """Return the text of a message."""
     if message.__class__ is tuple:
         if message[0] is _FORMAT:
-            return formatted(machine, message[1], message[2], 0)
+            return format_to_text(machine, message[1], message[2], 0)
         if message[0] is ERROR:
             return describe(message)
     if message.__class__ is String:
@@ -63,9 +63,9 @@ def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Ter
         if line.__class__ is Atom and line.name == "nl":
             texts.append("\n")
         elif line.__class__ is tuple and line[0].name == "-":
-            texts.append(formatted(machine, line[1], line[2], 0))
+            texts.append(format_to_text(machine, line[1], line[2], 0))
         else:
-            texts.append(formatted(machine, line, atom("[]"), 0))
+            texts.append(format_to_text(machine, line, atom("[]"), 0))
     write_to(machine, stream, "".join(texts))
     return True
 
@@ -91,7 +91,7 @@ def clause_text(machine: Machine, term: Term) -> str:
     """Return the text of a clause, with one goal per line; variables are named A, B, ..., or ``_`` if single."""
     # The names are bound to variables of a copy, so that the clause itself is not changed.
     term = copy(term)
-    names = letter_names(term)
+    names = make_variable_names(term)
     term = deref(term)
     operators = machine.logic.operators
     portray = named_message_portray(term, operators, **_LINE, variable_names=names)

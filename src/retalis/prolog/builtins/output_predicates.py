@@ -31,10 +31,10 @@ from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_o
 
 _ELLIPSIS = atom("...")
 _MAX_TERM_DEPTH = 200
-"""Limit for the recursion of `cut_off`. Parts that are deeper are written in full, except for long lists."""
+"""Limit for the recursion of `limit_depth`. Parts that are deeper are written in full, except for long lists."""
 
 
-def cut_off(term: Term, max_depth: int, depth: int = 1) -> Term:
+def limit_depth(term: Term, max_depth: int, depth: int = 1) -> Term:
     """Return a term with ``...`` for parts at a greater depth than ``max_depth``.
 
     The depth of an item of a list is its position, as in SWI-Prolog, which shortens long lists.
@@ -46,18 +46,18 @@ def cut_off(term: Term, max_depth: int, depth: int = 1) -> Term:
         return term
     # Arguments are one level deeper than the term.
     if term[0] is not CONS:
-        return (term[0], *[cut_off(argument, max_depth, depth + 1) for argument in term[1:]])
+        return (term[0], *[limit_depth(argument, max_depth, depth + 1) for argument in term[1:]])
     items: List[Term] = []
     remaining: Any = term
     while remaining.__class__ is tuple and remaining[0] is CONS:
-        items.append(cut_off(remaining[1], max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
+        items.append(limit_depth(remaining[1], max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
         depth += 1
         remaining = deref(remaining[2])
         if remaining is NIL:
             return make_list(items)
         if depth >= max_depth:
             return make_list(items, _ELLIPSIS)
-    return make_list(items, cut_off(remaining, max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
+    return make_list(items, limit_depth(remaining, max_depth, min(depth, _MAX_TERM_DEPTH) + 1))
 
 
 _MAX_BLANKS = 10_000_000
@@ -74,14 +74,16 @@ def write_to(machine: Machine, stream: Term, text: str) -> None:
 
 
 def _writer(**options: bool) -> Callable[[Machine, Term], str]:
-    def text(machine: Machine, term: Term) -> str:
+    """Return a function that returns the text of a term, written with some options."""
+
+    def write(machine: Machine, term: Term) -> str:
         return write_term(term, machine.logic.operators, **options)
 
-    return text
+    return write
 
 
-def letter_names(term: Term) -> Dict[Var, str]:
-    """Return names for the variables of a term: A, B, ..., or ``_`` for those that occur once."""
+def make_variable_names(term: Term) -> Dict[Var, str]:
+    """Return new names for the variables of a term: A, B, ..., or ``_`` for those that occur once."""
     counts: Dict[Var, int] = {}
     # Resolved first, so that the walk meets no bound variables and no cycles.
     stack = [resolve(term)]
@@ -106,9 +108,9 @@ def letter_names(term: Term) -> Dict[Var, str]:
     return names
 
 
-def _canonical(machine: Machine, term: Term) -> str:
+def _canonical_text(machine: Machine, term: Term) -> str:
     operators = machine.logic.operators
-    names = letter_names(term)
+    names = make_variable_names(term)
     return write_term(term, operators, ignore_ops=True, brace_terms=False, variable_names=names)
 
 
@@ -117,27 +119,28 @@ _WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
     "print": printed_text,
     "writeln": _writer(quoted=False, numbervars=True),
     "writeq": _writer(quoted=True, numbervars=True),
-    "write_canonical": _canonical,
+    "write_canonical": _canonical_text,
 }
 
 
-def _define(name: str, text: Callable[[Machine, Term], str]) -> None:
+def _define_writer(name: str, to_text: Callable[[Machine, Term], str]) -> None:
+    """Define a predicate such as ``write``, with one argument and, for a stream, with two."""
     end = "\n" if name == "writeln" else ""
 
     def one_argument(machine: Machine, term: Term) -> bool:
-        machine.logic.write(text(machine, term) + end)
+        machine.logic.write(to_text(machine, term) + end)
         return True
 
     def two_arguments(machine: Machine, stream: Term, term: Term) -> bool:
-        write_to(machine, stream, text(machine, term) + end)
+        write_to(machine, stream, to_text(machine, term) + end)
         return True
 
     deterministic(f"{name}/1")(one_argument)
     deterministic(f"{name}/2")(two_arguments)
 
 
-for _name, _text in _WRITERS.items():
-    _define(_name, _text)
+for _name, _to_text in _WRITERS.items():
+    _define_writer(_name, _to_text)
 
 
 @deterministic("nl/0")
@@ -218,7 +221,7 @@ def flush_output(machine: Machine) -> bool:
     return True
 
 
-# write_term
+# Writing with options
 
 
 def write_options(machine: Machine, options: Term) -> Dict[str, object]:
@@ -231,42 +234,42 @@ def write_options(machine: Machine, options: Term) -> Dict[str, object]:
         name, value = option[0].name, deref(option[1])
         if value.__class__ is Var:
             raise instantiation_error()
-        read = _OPTIONS.get(name)
-        if read is not None:
-            values[name] = read(option, value, iso)
-    # The writer takes a function, which exists only if the program defines `portray/1`.
+        convert = _OPTION_CONVERTERS.get(name)
+        if convert is not None:
+            values[name] = convert(option, value, iso)
+    # The writer takes a function instead of a boolean; it is None if the program does not define `portray/1`.
     if "portray" in values:
         values["portray"] = portray_of(machine) if values["portray"] else None
     return values
 
 
-def _truth(option: CompoundTerm, value: Term, iso: bool) -> bool:
+def _convert_boolean(option: CompoundTerm, value: Term, iso: bool) -> bool:
     if value.__class__ is not Atom or value.name not in ("true", "false"):
         raise domain_error("write_option", option) if iso else type_error("bool", value)
     return value.name == "true"
 
 
-def _spacing(option: CompoundTerm, value: Term, iso: bool) -> bool:
+def _convert_spacing(option: CompoundTerm, value: Term, iso: bool) -> bool:
     if value.__class__ is not Atom or value.name not in ("standard", "next_argument"):
         raise domain_error("spacing", value)
     return value.name == "next_argument"
 
 
-_OPTIONS: Dict[str, Callable[[CompoundTerm, Term, bool], object]] = {
-    "quoted": _truth,
-    "ignore_ops": _truth,
-    "numbervars": _truth,
-    "brace_terms": _truth,
-    "portray": _truth,
-    "spacing": _spacing,
+_OPTION_CONVERTERS: Dict[str, Callable[[CompoundTerm, Term, bool], object]] = {
+    "quoted": _convert_boolean,
+    "ignore_ops": _convert_boolean,
+    "numbervars": _convert_boolean,
+    "brace_terms": _convert_boolean,
+    "portray": _convert_boolean,
+    "spacing": _convert_spacing,
     "max_depth": lambda option, value, iso: integer(value),
     "priority": lambda option, value, iso: integer(value),
-    "variable_names": lambda option, value, iso: _variable_names(option),
+    "variable_names": lambda option, value, iso: _convert_variable_names(option),
 }
 """Functions that convert an option's value; arguments are the option, its value, and the flag ``iso``."""
 
 
-def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
+def _convert_variable_names(option: CompoundTerm) -> Dict[Var, str]:
     names: Dict[Var, str] = {}
     for pair in option_values(option[1]):
         if pair.__class__ is not tuple or str(pair[0]) != "=/2":
@@ -283,30 +286,30 @@ def _variable_names(option: CompoundTerm) -> Dict[Var, str]:
     return names
 
 
-def _with_options(machine: Machine, term: Term, options: Term) -> str:
+def _text_with_options(machine: Machine, term: Term, options: Term) -> str:
     values: Dict[str, Any] = write_options(machine, options)
     depth = values.pop("max_depth", 0)
-    return write_term(cut_off(term, depth) if depth > 0 else term, machine.logic.operators, **values)
+    return write_term(limit_depth(term, depth) if depth > 0 else term, machine.logic.operators, **values)
 
 
 @deterministic("write_term/2")
 def write_term_2(machine: Machine, term: Term, options: Term) -> bool:
     """Write a term with options."""
-    machine.logic.write(_with_options(machine, term, options))
+    machine.logic.write(_text_with_options(machine, term, options))
     return True
 
 
 @deterministic("write_term/3")
 def write_term_3(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
     """Write a term with options to a stream."""
-    write_to(machine, stream, _with_options(machine, term, options))
+    write_to(machine, stream, _text_with_options(machine, term, options))
     return True
 
 
-# format
+# Formatted text
 
 
-def _arguments(term: Term) -> List[Term]:
+def _format_arguments(term: Term) -> List[Term]:
     term = deref(term)
     if term is NIL:
         return []
@@ -318,31 +321,31 @@ def _arguments(term: Term) -> List[Term]:
     return [term]
 
 
-def _format_text(form: Term) -> str:
-    form = deref(form)
-    if form.__class__ in (int, float):
-        raise type_error("text", form)
-    return whole_text(form, "text")
+def _format_text(format_term: Term) -> str:
+    format_term = deref(format_term)
+    if format_term.__class__ in (int, float):
+        raise type_error("text", format_term)
+    return whole_text(format_term, "text")
 
 
-def formatted(machine: Machine, form: Term, arguments: Term, column: int) -> str:
+def format_to_text(machine: Machine, format_term: Term, arguments: Term, column: int) -> str:
     """Return the text of ``format(Format, Arguments)`` at a column."""
-    return Formatter(machine, column).format(_format_text(form), _arguments(arguments))
+    return Formatter(machine, column).format(_format_text(format_term), _format_arguments(arguments))
 
 
 @deterministic("format/1")
-def format_1(machine: Machine, form: Term) -> bool:
+def format_1(machine: Machine, format_term: Term) -> bool:
     """Write formatted text without arguments."""
-    return format_2(machine, form, NIL)
+    return format_2(machine, format_term, NIL)
 
 
 @deterministic("format/2")
-def format_2(machine: Machine, form: Term, arguments: Term) -> bool:
+def format_2(machine: Machine, format_term: Term, arguments: Term) -> bool:
     """Write formatted text."""
     logic = machine.logic
     formatter = Formatter(machine, logic.column)
     try:
-        formatter.format(_format_text(form), _arguments(arguments))
+        formatter.format(_format_text(format_term), _format_arguments(arguments))
     # The text before an error is written, as by SWI-Prolog.
     finally:
         logic.write(formatter.line.text())
@@ -350,29 +353,29 @@ def format_2(machine: Machine, form: Term, arguments: Term) -> bool:
 
 
 @deterministic("format/3")
-def format_3(machine: Machine, sink: Term, form: Term, arguments: Term) -> bool:
+def format_3(machine: Machine, sink: Term, format_term: Term, arguments: Term) -> bool:
     """Write formatted text to a stream, or unify it with an output specification such as ``atom(A)``."""
     sink = deref(sink)
     if is_sink(sink):
-        return fill_sink(machine, sink, formatted(machine, form, arguments, 0))
+        return fill_sink(machine, sink, format_to_text(machine, format_term, arguments, 0))
     if sink.__class__ not in (Var, Atom) and not is_stream_term(sink):
         raise type_error("output", sink)
     # Checks the stream before the arguments are formatted, which may have side effects.
     write_to(machine, sink, "")
-    write_to(machine, sink, formatted(machine, form, arguments, 0))
+    write_to(machine, sink, format_to_text(machine, format_term, arguments, 0))
     return True
 
 
 @deterministic("sformat/3")
-def sformat(machine: Machine, text: Term, form: Term, arguments: Term) -> bool:
+def sformat(machine: Machine, text: Term, format_term: Term, arguments: Term) -> bool:
     """Unify with formatted text as a string."""
-    return unify(text, make_text("string", formatted(machine, form, arguments, 0)), machine.trail)
+    return unify(text, make_text("string", format_to_text(machine, format_term, arguments, 0)), machine.trail)
 
 
 @deterministic("sformat/2")
-def sformat_2(machine: Machine, text: Term, form: Term) -> bool:
+def sformat_2(machine: Machine, text: Term, format_term: Term) -> bool:
     """Unify with formatted text without arguments as a string."""
-    return sformat(machine, text, form, NIL)
+    return sformat(machine, text, format_term, NIL)
 
 
 # Captured output
@@ -411,7 +414,7 @@ _CAPTURE_GUARD = Guard("with_output_to", _end_capture)
 _UNIFY_CAPTURED = Code("with_output_to", _unify_captured)
 
 
-def _code_of(code: Term) -> str:
+def _parse_code(code: Term) -> str:
     value = integer(code)
     if not 0 <= value <= MAX_CODE:
         raise representation_error("character_code")
@@ -421,14 +424,14 @@ def _code_of(code: Term) -> str:
 @deterministic("put_code/1")
 def put_code(machine: Machine, code: Term) -> bool:
     """Write a character by its code."""
-    machine.logic.write(_code_of(code))
+    machine.logic.write(_parse_code(code))
     return True
 
 
 @deterministic("put_code/2")
 def put_code_to(machine: Machine, stream: Term, code: Term) -> bool:
     """Write a character by its code to a stream."""
-    write_to(machine, stream, _code_of(code))
+    write_to(machine, stream, _parse_code(code))
     return True
 
 
@@ -447,11 +450,11 @@ def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], stream_term
 
 @deterministic("put_byte/1")
 def put_byte(machine: Machine, byte: Term) -> bool:
-    """Write a byte to a binary file."""
+    """Write a byte to the current output, which has to be a binary file."""
     return _put_byte(streams_of(machine).output, atom("current_output"), byte)
 
 
 @deterministic("put_byte/2")
 def put_byte_to(machine: Machine, stream: Term, byte: Term) -> bool:
-    """Write a byte to a binary file."""
-    return _put_byte(streams_of(machine).to_write(stream), stream, byte)
+    """Write a byte to a binary stream."""
+    return _put_byte(streams_of(machine).find_output(stream), stream, byte)

@@ -2,16 +2,16 @@
 
 Left-recursive predicates terminate with it. The first call of a variant, the *generator*, evaluates the clauses on a
 copy of the call, and stores each new answer in a table. A call of a table that is still being evaluated is a
-*follower* (a consumer in the terms of SLG): it returns the stored answers, and is then suspended. A suspended
-follower is stored as its continuation frame and the bindings made since the evaluation began, as in copying
-implementations of SLG (CAT), and is resumed when an answer is added.
+*consumer*: it returns the stored answers, and is then suspended. A suspended consumer is stored as its continuation
+frame and the bindings made since the evaluation began, as in copying implementations of SLG (CAT), and is resumed
+when an answer is added.
 
 Tables that depend on each other form a strongly connected component (SCC). As in Tarjan's algorithm, each table has
 an index on the stack of active tables and the lowest index that it depends on. The tables of an SCC are completed
-together, by its oldest table (the leader), when all followers have returned all answers.
+together, by its oldest table (the leader), when all consumers have returned all answers.
 
-Inside negation, ``findall/3``, ``catch/3`` and similar constructs a follower cannot be suspended, because its
-continuation ends inside the construct. If such a follower has missed answers, the leader repeats the evaluation of
+Inside negation, ``findall/3``, ``catch/3`` and similar constructs a consumer cannot be suspended, because its
+continuation ends inside the construct. If such a consumer has missed answers, the leader repeats the evaluation of
 the whole SCC until no answer is added (iterated fixpoint). All evaluation runs as frames of the machine, without
 recursion.
 
@@ -42,8 +42,8 @@ from .argument_checks import natural
 _EQUAL = functor("=", 2)
 _LATTICE, _ORDER = functor("lattice", 1), functor("po", 1)
 
-Pick = Callable[[Term, Term], Term]
-_STANDARD_MODES: Dict[str, Pick] = {
+ChooseValue = Callable[[Term, Term], Term]
+_STANDARD_MODES: Dict[str, ChooseValue] = {
     "first": lambda old, new: old,
     "-": lambda old, new: old,
     "last": lambda old, new: new,
@@ -56,18 +56,18 @@ class Mode(NamedTuple):
     """Mode of an argument of a moded table: how the values of two answers are combined.
 
     Attributes:
-        pick: returns the value to keep of the old and the new one; None if a predicate of the program decides.
-        goal: returns the goal that computes the third value from the first two; None with ``pick``.
-        grows: whether a changed value has to be returned to followers, because it may lead to further answers. It is
-            False for mode ``last``, whose value may change with every answer.
+        choose_value: returns the old or the new value; None if a predicate of the program decides.
+        make_goal: returns the goal that computes the third value from the first two; None with ``choose_value``.
+        notifies_consumers: whether a changed value is returned to consumers, because it may lead to further answers.
+            It is False for mode ``last``: its value may change with every answer, so the evaluation might not end.
     """
 
-    pick: Optional[Pick] = None
-    goal: Optional[Callable[[Term, Term, Term], Term]] = None
-    grows: bool = True
+    choose_value: Optional[ChooseValue] = None
+    make_goal: Optional[Callable[[Term, Term, Term], Term]] = None
+    notifies_consumers: bool = True
 
 
-def modes_of(spec: CompoundTerm) -> Tuple[Functor, Dict[int, Mode]]:
+def parse_moded_head(spec: CompoundTerm) -> Tuple[Functor, Dict[int, Mode]]:
     """Return the functor of a declaration such as ``path(_, _, min)``, and its modes by argument position.
 
     Raises:
@@ -78,21 +78,21 @@ def modes_of(spec: CompoundTerm) -> Tuple[Functor, Dict[int, Mode]]:
         mode = deref(mode)
         if mode.__class__ is Var or (mode.__class__ is Atom and mode.name in ("index", "+")):
             continue
-        modes[position] = _mode(mode)
+        modes[position] = _parse_mode(mode)
     return spec[0], modes
 
 
-def _mode(mode: Term) -> Mode:
+def _parse_mode(mode: Term) -> Mode:
     if mode.__class__ is Atom and mode.name in _STANDARD_MODES:
-        return Mode(_STANDARD_MODES[mode.name], grows=mode.name != "last")
+        return Mode(_STANDARD_MODES[mode.name], notifies_consumers=mode.name != "last")
     if mode.__class__ is not tuple or mode[0] not in (_LATTICE, _ORDER):
         raise domain_error("tabled_mode", mode)
     arity = 3 if mode[0] is _LATTICE else 2
-    key = functor(_predicate_name(mode[1], arity), arity)
+    key = functor(_parse_predicate_name(mode[1], arity), arity)
     if arity == 3:
-        return Mode(goal=lambda old, new, combined: (key, old, new, combined))
+        return Mode(make_goal=lambda old, new, combined: (key, old, new, combined))
     return Mode(
-        goal=lambda old, new, combined: (
+        make_goal=lambda old, new, combined: (
             SEMICOLON,
             (ARROW, (key, old, new), (_EQUAL, combined, old)),
             (_EQUAL, combined, new),
@@ -100,24 +100,24 @@ def _mode(mode: Term) -> Mode:
     )
 
 
-def _predicate_name(predicate: Term, arity: int) -> str:
-    """Return the name of the predicate of ``lattice(PI)`` or ``po(PI)``, given as a name, an indicator or a head."""
-    predicate = deref(predicate)
-    if predicate.__class__ is tuple and predicate[0].name == ":" and len(predicate) == 3:
-        predicate = deref(predicate[2])
-    size = arity
-    if predicate.__class__ is tuple:
-        key = predicate[0]
-        predicate, size = (predicate[1], natural(predicate[2])) if key is SLASH else (key, key.arity)
-        predicate = deref(predicate)
+def _parse_predicate_name(predicate: Term, arity: int) -> str:
+    """Return the name of the predicate of ``lattice(PI)`` or ``po(PI)``: PI is a name, an indicator or a head."""
+    name: Any = deref(predicate)
+    if name.__class__ is tuple and name[0].name == ":" and len(name) == 3:
+        name = deref(name[2])
+    declared_arity = arity
+    if name.__class__ is tuple and name[0] is SLASH:
+        name, declared_arity = deref(name[1]), natural(name[2])
+    elif name.__class__ is tuple:
+        name, declared_arity = name[0], name[0].arity
     # `lattice(PI)` needs a predicate of arity 3, `po(PI)` one of arity 2.
-    if size != arity:
-        raise domain_error("lattice_arity" if arity == 3 else "po_arity", size)
-    if predicate.__class__ is Var:
+    if declared_arity != arity:
+        raise domain_error("lattice_arity" if arity == 3 else "po_arity", declared_arity)
+    if name.__class__ is Var:
         raise instantiation_error()
-    if predicate.__class__ not in (Atom, Functor):
-        raise type_error("atom", predicate)
-    return str(predicate.name)
+    if name.__class__ not in (Atom, Functor):
+        raise type_error("atom", name)
+    return str(name.name)
 
 
 class VersionedSource(Protocol):
@@ -134,12 +134,12 @@ _CHANGED = object()
 """Version of a part that has changed between two reads of an evaluation; it is equal to no other version."""
 
 
-class Follower(NamedTuple):
+class Consumer(NamedTuple):
     """A suspended call of an incomplete table.
 
     Attributes:
         position: number of answers that it has returned.
-        free_variables: unbound variables of the call.
+        free_vars: unbound variables of the call.
         continuation: its continuation.
         bindings: variables bound since the evaluation of the active table began, with their values; None if the call
             cannot be suspended.
@@ -147,7 +147,7 @@ class Follower(NamedTuple):
     """
 
     position: int
-    free_variables: List[Var]
+    free_vars: List[Var]
     continuation: Frame
     bindings: Optional[List[Tuple[Any, Term]]]
     height: int
@@ -165,19 +165,20 @@ class Table:
         state: "new", "active", "waiting" (evaluated, but part of the SCC of an older table), "complete", or for an
             incremental table "checked": complete as long as nothing that it has read changes.
         index: position on the stack of active tables.
-        low: the lowest index of a table that it is known to depend on.
+        low_link: the lowest index of a table that it is known to depend on.
         parent: for a waiting table, the table below it on the stack, which depends on it.
         trail_mark: length of the trail at the beginning of the current round of its evaluation.
         height: size of the stack of choice points when the current round began.
-        first_numbers: numbers of waiting tables and of ready followers at the time when it became active.
-        followers: suspended calls that have returned all answers so far.
+        start_counts: numbers of waiting tables and of ready consumers when it became active. Later ones belong to its
+            own SCC.
+        consumers: suspended calls that have returned all answers so far.
     """
 
     index: int
-    low: int
+    low_link: int
     trail_mark: int
     height: int
-    first_numbers: Tuple[int, int]
+    start_counts: Tuple[int, int]
 
     __slots__ = (
         "answers",
@@ -186,12 +187,12 @@ class Table:
         "read_versions",
         "state",
         "index",
-        "low",
+        "low_link",
         "parent",
         "trail_mark",
         "height",
-        "first_numbers",
-        "followers",
+        "start_counts",
+        "consumers",
     )
 
     def __init__(self, incremental: bool = False) -> None:
@@ -201,11 +202,11 @@ class Table:
         self.remove_answers()
 
     def remove_answers(self) -> None:
-        """Remove all answers and followers."""
+        """Remove all answers and consumers."""
         self.answers: List[Any] = []
         self.positions_by_key: Dict[Hashable, int] = {}
         self.has_ground_answers = True
-        self.followers: List[Follower] = []
+        self.consumers: List[Consumer] = []
 
     def reset(self) -> None:
         """Reset the table to one that has not been evaluated."""
@@ -222,7 +223,7 @@ class Table:
         if len(self.positions_by_key) < len(self.answers):
             self.answers = [answer for answer in self.answers if answer is not None]
         self.positions_by_key.clear()
-        self.followers.clear()
+        self.consumers.clear()
 
     @property
     def is_outdated(self) -> bool:
@@ -240,6 +241,8 @@ class Table:
 
 
 _ANSWER = functor("answer", 0)
+"""Functor that makes a term of the values of an answer, for functions on terms. Its arity is not used."""
+
 AS, INCREMENTAL = functor("as", 2), atom("incremental")
 """Functor and option of ``table ... as incremental``."""
 
@@ -259,21 +262,23 @@ class Tables:
         """Declarations of the tabled predicates: indicators, or heads with modes."""
         self.active: List[Table] = []
         """Tables under evaluation, the oldest first. The list is never replaced: others hold a reference to it."""
-        self.waiting: List[Table] = []
-        self.ready: List[Tuple[Table, Follower]] = []
-        self._earlier_rounds: Dict[Table, Set[Table]] = {}
+        self.waiting_tables: List[Table] = []
+        """Evaluated tables that older active ones will complete, in the order of their evaluation."""
+        self.ready_consumers: List[Tuple[Table, Consumer]] = []
+        """Suspended calls that have not returned all answers, with the tables that they call."""
+        self._earlier_members: Dict[Table, Set[Table]] = {}
         """Tables evaluated in earlier rounds of an SCC, by its leader; a later round need not call them again."""
-        self._drop_at = _MIN_TABLES_BEFORE_DROP
-        self._guard = Guard("table", self._discard)
-        self._round = Code("table", self._end_round)
-        self._next_answer = Code("table", lambda entry: self._enumerate(*entry[1:6]))
-        self._more_answers = Code("table", lambda entry: self._follow(*entry[1:5]))
-        self._padding = Code("table", self._leave_padding)
-        self._guard.closes_goal = False
-        self._new_answer = Code("answer", self._add)
-        self._combine_answer = Code("answer", self._combine)
-        self._replace_answer = Code("answer", self._replace)
-        self._unify_modes = Code(
+        self._drop_threshold = _MIN_TABLES_BEFORE_DROP
+        self._guard_code = Guard("table", self._discard_evaluations)
+        self._round_end_code = Code("table", self._end_round)
+        self._next_answer_code = Code("table", lambda entry: self._enumerate_answers(*entry[1:6]))
+        self._more_answers_code = Code("table", lambda entry: self._consume(*entry[1:5]))
+        self._padding_code = Code("table", self._drop_padding)
+        self._guard_code.closes_goal = False
+        self._add_answer_code = Code("answer", self._add_answer)
+        self._combine_answer_code = Code("answer", self._combine_answer)
+        self._replace_answer_code = Code("answer", self._replace_answer)
+        self._unify_modes_code = Code(
             "table", lambda frame: frame[3] if machine.unify_all(*zip(*frame[1:3])) else None
         )
 
@@ -282,7 +287,7 @@ class Tables:
         # Tables under evaluation are referenced by frames of the machine.
         if not self.active:
             self.by_call.clear()
-            self._drop_at = _MIN_TABLES_BEFORE_DROP
+            self._drop_threshold = _MIN_TABLES_BEFORE_DROP
 
     def record_read(self, source: VersionedSource, key: Hashable) -> None:
         """Record that part of a source is about to be read. Must be called only while a table is active."""
@@ -313,9 +318,9 @@ class Tables:
     def repair(self) -> None:
         """Discard all incomplete evaluations, after an interrupt has ended the goals that ran them."""
         self.active.clear()
-        self.waiting.clear()
-        self.ready.clear()
-        self._earlier_rounds.clear()
+        self.waiting_tables.clear()
+        self.ready_consumers.clear()
+        self._earlier_members.clear()
         for table in self.by_call.values():
             if table.state != "complete":
                 table.reset()
@@ -334,23 +339,21 @@ class Tables:
 
     def moded_caller(self, predicate: Predicate, modes: Dict[int, Mode]) -> TabledCall:
         """Return the function that executes calls of a predicate with moded arguments."""
-        # A moded argument is called with a new variable and unified afterwards: which answer is the best must not
-        # depend on a value that the caller has given.
-        plain = self.caller(predicate, list(modes.values()))
+        # A bound moded argument is an error. An unbound one is replaced by a new variable and unified afterwards: a
+        # variable that occurs in another argument too must not restrict the answers that are compared.
+        call_without_modes = self.caller(predicate, list(modes.values()))
 
         def call(frame: Frame) -> Optional[Frame]:
-            inner = list(frame)
+            inner_frame = list(frame)
             for position in modes:
                 value = deref(frame[position])
                 if value.__class__ is not Var:
                     raise uninstantiation_error(value)
-                inner[position] = Var()
-            originals, fresh = (
-                [frame[position] for position in modes],
-                [inner[position] for position in modes],
-            )
-            inner[-1] = (self._unify_modes, originals, fresh, frame[-1])
-            return plain(tuple(inner), fresh)
+                inner_frame[position] = Var()
+            moded_arguments = [frame[position] for position in modes]
+            new_vars = [inner_frame[position] for position in modes]
+            inner_frame[-1] = (self._unify_modes_code, moded_arguments, new_vars, frame[-1])
+            return call_without_modes(tuple(inner_frame), new_vars)
 
         return call
 
@@ -359,13 +362,13 @@ class Tables:
     ) -> Callable[..., Optional[Frame]]:
         """Return the function that executes calls of a predicate; it is passed the variables of moded arguments."""
         key_of_call = predicate.functor
-        find = self.by_call.get
-        bound = self.machine.trail.append
+        find_table = self.by_call.get
+        record_binding = self.machine.trail.append
 
-        def call(frame: Frame, moded: Sequence[Var] = ()) -> Optional[Frame]:  # noqa: C901
+        def call(frame: Frame, moded_vars: Sequence[Var] = ()) -> Optional[Frame]:  # noqa: C901
             key: Any = [key_of_call]
-            free: List[Var] = []
-            walked = False
+            free_vars: List[Var] = []
+            goal: Any = None
             # The key of a call with only constants and distinct variables is built here: `term_key` walks over the
             # whole term, which costs more than the rest of a call of a complete table.
             for arg in frame[1:-1]:
@@ -373,52 +376,68 @@ class Tables:
                     arg = arg.ref
                 if arg.__class__ in SELF_KEYED:
                     key.append(arg)
-                elif arg.__class__ is Var and arg not in free:
-                    free.append(arg)
+                elif arg.__class__ is Var and arg not in free_vars:
+                    free_vars.append(arg)
                     key.append(None)
                 else:
                     goal = (key_of_call, *frame[1:-1])
                     key = term_key(goal)
-                    free = variables(goal)
-                    walked = True
+                    free_vars = variables(goal)
                     break
             else:
                 key = tuple(key)
             continuation: Frame = frame[-1]
-            table = find(key)
+            table = find_table(key)
             if table is None:
                 table = self.by_call[key] = Table(predicate.is_incremental)
             elif table.state == "complete":
                 # A single ground answer, the most common case, is bound without a further call.
                 if len(table.answers) != 1 or not table.has_ground_answers:
-                    return self._enumerate(table.answers, table.has_ground_answers, 0, free, continuation)
-                for var, value in zip(free, table.answers[0]):
+                    return self._enumerate_answers(
+                        table.answers, table.has_ground_answers, 0, free_vars, continuation
+                    )
+                for var, value in zip(free_vars, table.answers[0]):
                     var.ref = value
-                    bound(var)
+                    record_binding(var)
                 return continuation
             elif table.state == "checked" and table.read_versions is not None:
                 if not table.is_outdated:
-                    self._depend(table.read_versions)
-                    return self._enumerate(table.answers, table.has_ground_answers, 0, free, continuation)
+                    self._add_dependencies(table.read_versions)
+                    return self._enumerate_answers(
+                        table.answers, table.has_ground_answers, 0, free_vars, continuation
+                    )
                 # Goals that are still enumerating its answers keep the old list, which `reset` does not change.
                 table.reset()
             if table.state == "new":
-                collect = self._collector(table, free, moded, modes)
-                own = collect[2]
-                args = copy(goal, dict(zip(free, own)))[1:] if walked else _renamed(key, own)
-                return self._evaluate((predicate.hidden_predicate, *args, collect), table, free, continuation)
-            return self._consult(table, free, continuation)
+                collect = self._collector(table, free_vars, moded_vars, modes)
+                new_vars = collect[2]
+                if goal is None:
+                    args = _renamed_arguments(key, new_vars)
+                else:
+                    args = copy(goal, dict(zip(free_vars, new_vars)))[1:]
+                return self._evaluate(
+                    (predicate.hidden_predicate, *args, collect), table, free_vars, continuation
+                )
+            return self._call_incomplete(table, free_vars, continuation)
 
         return call
 
-    def _collector(self, table: Table, free: List[Var], moded: Sequence[Var], modes: Sequence[Mode]) -> Frame:
+    def _collector(
+        self, table: Table, free_vars: List[Var], moded_vars: Sequence[Var], modes: Sequence[Mode]
+    ) -> Frame:
         """Return the frame that stores an answer, with new variables for its values."""
-        own = [Var() for _ in free]
+        answer_vars = [Var() for _ in free_vars]
         if not modes:
-            return (self._new_answer, table, own)
-        return (self._combine_answer, table, own, list(map(free.index, moded)), modes)
+            return (self._add_answer_code, table, answer_vars)
+        return (
+            self._combine_answer_code,
+            table,
+            answer_vars,
+            list(map(free_vars.index, moded_vars)),
+            modes,
+        )
 
-    def _consult(self, table: Table, free: List[Var], continuation: Frame) -> Optional[Frame]:
+    def _call_incomplete(self, table: Table, free_vars: List[Var], continuation: Frame) -> Optional[Frame]:
         """Return the answers of an incomplete table, and record that the active table depends on it."""
         # A waiting table has left the stack. Its dependency is that of its nearest ancestor that is still active; the
         # path to it is compressed as in a union-find structure.
@@ -426,43 +445,52 @@ class Tables:
             table.parent = table.parent.parent
         ancestor = table.parent if table.state == "waiting" else table
         newest = self.active[-1]
-        newest.low = min(newest.low, ancestor.index)  # type: ignore[union-attr]
-        return self._follow(table, 0, free, continuation)
+        newest.low_link = min(newest.low_link, ancestor.index)  # type: ignore[union-attr]
+        return self._consume(table, 0, free_vars, continuation)
 
-    def _follow(self, table: Table, position: int, free: List[Var], continuation: Frame) -> Optional[Frame]:
+    def _consume(
+        self, table: Table, position: int, free_vars: List[Var], continuation: Frame
+    ) -> Optional[Frame]:
         """Return the answers of an incomplete table from ``position`` on, then suspend the call."""
         answers = table.answers
         while position < len(answers) and answers[position] is None:
             position += 1
         if position < len(answers):
             self.machine.choices.append(
-                (self._more_answers, table, position + 1, free, continuation, len(self.machine.trail))
+                (
+                    self._more_answers_code,
+                    table,
+                    position + 1,
+                    free_vars,
+                    continuation,
+                    len(self.machine.trail),
+                )
             )
-            return self.give(answers[position], table.has_ground_answers, free, continuation)
+            return self.bind_answer(answers[position], table.has_ground_answers, free_vars, continuation)
         choices, trail = self.machine.choices, self.machine.trail
         newest = self.active[-1]
         # A choice point that closes, such as that of a negation, ends before the continuation could be resumed. The
         # call is only recorded then, and an answer that it misses makes the leader repeat the evaluation.
         if any(getattr(entry[0], "closes_goal", False) for entry in choices[newest.height :]):
-            follower = Follower(position, free, continuation, None, 0)
+            consumer = Consumer(position, free_vars, continuation, None, 0)
         else:
             bound = [(entry, entry.ref) for entry in trail[newest.trail_mark :]]
-            follower = Follower(position, free, continuation, bound, len(choices))
-        table.followers.append(follower)
+            consumer = Consumer(position, free_vars, continuation, bound, len(choices))
+        table.consumers.append(consumer)
         return None
 
-    def _evaluate(self, clauses: Frame, table: Table, free: List[Var], continuation: Frame) -> Frame:
+    def _evaluate(self, clauses: Frame, table: Table, free_vars: List[Var], continuation: Frame) -> Frame:
         """Start the evaluation of a table; its bindings are undone on completion."""
-        if table.read_versions is not None and len(self.by_call) >= self._drop_at:
+        if table.read_versions is not None and len(self.by_call) >= self._drop_threshold:
             self._drop_outdated()
         machine = self.machine
         index = len(self.active)
-        table.index = table.low = index
-        table.first_numbers = len(self.waiting), len(self.ready)
-        machine.choices.append((self._guard, index, table, len(machine.trail)))
+        table.index = table.low_link = index
+        table.start_counts = len(self.waiting_tables), len(self.ready_consumers)
+        machine.choices.append((self._guard_code, index, table, len(machine.trail)))
         self.active.append(table)
         table.state = "active"
-        self._begin_round(table, clauses, free, continuation)
+        self._begin_round(table, clauses, free_vars, continuation)
         return clauses
 
     def _drop_outdated(self) -> None:
@@ -471,41 +499,43 @@ class Tables:
             if table.state == "checked" and table.is_outdated:
                 del self.by_call[key]
         # The limit doubles with the tables that remain, so the cost of this scan is constant per new table.
-        self._drop_at = 2 * len(self.by_call) + _MIN_TABLES_BEFORE_DROP
+        self._drop_threshold = 2 * len(self.by_call) + _MIN_TABLES_BEFORE_DROP
 
-    def _depend(self, reads: Reads) -> None:
+    def _add_dependencies(self, reads: Reads) -> None:
         """Add the reads of a complete table to those of the active table, if any."""
         if self.active:
             self.active[-1].add_reads(reads)
 
-    def _begin_round(self, table: Table, clauses: Frame, free: List[Var], continuation: Frame) -> None:
+    def _begin_round(self, table: Table, clauses: Frame, free_vars: List[Var], continuation: Frame) -> None:
         """Push the choice point that ends a round: it is reached when the clauses have no more solutions."""
         table.trail_mark = len(self.machine.trail)
-        self.machine.choices.append((self._round, table, clauses, free, continuation, table.trail_mark))
+        self.machine.choices.append(
+            (self._round_end_code, table, clauses, free_vars, continuation, table.trail_mark)
+        )
         table.height = len(self.machine.choices)
 
     def _store_answer(self, table: Table, key: Hashable, answer: Values) -> None:
-        """Store a new answer, and make the followers of the table ready."""
+        """Store a new answer, and make the consumers of the table ready."""
         table.positions_by_key[key] = len(table.answers)
         table.answers.append(answer)
-        if table.followers:
-            self.ready += [(table, follower) for follower in table.followers]
-            table.followers.clear()
+        if table.consumers:
+            self.ready_consumers += [(table, consumer) for consumer in table.consumers]
+            table.consumers.clear()
 
-    def _add(self, frame: Frame) -> None:
+    def _add_answer(self, frame: Frame) -> None:
         """Store an answer if it is new, then fail to find the next one."""
         table: Table
-        free: List[Var]
-        _, table, free = frame
+        free_vars: List[Var]
+        _, table, free_vars = frame
         answer: Any = []
-        for var in free:
+        for var in free_vars:
             value: Any = var.ref
             while value.__class__ is Var and value.ref is not None:
                 value = value.ref
             if value.__class__ not in SELF_KEYED:
-                whole = copy((_ANSWER, *free))
-                key = term_key(whole)
-                answer = whole[1:]
+                answer_term = copy((_ANSWER, *free_vars))
+                key = term_key(answer_term)
+                answer = answer_term[1:]
                 break
             answer.append(value)
         else:
@@ -515,77 +545,78 @@ class Tables:
             if key is not answer and table.has_ground_answers:
                 table.has_ground_answers = all(map(has_no_variables, answer))
 
-    def _combine(self, frame: Frame) -> Optional[Frame]:
+    def _combine_answer(self, frame: Frame) -> Optional[Frame]:
         """Store an answer of a moded table, or combine it with the answer that is equal in the other arguments."""
         table: Table
         modes: Sequence[Mode]
-        _, table, free, places, modes = frame
-        answer = copy((_ANSWER, *free))[1:]
-        key = term_key((_ANSWER, *[value for index, value in enumerate(answer) if index not in places]))
-        index = table.positions_by_key.get(key)
-        if index is None:
+        _, table, free_vars, moded_positions, modes = frame
+        answer = copy((_ANSWER, *free_vars))[1:]
+        unmoded = [value for position, value in enumerate(answer) if position not in moded_positions]
+        key = term_key((_ANSWER, *unmoded))
+        answer_position = table.positions_by_key.get(key)
+        if answer_position is None:
             self._store_answer(table, key, answer)
             table.has_ground_answers = table.has_ground_answers and all(map(has_no_variables, answer))
             return None
         merged = list(answer)
         goals = []
-        for position, mode in zip(places, modes):
-            old, new = table.answers[index][position], answer[position]
-            if mode.pick is not None:
-                merged[position] = mode.pick(old, new)
-            elif mode.goal is not None:
+        for position, mode in zip(moded_positions, modes):
+            old, new = table.answers[answer_position][position], answer[position]
+            if mode.choose_value is not None:
+                merged[position] = mode.choose_value(old, new)
+            elif mode.make_goal is not None:
                 merged[position] = Var()
-                goals.append(mode.goal(old, new, merged[position]))
-        grows = any(mode.grows for mode in modes)
-        continuation = (self._replace_answer, table, key, merged, grows)
+                goals.append(mode.make_goal(old, new, merged[position]))
+        notifies_consumers = any(mode.notifies_consumers for mode in modes)
+        continuation = (self._replace_answer_code, table, key, merged, notifies_consumers)
         return self.machine.logic.control.once(conjunction(goals), continuation) if goals else continuation
 
-    def _replace(self, frame: Frame) -> None:
+    def _replace_answer(self, frame: Frame) -> None:
         """Replace an answer of a moded table if the combined one differs from it."""
         table: Table
-        _, table, key, merged, grows = frame
+        _, table, key, merged, notifies_consumers = frame
         answer = copy((_ANSWER, *merged))
-        index = table.positions_by_key[key]
-        if term_key(answer) != term_key((_ANSWER, *table.answers[index])):
+        answer_position = table.positions_by_key[key]
+        if term_key(answer) != term_key((_ANSWER, *table.answers[answer_position])):
             table.has_ground_answers = table.has_ground_answers and has_no_variables(answer)
-            if grows:
-                table.answers[index] = None
+            if notifies_consumers:
+                table.answers[answer_position] = None
                 self._store_answer(table, key, answer[1:])
             else:
-                table.answers[index] = answer[1:]
+                table.answers[answer_position] = answer[1:]
 
     def _end_round(self, entry: Frame) -> Optional[Frame]:
-        """Resume a follower, start another round, or complete the SCC, when a round has no more solutions."""
+        """Resume a consumer, start another round, or complete the SCC, when a round has no more solutions."""
         table: Table
         clauses: Frame
-        _, table, clauses, free, continuation, _ = entry
+        _, table, clauses, free_vars, continuation, _ = entry
         # Not the leader of its SCC: an older table decides when both are complete.
-        if table.low < table.index:
-            return self._defer_completion(table, free, continuation)
-        waiting, ready = table.first_numbers
+        if table.low_link < table.index:
+            return self._defer_completion(table, free_vars, continuation)
+        waiting_count, ready_count = table.start_counts
         has_new_answers = False
-        # Followers that were ready before this table became active belong to older tables.
-        while len(self.ready) > ready:
-            followed, follower = self.ready.pop()
-            if follower.bindings is not None:
-                return self._resume(entry, followed, follower)
-            # This follower missed answers and cannot be resumed, so the round is repeated, which serves all others
+        # Consumers that were ready before this table became active belong to older tables.
+        while len(self.ready_consumers) > ready_count:
+            followed, consumer = self.ready_consumers.pop()
+            if consumer.bindings is not None:
+                return self._resume(entry, followed, consumer)
+            # This consumer missed answers and cannot be resumed, so the round is repeated, which serves all others
             # too.
             has_new_answers = True
-            del self.ready[ready:]
+            del self.ready_consumers[ready_count:]
         members = [table]
-        if len(self.waiting) > waiting:
-            members += self.waiting[waiting:]
-            del self.waiting[waiting:]
+        if len(self.waiting_tables) > waiting_count:
+            members += self.waiting_tables[waiting_count:]
+            del self.waiting_tables[waiting_count:]
         if has_new_answers:
             # The answers stay, so each round adds some or is the last one.
             for member in members:
-                member.followers.clear()
+                member.consumers.clear()
                 member.state = "active" if member is table else "new"
-            self._earlier_rounds.setdefault(table, set()).update(members[1:])
-            self._begin_round(table, clauses, free, continuation)
+            self._earlier_members.setdefault(table, set()).update(members[1:])
+            self._begin_round(table, clauses, free_vars, continuation)
             return clauses
-        if len(members) > 1 or self._earlier_rounds:
+        if len(members) > 1 or self._earlier_members:
             self._merge_reads(members)
             self._reset_uncalled(members)
         for member in members:
@@ -593,13 +624,13 @@ class Tables:
         self.active.pop()
         self.machine.choices.pop()  # the guard
         if table.read_versions is not None:
-            self._depend(table.read_versions)
-        return self._enumerate(table.answers, table.has_ground_answers, 0, free, continuation)
+            self._add_dependencies(table.read_versions)
+        return self._enumerate_answers(table.answers, table.has_ground_answers, 0, free_vars, continuation)
 
     def _reset_uncalled(self, members: List[Table]) -> None:
         """Reset tables that the last round has not called: their reads are not among those of the SCC."""
         for member in members:
-            for table in self._earlier_rounds.pop(member, ()):
+            for table in self._earlier_members.pop(member, ()):
                 if table.state == "new":
                     table.reset()
 
@@ -612,7 +643,7 @@ class Tables:
         for member in incremental[1:]:
             member.read_versions = incremental[0].read_versions
 
-    def _resume(self, entry: Frame, followed: Table, follower: Follower) -> Optional[Frame]:
+    def _resume(self, entry: Frame, followed: Table, consumer: Consumer) -> Optional[Frame]:
         """Resume a suspended call: restore its bindings, and return the answers that were added since."""
         choices, trail = self.machine.choices, self.machine.trail
         table: Table = entry[1]
@@ -620,33 +651,33 @@ class Tables:
         # Cuts in the continuation remove choice points down to the heights at the suspension, so the stack is padded
         # to the same height.
         below = len(choices)
-        choices += [(self._padding, below, len(trail))] * (follower.height - below)
+        choices += [(self._padding_code, below, len(trail))] * (consumer.height - below)
         table.height = len(choices)
-        for var, value in follower.bindings or ():
+        for var, value in consumer.bindings or ():
             var.ref = value
             trail.append(var)
-        return self._follow(followed, follower.position, follower.free_variables, follower.continuation)
+        return self._consume(followed, consumer.position, consumer.free_vars, consumer.continuation)
 
-    def _leave_padding(self, entry: Frame) -> None:
+    def _drop_padding(self, entry: Frame) -> None:
         del self.machine.choices[entry[1] :]
 
-    def _defer_completion(self, table: Table, free: List[Var], continuation: Frame) -> Optional[Frame]:
+    def _defer_completion(self, table: Table, free_vars: List[Var], continuation: Frame) -> Optional[Frame]:
         """Leave a table that depends on an older one, which completes both."""
         self.active.pop()
         self.machine.choices.pop()  # the guard
         parent = self.active[-1]
-        parent.low = min(parent.low, table.low)
+        parent.low_link = min(parent.low_link, table.low_link)
         table.parent = parent
         table.state = "waiting"
-        self.waiting.append(table)
-        return self._follow(table, 0, free, continuation)
+        self.waiting_tables.append(table)
+        return self._consume(table, 0, free_vars, continuation)
 
-    def _enumerate(
+    def _enumerate_answers(
         self,
         answers: List[Tuple[Term, ...]],
-        ground: bool,
+        are_ground: bool,
         position: int,
-        free: List[Var],
+        free_vars: List[Var],
         continuation: Frame,
     ) -> Optional[Frame]:
         """Return the answers from ``position`` on, one at each solution."""
@@ -656,42 +687,52 @@ class Tables:
         if position + 1 < count:
             mark = len(self.machine.trail)
             self.machine.choices.append(
-                (self._next_answer, answers, ground, position + 1, free, continuation, mark)
+                (
+                    self._next_answer_code,
+                    answers,
+                    are_ground,
+                    position + 1,
+                    free_vars,
+                    continuation,
+                    mark,
+                )
             )
-        return self.give(answers[position], ground, free, continuation)
+        return self.bind_answer(answers[position], are_ground, free_vars, continuation)
 
-    def give(self, answer: Tuple[Term, ...], ground: bool, free: List[Var], continuation: Frame) -> Frame:
+    def bind_answer(
+        self, answer: Tuple[Term, ...], is_ground: bool, free_vars: List[Var], continuation: Frame
+    ) -> Frame:
         """Bind the free variables of a call to the values of an answer."""
         trail = self.machine.trail
-        if ground:
-            for var, value in zip(free, answer):
+        if is_ground:
+            for var, value in zip(free_vars, answer):
                 var.ref = value
                 trail.append(var)
         else:
-            for var, value in zip(free, copy((_ANSWER, *answer))[1:]):
+            for var, value in zip(free_vars, copy((_ANSWER, *answer))[1:]):
                 # Cannot fail, as the call's variables are unbound. The order of arguments keeps the caller's
                 # variable.
                 unify(value, var, trail)
         return continuation
 
-    def _discard(self, entry: Frame) -> None:
+    def _discard_evaluations(self, entry: Frame) -> None:
         """Discard the evaluations above an exception, with their answers, which may be incomplete."""
         table: Table
         _, index, table, _ = entry
-        waiting, ready = table.first_numbers
-        members = [*self.active[index:], *self.waiting[waiting:]]
+        waiting_count, ready_count = table.start_counts
+        members = [*self.active[index:], *self.waiting_tables[waiting_count:]]
         self._reset_uncalled(members)
         for member in members:
             member.reset()
         del self.active[index:]
-        del self.waiting[waiting:]
-        del self.ready[ready:]
+        del self.waiting_tables[waiting_count:]
+        del self.ready_consumers[ready_count:]
 
 
-def _renamed(key: Sequence[Optional[Term]], variables: List[Var]) -> List[Term]:
+def _renamed_arguments(key: Sequence[Optional[Term]], variables: List[Var]) -> List[Term]:
     """Return the arguments of a call from its key, which has None for each variable, with new variables."""
-    fresh = iter(variables)
-    return [next(fresh) if term is None else term for term in key[1:]]
+    unused_vars = iter(variables)
+    return [next(unused_vars) if term is None else term for term in key[1:]]
 
 
 def tables_of(machine: Machine) -> Tables:

@@ -40,8 +40,8 @@ _MAX_BUFFERED_CHARACTERS = 4096
 """Maximum number of characters of an incomplete line that an output stream buffers."""
 
 _STREAM = functor("$stream", 1)
-_SYNTAX, _AT = functor("syntax_error", 1), functor("stream", 4)
-_USER = ("user_input", "user_output", "user_error")
+_SYNTAX, _STREAM_CONTEXT = functor("syntax_error", 1), functor("stream", 4)
+_STANDARD_STREAMS = ("user_input", "user_output", "user_error")
 
 
 class InputStream:
@@ -49,7 +49,7 @@ class InputStream:
 
     Args:
         name: name for error messages.
-        text: the text, or its part that has been read so far.
+        text: the text, or its known part that has not been dropped.
         read_line: returns the next line, or None at the end; None if ``text`` is complete.
 
     Attributes:
@@ -73,15 +73,14 @@ class InputStream:
         self.stream_type = "text"
         self.eof_action = "eof_code" if read_line is None else "reset"
         self.has_read_end = False
-        self._start = (0, 0, 0)  # characters, line ends and column before `text`
-        self._line_counts = (
-            0,
-            0,
-            -1,
-        )  # position up to which lines have been counted, their number, the last line end
+        # Numbers of characters and line ends before `text`, and the column at its start.
+        self._start = (0, 0, 0)
+        # Position up to which line ends have been counted, their number, and the position of the last one.
+        self._line_counts = (0, 0, -1)
+        # Reader of terms, the position in `text` where it began, and the one where the next term begins.
         self._program: Optional[Program] = None
-        self._base = 0
-        self._next = 0
+        self._program_start = 0
+        self._next_term_start = 0
 
     def _append_line(self) -> bool:
         """Append the next line to the text; return whether there was one."""
@@ -99,16 +98,16 @@ class InputStream:
     def position(self) -> Tuple[int, int, int]:
         """Numbers of characters read, of line ends read, and of characters read of the current line."""
         characters, lines, column = self._start
-        start, counted, newline = self._line_counts
+        counted_to, count, newline = self._line_counts
         # Lines are counted incrementally from the last position; only repositioning backwards restarts the count.
-        if start > self.offset:
-            start, counted, newline = 0, 0, -1
-        counted += self.text.count("\n", start, self.offset)
-        newline = max(newline, self.text.rfind("\n", start, self.offset))
-        self._line_counts = (self.offset, counted, newline)
+        if counted_to > self.offset:
+            counted_to, count, newline = 0, 0, -1
+        count += self.text.count("\n", counted_to, self.offset)
+        newline = max(newline, self.text.rfind("\n", counted_to, self.offset))
+        self._line_counts = (self.offset, count, newline)
         # Without a line end in the present text, the column continues that of the dropped text.
         column = column + self.offset if newline < 0 else self.offset - newline - 1
-        return characters + self.offset, lines + counted, column
+        return characters + self.offset, lines + count, column
 
     def set_position(self, characters: int) -> bool:
         """Set the position to a number of characters from the start; return whether its text is still stored."""
@@ -157,7 +156,7 @@ class InputStream:
             # A term may span lines, but a line is requested only if the term is incomplete, because the user expects
             # an answer to complete terms.
             if self.read_line is None or not self._may_continue(result) or not self._append_line():
-                self.offset = self._next
+                self.offset = self._next_term_start
                 if result is None:
                     self.record_end_read(True)
                 return result
@@ -165,13 +164,15 @@ class InputStream:
     def _read_next_term(self, operators: Operators, flags: ReadFlags) -> Union[ReadTerm, SyntaxFault, None]:
         program = self._program
         # The reader is reused for the next term, because a new one would tokenize the rest of the text again.
-        if program is None or self._next != self.offset:
+        if program is None or self._next_term_start != self.offset:
             program = read_program(self.text[self.offset :], operators, self.name, flags, self.line)
-            self._program, self._base = program, self.offset
+            self._program, self._program_start = program, self.offset
         program.operators, program.flags = operators, flags
         previous_end = program.end
         result = next(iter(program), None)
-        self._next = self._base + program.end if program.end > previous_end else len(self.text)
+        self._next_term_start = (
+            self._program_start + program.end if program.end > previous_end else len(self.text)
+        )
         # The reader cannot continue after an error, so the next term starts a new one.
         if isinstance(result, SyntaxFault):
             self._program = None
@@ -188,7 +189,13 @@ class InputStream:
 
 
 class OutputStream:
-    """An output stream to a file, written in complete lines."""
+    """An output stream to a file, written in complete lines.
+
+    Args:
+        name: path of the file.
+        mode: ``write`` or ``append``.
+        append_to_file: appends a text to the file.
+    """
 
     def __init__(self, name: str, mode: str, append_to_file: Callable[[str], None]):
         self.name = name
@@ -246,7 +253,7 @@ class OutputCapture:
     Attributes:
         texts: parts of the captured text.
         replaced_output: the output that it has replaced.
-        stream_output: the output that was replaced by the stream set before; None if none was set.
+        stream_output: the output that the stream set before had replaced; None if none was set.
         stream_term: its stream term.
     """
 
@@ -261,7 +268,7 @@ class OutputCapture:
         self._streams = _streams(logic)
         self.stream_term: Term = self._streams.new_term()
         self._size = 0
-        self._stream, self.stream_output = self._streams.replace_current(None, None)
+        self._outer_stream, self.stream_output = self._streams.replace_current(None, None)
         logic.output, logic.column = self, 0
 
     def __call__(self, text: str) -> None:
@@ -274,7 +281,7 @@ class OutputCapture:
         """Restore the output that was replaced."""
         logic = self._logic
         logic.output, logic.column = self.replaced_output.output, self.replaced_output.column
-        self._streams.replace_current(self._stream, self.stream_output)
+        self._streams.replace_current(self._outer_stream, self.stream_output)
 
 
 def end_captures(logic: "PrologSystem") -> None:
@@ -290,7 +297,15 @@ OpenStream = Union[InputStream, OutputStream, OutputCapture]
 
 
 class ProgramStreams:
-    """Open streams of a program, and its current input and output."""
+    """Open streams of a program, and its current input and output.
+
+    Attributes:
+        open_streams: streams by the numbers in their stream terms.
+        aliases: numbers of streams by their aliases.
+        user_input: the standard input.
+        input: the current input.
+        output: the stream that is the current output; None for the user's output or a capture.
+    """
 
     def __init__(self, logic: "PrologSystem"):
         self._logic = logic
@@ -300,7 +315,7 @@ class ProgramStreams:
         self.input = self.user_input
         self.output: Optional[OutputStream] = None
         self._replaced: Optional[_ReplacedOutput] = None
-        self._number = 0
+        self._last_number = 0
 
     def _read_user_line(self) -> Optional[str]:
         ask = self._logic.ask
@@ -328,7 +343,7 @@ class ProgramStreams:
         """
         files = self._logic.files
         # The alias is checked before the file is opened, which would already empty it.
-        if alias is not None and (alias in self.aliases or alias in _USER):
+        if alias is not None and (alias in self.aliases or alias in _STANDARD_STREAMS):
             raise permission_error("open", "source_sink", (functor("alias", 1), atom(alias)))
         if len(self.open_streams) >= MAX_OPEN_STREAMS:
             raise resource_error(
@@ -337,24 +352,20 @@ class ProgramStreams:
         if files is None:
             raise permission_error("open", "source_sink", name, "this program has no access to files")
         if mode == "read":
-            stream: OpenStream = InputStream(*_text_of(files, name, encoding))
+            stream: OpenStream = InputStream(*_read_file(files, name, encoding))
         else:
             path = files.to_write(name, mode == "append")
             stream = OutputStream(path, mode, lambda text: files.add(path, text, encoding))
         stream.stream_term, stream.stream_type = self.new_term(), stream_type
-        self.open_streams[self._number] = stream
+        self.open_streams[self._last_number] = stream
         if alias is not None:
-            self.aliases[alias] = self._number
+            self.aliases[alias] = self._last_number
         return stream.stream_term
 
     def new_term(self) -> Term:
         """Return a new stream term."""
-        self._number += 1
-        return (_STREAM, self._number)
-
-    def term_of(self, stream: OpenStream) -> Term:
-        """Return the stream term of a stream."""
-        return stream.stream_term
+        self._last_number += 1
+        return (_STREAM, self._last_number)
 
     def find(self, term: Term) -> Union[OpenStream, str]:
         """Return the stream of a stream term or alias; for a standard stream, return its name.
@@ -368,7 +379,7 @@ class ProgramStreams:
             raise instantiation_error()
         if isinstance(term, Atom):
             number = self.aliases.get(term.name)
-            if number is None and term.name in (*_USER, "user", "current_output"):
+            if number is None and term.name in (*_STANDARD_STREAMS, "user", "current_output"):
                 return term.name
         elif isinstance(term, tuple) and term[0] is _STREAM:
             # Captures are not in `open_streams`, because they end without `close/1`.
@@ -390,7 +401,7 @@ class ProgramStreams:
         assert not isinstance(open_stream, str)
         return open_stream
 
-    def to_read(self, term: Optional[Term]) -> InputStream:
+    def find_input(self, term: Optional[Term]) -> InputStream:
         """Return an input stream; the current one for None.
 
         Raises:
@@ -405,7 +416,7 @@ class ProgramStreams:
             raise permission_error("input", "stream", deref(term))
         return open_stream
 
-    def to_write(self, term: Term) -> Union[OutputStream, OutputCapture, str]:
+    def find_output(self, term: Term) -> Union[OutputStream, OutputCapture, str]:
         """Return an output stream; for a standard stream, return its name.
 
         Raises:
@@ -418,7 +429,7 @@ class ProgramStreams:
 
     def write(self, term: Term, text: str) -> None:
         """Write a text to a stream."""
-        target, logic = self.to_write(term), self._logic
+        target, logic = self.find_output(term), self._logic
         if target == "user_error":
             logic.error_output(text)
         elif target == "current_output" or target is self.output or target is logic.output:
@@ -428,7 +439,7 @@ class ProgramStreams:
             target.column = column_after(target.column, text)
             target.write(text)
         else:
-            replaced = self._replaced_state(target)
+            replaced = self._find_replaced(target)
             if replaced is None:
                 logic.write(text)
             else:
@@ -441,11 +452,11 @@ class ProgramStreams:
             return logic.column
         if isinstance(stream, OutputStream):
             return stream.column
-        replaced = self._replaced_state(stream)
+        replaced = self._find_replaced(stream)
         return logic.column if replaced is None else replaced.column
 
-    def _replaced_state(self, stream: Union[OutputCapture, str]) -> Optional[_ReplacedOutput]:
-        """Return the state of a capture, or of the user's output for a name, if it has been replaced; else None."""
+    def _find_replaced(self, stream: Union[OutputCapture, str]) -> Optional[_ReplacedOutput]:
+        """Return a capture, or for a name the user's output, as a replaced output; None if it is not replaced."""
         outputs = list(self._replaced_outputs())
         if isinstance(stream, OutputCapture):
             return next((output for output in outputs if output.output is stream), None)
@@ -523,7 +534,7 @@ class ProgramStreams:
         self.aliases.clear()
 
 
-def _text_of(files: "SourceFiles", name: Term, encoding: str) -> Tuple[str, str]:
+def _read_file(files: "SourceFiles", name: Term, encoding: str) -> Tuple[str, str]:
     """Return the path and the text of a file; an existence error contains the name as the program wrote it."""
     try:
         return files.to_read(name, encoding)
@@ -555,13 +566,14 @@ def _streams(logic: "PrologSystem") -> ProgramStreams:
 def syntax_error_in(stream: InputStream, term: Term, fault: SyntaxFault) -> PrologError:
     """Return the Prolog error for a syntax error in a stream."""
     line, column = (0, 0) if fault.place is None else (fault.place.line, fault.place.column)
-    return PrologError((ERROR, (_SYNTAX, atom(fault.message)), (_AT, term, line, column - 1, stream.offset)))
+    return PrologError(
+        (ERROR, (_SYNTAX, atom(fault.message)), (_STREAM_CONTEXT, term, line, column - 1, stream.offset))
+    )
 
 
 _POSITION = functor("$stream_position", 4)
-_STANDARD = ("user_input", "user_output", "user_error")
-_WITHOUT_VALUE = ("input", "output")
-_WITH_VALUE = (
+_PROPERTIES_WITHOUT_VALUE = ("input", "output")
+_PROPERTIES_WITH_VALUE = (
     *("alias", "buffer", "encoding", "end_of_stream", "eof_action", "file_name", "mode", "newline"),
     *("position", "reposition", "tty", "type"),
 )
@@ -583,7 +595,9 @@ def stream_property(machine: Machine, stream: Term, property_term: Term) -> Solu
     streams, stream = streams_of(machine), deref(stream)
     _require_property(deref(property_term))
     if stream.__class__ is Var:
-        candidates: List[Tuple[Term, Union[OpenStream, str]]] = [(atom(name), name) for name in _STANDARD]
+        candidates: List[Tuple[Term, Union[OpenStream, str]]] = [
+            (atom(name), name) for name in _STANDARD_STREAMS
+        ]
         candidates += [
             (stream_or_name.stream_term, stream_or_name)
             for stream_or_name in list(streams.open_streams.values())
@@ -591,14 +605,14 @@ def stream_property(machine: Machine, stream: Term, property_term: Term) -> Solu
     elif is_stream_term(stream):
         candidates = [(stream, streams.find(stream))]
     else:
-        candidates = [(stream, _standard(streams, stream))]
+        candidates = [(stream, _standard_stream_name(streams, stream))]
     for term, stream_or_name in candidates:
         for value in _properties(streams, stream_or_name):
             if machine.unify_all((stream, term), (property_term, value)):
                 yield None
 
 
-def _standard(streams: ProgramStreams, stream: Term) -> str:
+def _standard_stream_name(streams: ProgramStreams, stream: Term) -> str:
     """Return the name of a standard stream; other aliases are not accepted as stream terms here."""
     try:
         name = streams.find(stream)
@@ -618,50 +632,51 @@ def _require_property(property_term: Term) -> None:
     if property_term.__class__ is Var:
         return
     if isinstance(property_term, tuple):
-        is_known = len(property_term) == 2 and property_term[0].name in _WITH_VALUE
+        is_known = len(property_term) == 2 and property_term[0].name in _PROPERTIES_WITH_VALUE
     else:
-        is_known = property_term in [atom(name) for name in _WITHOUT_VALUE]
+        is_known = property_term in [atom(name) for name in _PROPERTIES_WITHOUT_VALUE]
     if not is_known:
         raise domain_error("stream_property", property_term)
 
 
 def _properties(streams: ProgramStreams, stream: Union[OpenStream, str]) -> Iterator[Term]:
+    """Yield the properties of an open stream, or of a standard stream by its name."""
     if stream == "user_input":
         stream = streams.user_input
     is_input = isinstance(stream, InputStream)
     mode = "append" if isinstance(stream, str) else stream.mode
     yield atom("input" if is_input else "output")
-    yield _of("mode", mode)
+    yield _property("mode", mode)
     if isinstance(stream, str):
-        yield _of("alias", stream)
+        yield _property("alias", stream)
     elif stream is streams.user_input:
-        yield _of("alias", stream.name)
+        yield _property("alias", stream.name)
     elif not isinstance(stream, OutputCapture):
-        yield _of("file_name", stream.name)
+        yield _property("file_name", stream.name)
         for alias, number in list(streams.aliases.items()):
             if streams.open_streams.get(number) is stream:
-                yield _of("alias", alias)
+                yield _property("alias", alias)
     if isinstance(stream, InputStream):
-        yield _of("eof_action", stream.eof_action)
+        yield _property("eof_action", stream.eof_action)
         # Whether the user's input has ended is not known before it is read.
         if stream is not streams.user_input:
-            yield _of("end_of_stream", _end(stream))
-        yield (functor("position", 1), _position(stream))
-        yield _of("reposition", "false" if stream is streams.user_input else "true")
-    yield _of("type", "text" if isinstance(stream, str) else stream.stream_type)
+            yield _property("end_of_stream", _end_of_stream(stream))
+        yield (functor("position", 1), _position_term(stream))
+        yield _property("reposition", "false" if stream is streams.user_input else "true")
+    yield _property("type", "text" if isinstance(stream, str) else stream.stream_type)
 
 
-def _of(name: str, value: str) -> CompoundTerm:
+def _property(name: str, value: str) -> CompoundTerm:
     return (functor(name, 1), atom(value))
 
 
-def _end(stream: InputStream) -> str:
+def _end_of_stream(stream: InputStream) -> str:
     if stream.offset < len(stream.text):
         return "not"
     return "past" if stream.has_read_end else "at"
 
 
-def _position(stream: InputStream) -> CompoundTerm:
+def _position_term(stream: InputStream) -> CompoundTerm:
     characters, lines, column = stream.position
     return (_POSITION, characters, lines + 1, column, characters)
 
@@ -684,7 +699,7 @@ def set_stream_position(machine: Machine, stream: Term, position: Term) -> bool:
 @deterministic("line_count/2")
 def line_count(machine: Machine, stream: Term, line: Term) -> bool:
     """Unify with the number of the current line of an input stream."""
-    return unify(line, streams_of(machine).to_read(stream).line, machine.trail)
+    return unify(line, streams_of(machine).find_input(stream).line, machine.trail)
 
 
 @deterministic("line_position/2")
@@ -693,7 +708,7 @@ def line_position(machine: Machine, stream: Term, column: Term) -> bool:
     streams = streams_of(machine)
     open_stream = streams.find(stream)
     if open_stream == "user_input" or isinstance(open_stream, InputStream):
-        position = streams.to_read(stream).position[2]
+        position = streams.find_input(stream).position[2]
     else:
         position = streams.column(open_stream)
     return unify(column, position, machine.trail)
@@ -702,4 +717,4 @@ def line_position(machine: Machine, stream: Term, column: Term) -> bool:
 @deterministic("character_count/2")
 def character_count(machine: Machine, stream: Term, count: Term) -> bool:
     """Unify with the number of characters read."""
-    return unify(count, streams_of(machine).to_read(stream).position[0], machine.trail)
+    return unify(count, streams_of(machine).find_input(stream).position[0], machine.trail)
