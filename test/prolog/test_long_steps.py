@@ -9,7 +9,7 @@ from retalis import Limits, PrologError, String, Var, atom, functor, make_list
 from retalis.foundation.cancellation import set_limit_check
 from retalis.prolog.builtins import list_predicates
 from retalis.prolog.builtins.atoms_and_strings import _split, _words
-from retalis.prolog.builtins.list_predicates import order_of
+from retalis.prolog.builtins.list_predicates import sorted_positions
 from retalis.prolog.builtins.text_arguments import convert_each
 from retalis.prolog.compiler.clause_nodes import CALL
 from retalis.prolog.machine.errors import type_error
@@ -293,7 +293,9 @@ def test_a_long_list_is_sorted_in_chunks(monkeypatch, make, distinct):
     for size in (0, 1, 63, 64, 65, 640, 3000):
         keys = [make(chance.randrange(distinct)) for _ in range(size)]
         for reverse in (False, True):
-            assert order_of(keys, reverse) == sorted(range(size), key=keys.__getitem__, reverse=reverse)
+            assert sorted_positions(keys, reverse) == sorted(
+                range(size), key=keys.__getitem__, reverse=reverse
+            )
 
 
 def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
@@ -301,7 +303,7 @@ def test_sorting_is_looked_at_while_it_lasts(monkeypatch):
     looks = []
     before = set_limit_check(lambda work, size: looks.append(work))
     try:
-        order_of(random.Random(1).sample(range(6400), 6400))
+        sorted_positions(random.Random(1).sample(range(6400), 6400))
     finally:
         set_limit_check(before)
     assert len(looks) > 200

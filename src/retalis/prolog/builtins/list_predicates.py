@@ -90,12 +90,12 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 
-_PLAIN: Dict[type, Callable[[Any], Any]] = {
+_COMPARABLE_VALUES: Dict[type, Callable[[Any], Any]] = {
     int: lambda number: number,
     Atom: attrgetter("name"),
     String: attrgetter("text"),
 }
-"""Classes of terms that Python's comparison orders correctly, with the function that returns the value to compare."""
+"""Classes of terms that Python can order, with the function that returns the value that it compares."""
 
 _MAX_KEY_ITEMS = 64
 """Limit for the items of a key, beyond which terms are compared in pairs. Keys do not share parts as terms do."""
@@ -103,15 +103,19 @@ _MAX_KEY_ITEMS = 64
 _CHUNK_ITEMS = 1 << 17
 """Items that are sorted or merged in one step: 50 ms for those of one plain class. Smaller chunks take more time."""
 
-_BY_PAIR = type(cmp_to_key(compare)(0))
+_COMPARISON_KEY_CLASS = type(cmp_to_key(compare)(0))
 """Class of keys that call a function for each comparison."""
 
 _COMPARISONS_PER_CHECK = 32
 """Comparisons between two checks of the goal's limits; one takes up to a thousand steps without a check."""
 
 
-def by_age(terms: List[Term]) -> List[Term]:
-    """Number the variables among terms and their arguments, so that they sort in the order of occurrence."""
+def number_variables(terms: List[Term]) -> List[Term]:
+    """Number the variables among terms and their arguments, and return the terms.
+
+    Variables sort by age, and one gets its number when it is first compared. Without this call, variables would sort
+    in the order of comparisons instead of their occurrence.
+    """
     for item in map(deref, with_limit_checks(terms)):
         if item.__class__ is Var:
             serial(item)
@@ -126,7 +130,9 @@ def by_age(terms: List[Term]) -> List[Term]:
 def sort_terms(terms: Sequence[Term], reverse: bool = False) -> List[Term]:
     """Return terms in the standard order; the sort is stable."""
     values = [deref(term) for term in with_limit_checks(terms)]
-    return [values[position] for position in with_limit_checks(order_of(_keys_of(values), reverse))]
+    return [
+        values[position] for position in with_limit_checks(sorted_positions(_make_sort_keys(values), reverse))
+    ]
 
 
 def sort_by(items: Sequence[Item], keys: Sequence[Term], reverse: bool = False) -> List[Tuple[Term, Item]]:
@@ -134,16 +140,16 @@ def sort_by(items: Sequence[Item], keys: Sequence[Term], reverse: bool = False) 
     values = [deref(key) for key in with_limit_checks(keys)]
     return [
         (values[position], items[position])
-        for position in with_limit_checks(order_of(_keys_of(values), reverse))
+        for position in with_limit_checks(sorted_positions(_make_sort_keys(values), reverse))
     ]
 
 
 def sort_unique(terms: Sequence[Term]) -> List[Term]:
     """Return terms in the standard order, without duplicates."""
     values = [deref(term) for term in with_limit_checks(terms)]
-    keys = _keys_of(values)
+    keys = _make_sort_keys(values)
     # Equal items are adjacent after sorting, and equal keys denote equal terms.
-    order = order_of(keys)
+    order = sorted_positions(keys)
     return [
         values[position]
         for index, position in enumerate(with_limit_checks(order))
@@ -151,10 +157,10 @@ def sort_unique(terms: Sequence[Term]) -> List[Term]:
     ]
 
 
-def order_of(keys: Sequence[Any], reverse: bool = False) -> List[int]:
+def sorted_positions(keys: Sequence[Any], reverse: bool = False) -> List[int]:
     """Return the positions of keys in sorted order; the sort is stable."""
     key = keys.__getitem__
-    if len(keys) <= _CHUNK_ITEMS or keys[0].__class__ is _BY_PAIR:
+    if len(keys) <= _CHUNK_ITEMS or keys[0].__class__ is _COMPARISON_KEY_CLASS:
         return sorted(range(len(keys)), key=key, reverse=reverse)
     # Charges the memory of the positions before the sort, which cannot be interrupted.
     check_limits(size=64 * len(keys))
@@ -162,10 +168,10 @@ def order_of(keys: Sequence[Any], reverse: bool = False) -> List[int]:
     for start in range(0, len(keys), _CHUNK_ITEMS):
         runs.append(sorted(range(start, min(start + _CHUNK_ITEMS, len(keys))), key=key, reverse=reverse))
         check_limits(_CHUNK_ITEMS)
-    return _merged(runs, keys, reverse)
+    return _merge_runs(runs, keys, reverse)
 
 
-def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[int]:
+def _merge_runs(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[int]:
     """Return the positions of several sorted runs in sorted order."""
     size = sum(map(len, runs))
     check_limits(size)
@@ -177,8 +183,8 @@ def _merged(runs: List[List[int]], keys: Sequence[Any], reverse: bool) -> List[i
         # If the pivot does not divide the positions, as for many equal keys, the merge is done in one step, which is
         # fast.
         if any(cuts) and cuts != [len(run) for run in runs]:
-            merged_heads = _merged([run[:cut] for run, cut in zip(runs, cuts)], keys, reverse)
-            return merged_heads + _merged([run[cut:] for run, cut in zip(runs, cuts)], keys, reverse)
+            merged_heads = _merge_runs([run[:cut] for run, cut in zip(runs, cuts)], keys, reverse)
+            return merged_heads + _merge_runs([run[cut:] for run, cut in zip(runs, cuts)], keys, reverse)
     positions = [position for run in runs for position in run]
     positions.sort(key=keys.__getitem__, reverse=reverse)
     return positions
@@ -197,17 +203,17 @@ def _count_before(run: List[int], pivot: Any, keys: Sequence[Any], reverse: bool
     return low
 
 
-def _keys_of(terms: List[Term]) -> Sequence[Any]:
+def _make_sort_keys(terms: List[Term]) -> Sequence[Any]:
     """Return keys that compare like dereferenced terms in the standard order."""
-    by_age(terms)
+    number_variables(terms)
     classes = {term.__class__ for term in terms}
     if len(classes) == 1:
-        plain = _PLAIN.get(*classes)
-        if plain is not None:
-            return terms if classes == {int} else list(map(plain, with_limit_checks(terms)))
+        to_comparable = _COMPARABLE_VALUES.get(*classes)
+        if to_comparable is not None:
+            return terms if classes == {int} else list(map(to_comparable, with_limit_checks(terms)))
     keys: List[Tuple[Hashable, ...]] = []
     for term in terms:
-        key = _flat_key(term)
+        key = _make_flat_key(term)
         if key is None:
             break
         keys.append(key)
@@ -218,7 +224,7 @@ def _keys_of(terms: List[Term]) -> Sequence[Any]:
     return list(map(cmp_to_key(_checked_compare()), with_limit_checks(terms)))
 
 
-def _flat_key(  # noqa: C901 -- a call for each part of a term would double its time
+def _make_flat_key(  # noqa: C901 -- a call for each part of a term would double its time
     term: Term,
 ) -> Optional[Tuple[Hashable, ...]]:
     """Return the flat key of a term, or None if it would be too long or the term contains nan."""
@@ -226,26 +232,26 @@ def _flat_key(  # noqa: C901 -- a call for each part of a term would double its 
     stack = [term]
     while stack:
         item: Any = stack.pop()
-        class_ = item.__class__
-        if class_ is not int and class_ is not Atom and class_ is not tuple:
+        item_class = item.__class__
+        if item_class is not int and item_class is not Atom and item_class is not tuple:
             item = deref(item)
-            class_ = item.__class__
-        if class_ is int:
+            item_class = item.__class__
+        if item_class is int:
             key += (1, item, 1)
-        elif class_ is Atom:
+        elif item_class is Atom:
             key += (4, item.name)
-        elif class_ is tuple:
+        elif item_class is tuple:
             key += (5, len(item), item[0].name)
             # The standard order compares arity, then name, then arguments from left to right.
             if len(key) + 2 * len(item) > _MAX_KEY_ITEMS:
                 return None
             # Reversed, because the stack returns the last item first.
             stack += item[:0:-1]
-        elif class_ is float:
+        elif item_class is float:
             if item != item:  # Python's comparison does not order nan
                 return None
             key += (1, item, 0 if item or copysign(1.0, item) > 0 else -1)
-        elif class_ is String:
+        elif item_class is String:
             key += (3, item.text)
         else:
             key += (0, serial(item))
@@ -256,14 +262,14 @@ def _flat_key(  # noqa: C901 -- a call for each part of a term would double its 
 
 def _checked_compare() -> Callable[[Term, Term], int]:
     """Return `compare` with regular checks of the goal's limits, since a sort is a single step of the machine."""
-    turns = count(1)
+    comparison_numbers = count(1)
 
-    def ordered(left: Term, right: Term) -> int:
-        if not next(turns) % _COMPARISONS_PER_CHECK:
+    def compare_with_checks(left: Term, right: Term) -> int:
+        if not next(comparison_numbers) % _COMPARISONS_PER_CHECK:
             check_limits(_COMPARISONS_PER_CHECK)
         return compare(left, right)
 
-    return ordered
+    return compare_with_checks
 
 
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
@@ -300,6 +306,7 @@ def length(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
 
 
 def _open_list(size: int) -> Term:
+    """Return a list of unbound items."""
     # Built from the end, since list cells are immutable.
     result: Term = NIL
     for index in range(size):
@@ -310,13 +317,16 @@ def _open_list(size: int) -> Term:
 
 
 def _enumerate_lengths(
-    machine: Machine, tail: Term, size: Term, count: int, total: int, continuation: Frame
+    machine: Machine, tail: Term, size: Term, known_count: int, length: int, continuation: Frame
 ) -> Optional[Frame]:
+    """Unify with the list that has ``known_count`` items and unbound ones up to ``length``, then with longer ones."""
     # There is always a longer list, so the choice point is pushed for every solution.
     machine.choices.append(
-        (_NEXT_LENGTH, machine, tail, size, count, total + 1, continuation, len(machine.trail))
+        (_NEXT_LENGTH, machine, tail, size, known_count, length + 1, continuation, len(machine.trail))
     )
-    return continuation if machine.unify_all((tail, _open_list(total - count)), (size, total)) else None
+    return (
+        continuation if machine.unify_all((tail, _open_list(length - known_count)), (size, length)) else None
+    )
 
 
 _NEXT_LENGTH = Code("length", lambda entry: _enumerate_lengths(*entry[1:7]))
@@ -341,7 +351,7 @@ def sort(machine: Machine, unsorted: Term, result: Term) -> bool:
 @deterministic("sort/4")
 def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
     """Sort by an argument, or by the whole term for 0, in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
-    position = _sort_key(key)
+    position = _parse_key_position(key)
     order = deref(order)
     if order.__class__ is Var:
         raise instantiation_error()
@@ -350,9 +360,9 @@ def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Ter
     direction = order.name.lstrip("@")
     if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
-    values = by_age(items(unsorted))
+    values = number_variables(items(unsorted))
     pairs = sort_by(
-        values, [_argument(item, position) for item in with_limit_checks(values)], direction[0] == ">"
+        values, [_key_argument(item, position) for item in with_limit_checks(values)], direction[0] == ">"
     )
     # `@<` and `@>` remove items with equal keys and keep the first of each.
     if "=" not in direction:
@@ -364,7 +374,7 @@ def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Ter
     return unify(result, make_list([item for _, item in pairs]), machine.trail)
 
 
-def _sort_key(key: Term) -> Optional[int]:
+def _parse_key_position(key: Term) -> Optional[int]:
     """Return the position of the key argument, 0 for the whole term; None for the name of a dict's field."""
     key = deref(key)
     if key.__class__ is Atom or list_items(key):
@@ -377,7 +387,7 @@ def _sort_key(key: Term) -> Optional[int]:
     return number
 
 
-def _argument(item: Term, position: Optional[int]) -> Term:
+def _key_argument(item: Term, position: Optional[int]) -> Term:
     if position == 0:
         return item
     item = deref(item)
@@ -424,7 +434,19 @@ def _merge(
     result: Term,
     continuation: Frame,
 ) -> Optional[Frame]:
-    """Return the frame that compares the next items of both lists, or the continuation if one list has ended."""
+    """Return the frame that compares the next items of both lists, or the continuation if one list has ended.
+
+    Args:
+        machine: the machine of the program.
+        call: predicate and first arguments of the comparison goal.
+        first: the first list.
+        position: position of its next item.
+        second: the second list.
+        second_position: position of its next item.
+        merged: the merged items.
+        result: unified with the merged list at the end.
+        continuation: continuation of the merge.
+    """
     if position == len(first) or second_position == len(second):
         return (
             continuation
@@ -435,8 +457,8 @@ def _merge(
         )
     order = Var()
     height = len(machine.choices)
-    then = (
-        _ORDERED,
+    after_comparison = (
+        _COMPARED,
         machine,
         call,
         first,
@@ -449,10 +471,10 @@ def _merge(
         order,
         height,
     )
-    return (*call, order, first[position], second[second_position], then)
+    return (*call, order, first[position], second[second_position], after_comparison)
 
 
-def _ordered(frame: Frame) -> Optional[Frame]:
+def _merge_next(frame: Frame) -> Optional[Frame]:
     """Append the item that is first by the result of the comparison goal, which is cut."""
     machine: Machine
     (
@@ -474,8 +496,8 @@ def _ordered(frame: Frame) -> Optional[Frame]:
     order = deref(order)
     # An unbound order unifies with all three results, in this sequence on backtracking.
     if order.__class__ is Var:
-        for skipped, name in enumerate((_GREATER, _SAME)):
-            retry_frame = (*frame[:7], list(merged), *frame[8:10], name, height + skipped)
+        for index, alternative_order in enumerate((_GREATER, _SAME)):
+            retry_frame = (*frame[:7], list(merged), *frame[8:10], alternative_order, height + index)
             machine.choices.append((RESUME, retry_frame, len(machine.trail)))
         order = _LESS
     if order is _GREATER:
@@ -500,10 +522,11 @@ def _ordered(frame: Frame) -> Optional[Frame]:
 
 
 _LESS, _SAME, _GREATER = atom("<"), atom("="), atom(">")
-_ORDERED = Code("predsort", _ordered)
+_COMPARED = Code("predsort", _merge_next)
 
 
 def _checked_pair(term: Term) -> CompoundTerm:
+    """Return a pair ``Key-Value``; raise an instantiation or type error for any other term."""
     pair = deref(term)
     if pair.__class__ is Var:
         raise instantiation_error()
@@ -564,7 +587,7 @@ def _fold_predicate(
         start: value before the first number; None if that is the first number.
         fold_array: returns the same value for an array, or None if the numbers have to be folded one by one.
     """
-    outer, inner = functor(name, 2), functor(name, 3)
+    list_functor, accumulator_functor = functor(name, 2), functor(name, 3)
 
     def run(machine: Machine, list_term: Term, result: Term) -> bool:
         array = None if list_term.__class__ is tuple else list_array(list_term)
@@ -577,17 +600,19 @@ def _fold_predicate(
         value: Optional[Term] = start
         for item in with_limit_checks(values):
             value = item if value is None else step(value, item)
-        # The error names the predicate that the library would call at this point.
+        # The error names the predicate that SWI-Prolog's library calls at this point, with the value so far.
         if tail is not NIL:
-            goal = (outer, tail, result) if value is None else (inner, tail, value, result)
+            goal = (
+                (list_functor, tail, result) if value is None else (accumulator_functor, tail, value, result)
+            )
             raise no_matching_rule("lists", goal)
         return value is not None and unify(result, value, machine.trail)
 
     return run
 
 
-def _extremum(function: Callable[..., Number]) -> Callable[[Term, Term], Term]:
-    return lambda best, item: function(evaluate(best), evaluate(item))
+def _extremum(choose: Callable[..., Number]) -> Callable[[Term, Term], Term]:
+    return lambda best, item: choose(evaluate(best), evaluate(item))
 
 
 def _array_sum(values: "Array") -> Optional[Number]:
@@ -598,9 +623,9 @@ def _array_sum(values: "Array") -> Optional[Number]:
 
     # `numpy.sum` adds in pairs, which rounds differently.
     with np.errstate(all="ignore"):
-        # The walk starts with the integer 0, which makes a sum of negative zeros positive.
+        # The sum of a list starts with the integer 0, which makes a sum of negative zeros positive.
         total: float = np.add.accumulate(values, dtype="f8")[-1].item() + 0.0
-    # The walk finds out which number caused which error.
+    # The numbers are then added one by one, to find the one that causes the error.
     return total if total - total == 0 else None
 
 
@@ -609,7 +634,7 @@ def _array_extremum(values: "Array", extremum: "Callable[[Array], Any]") -> Opti
     value: Number = extremum(values).item()
     if value != value:
         return None
-    # The walk returns the last one of equal numbers, and only zeros can differ.
+    # For a list, the last one of equal numbers is returned. Equal numbers differ only if they are zeros.
     return value or values[(values == 0).nonzero()[0][-1]].item()
 
 
@@ -677,11 +702,13 @@ def list_to_ord_set(machine: Machine, list_term: Term, result: Term) -> bool:
     return sort(machine, list_term, result)
 
 
-def _nth(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
+def _nth_predicate(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
+    """Return ``nth0/3`` or ``nth1/3``; items are counted from ``base``."""
+
     def run(machine: Machine, index: Term, list_term: Term, item: Term) -> Outcome:
         index = deref(index)
         if index.__class__ is Var:
-            return _numbered(machine, index, base, list_term, item)
+            return _enumerate_items(machine, index, base, list_term, item)
         number = integer(index)
         if number < base:
             return False
@@ -711,16 +738,16 @@ def _unify_item(machine: Machine, skipped: int, list_term: Term, item: Term) -> 
     )
 
 
-def _numbered(machine: Machine, index: Term, base: int, list_term: Term, item: Term) -> Solutions:
+def _enumerate_items(machine: Machine, index: Term, base: int, list_term: Term, item: Term) -> Solutions:
     """Enumerate the items with their numbers; a partial list is extended."""
     tail = deref(list_term)
     number = base
     while tail.__class__ is tuple and tail[0] is CONS:
-        rest = deref(tail[2])
+        next_tail = deref(tail[2])
         if machine.unify_all((item, tail[1]), (index, number)):
-            yield LAST if rest is NIL else None
+            yield LAST if next_tail is NIL else None
         number += 1
-        tail = rest
+        tail = next_tail
         if not number & 1023:
             check_limits()
             if number > MAX_STEPS:
@@ -746,8 +773,8 @@ def _extended_list(count: int, item: Term) -> Term:
     return cells
 
 
-nondeterministic("nth0/3", is_locked=False)(_nth(0))
-nondeterministic("nth1/3", is_locked=False)(_nth(1))
+nondeterministic("nth0/3", is_locked=False)(_nth_predicate(0))
+nondeterministic("nth1/3", is_locked=False)(_nth_predicate(1))
 
 
 @nondeterministic("between/3")
@@ -763,10 +790,10 @@ def between(machine: Machine, low: Term, high: Term, value: Term) -> Outcome:
     if value.__class__ is not Var:
         number = integer(value)
         return first <= number and (limit is None or number <= limit)
-    return _integers(machine.trail, first, limit, value)
+    return _enumerate_integers(machine.trail, first, limit, value)
 
 
-def _integers(trail: Trail, first: int, limit: Optional[int], value: Var) -> Solutions:
+def _enumerate_integers(trail: Trail, first: int, limit: Optional[int], value: Var) -> Solutions:
     number = first
     while limit is None or number <= limit:
         # The variable is unbound at each solution, so it is bound without a unification.
@@ -781,7 +808,7 @@ _SUBSET = functor("subset", 2)
 _ORD_UNION, _ORD_UNION_ALL, _UNION2 = functor("ord_union", 3), functor("ord_union", 2), functor("union2", 4)
 
 
-_ITEMS = STEPS_PER_ROUND[:32]
+_ITEMS_PER_CHECK = STEPS_PER_ROUND[:32]
 """Items between two checks of the limits; for each item, a list of up to a thousand items may be searched."""
 
 
@@ -792,23 +819,29 @@ def is_cons(term: Term) -> "TypeGuard[CompoundTerm]":
 
 def limited_rounds() -> Iterator[None]:
     """Yield for each item of a list, with regular checks of the limits; raise `TermTooLarge` for a cyclic list."""
-    for _ in range(MAX_STEPS // len(_ITEMS)):
-        yield from _ITEMS
-        check_limits(len(_ITEMS))
+    for _ in range(MAX_STEPS // len(_ITEMS_PER_CHECK)):
+        yield from _ITEMS_PER_CHECK
+        check_limits(len(_ITEMS_PER_CHECK))
     raise TermTooLarge
 
 
-def _filter(
-    key: Functor, keeps: bool, end: Callable[[Term], Term]
+def _filter_predicate(
+    key: Functor, keeps_members: bool, make_tail: Callable[[Term], Term]
 ) -> Callable[[Machine, Term, Term, Term], bool]:
-    """Return a predicate that keeps the items of a list that are, or are not, in another list."""
+    """Return a predicate that keeps some items of a list.
+
+    Args:
+        key: functor of the predicate, for errors.
+        keeps_members: whether it keeps the items that are in a second list; otherwise it keeps the others.
+        make_tail: returns the items that follow the kept ones in the result, from the second list.
+    """
 
     def run(machine: Machine, list_term: Term, second_list: Term, result: Term) -> bool:
         remaining = deref(list_term)
         for _ in limited_rounds():
             if not is_cons(remaining):
                 break
-            if memberchk(machine, remaining[1], second_list) is keeps:
+            if memberchk(machine, remaining[1], second_list) is keeps_members:
                 tail = Var()
                 if not unify(result, (CONS, remaining[1], tail), machine.trail):
                     return False
@@ -816,14 +849,16 @@ def _filter(
             remaining = deref(remaining[2])
         if remaining is not NIL:
             raise no_matching_rule("lists", (key, remaining, second_list, result))
-        return unify(result, end(second_list), machine.trail)
+        return unify(result, make_tail(second_list), machine.trail)
 
     return run
 
 
-deterministic("subtract/3", is_locked=False)(_filter(_SUBTRACT, False, lambda second_list: NIL))
-deterministic("intersection/3", is_locked=False)(_filter(_INTERSECTION, True, lambda second_list: NIL))
-deterministic("union/3", is_locked=False)(_filter(_UNION, False, lambda second_list: second_list))
+deterministic("subtract/3", is_locked=False)(_filter_predicate(_SUBTRACT, False, lambda second_list: NIL))
+deterministic("intersection/3", is_locked=False)(
+    _filter_predicate(_INTERSECTION, True, lambda second_list: NIL)
+)
+deterministic("union/3", is_locked=False)(_filter_predicate(_UNION, False, lambda second_list: second_list))
 
 
 @deterministic("subset/2", is_locked=False)
@@ -841,16 +876,16 @@ def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
     return True
 
 
-def _extreme_member(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
+def _extreme_member_predicate(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that finds the last item in the standard order, or the first one if ``sign`` is -1."""
-    outer, inner = functor(name, 2), functor(f"{name}_", 3)
+    list_functor, accumulator_functor = functor(name, 2), functor(f"{name}_", 3)
 
     def run(machine: Machine, result: Term, list_term: Term) -> bool:
         remaining = deref(list_term)
         if remaining is NIL:
             return False
         if not is_cons(remaining):
-            raise no_matching_rule("lists", (outer, result, remaining))
+            raise no_matching_rule("lists", (list_functor, result, remaining))
         best, remaining = remaining[1], deref(remaining[2])
         for _ in limited_rounds():
             if not is_cons(remaining):
@@ -859,14 +894,14 @@ def _extreme_member(name: str, sign: int) -> Callable[[Machine, Term, Term], boo
                 best = remaining[1]
             remaining = deref(remaining[2])
         if remaining is not NIL:
-            raise no_matching_rule("lists", (inner, remaining, best, result))
+            raise no_matching_rule("lists", (accumulator_functor, remaining, best, result))
         return unify(result, best, machine.trail)
 
     return run
 
 
-deterministic("max_member/2", is_locked=False)(_extreme_member("max_member", 1))
-deterministic("min_member/2", is_locked=False)(_extreme_member("min_member", -1))
+deterministic("max_member/2", is_locked=False)(_extreme_member_predicate("max_member", 1))
+deterministic("min_member/2", is_locked=False)(_extreme_member_predicate("min_member", -1))
 
 
 @deterministic("ord_union/3", is_locked=False)
@@ -956,9 +991,9 @@ def random_member(machine: Machine, value: Term, list_term: Term) -> bool:
 def random_permutation(machine: Machine, list_term: Term, result: Term) -> bool:
     """Unify with a random permutation of a list."""
     values = items(list_term)
-    # Sorting by random ranks instead of `random.shuffle` has the checks of limits of `order_of`.
+    # Sorting by random ranks instead of `random.shuffle` has the checks of limits of `sorted_positions`.
     ranks = [random.random() for _ in with_limit_checks(values)]
-    return unify(result, make_list([values[position] for position in order_of(ranks)]), machine.trail)
+    return unify(result, make_list([values[position] for position in sorted_positions(ranks)]), machine.trail)
 
 
 @deterministic("set_random/1")

@@ -84,13 +84,13 @@ def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
     mark = len(trail)
     # Unifies first and checks the new bindings afterwards: the check is only needed for variables that were bound.
     return unify(left, right, trail) and not any(
-        _is_cyclic(var) for var in with_limit_checks(trail[mark:]) if var.__class__ is Var
+        _occurs_in_binding(var) for var in with_limit_checks(trail[mark:]) if var.__class__ is Var
     )
 
 
-def _is_cyclic(var: Any) -> bool:
+def _occurs_in_binding(var: Any) -> bool:
     """Return whether the binding of a variable contains the variable."""
-    seen = set()
+    followed_vars = set()
     stack = [var.ref]
     steps = 0
     while stack:
@@ -102,8 +102,8 @@ def _is_cyclic(var: Any) -> bool:
             return True
         if item.__class__ is Var:
             # A variable that occurs many times is followed once.
-            if item.ref is not None and item not in seen:
-                seen.add(item)
+            if item.ref is not None and item not in followed_vars:
+                followed_vars.add(item)
                 stack.append(item.ref)
         elif item.__class__ is tuple:
             stack.extend(item[1:])
@@ -130,7 +130,7 @@ def compare_terms(
 
 
 def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
-    """Return a predicate that compares terms in the standard order."""
+    """Return a predicate that compares terms in the standard order; ``test`` is a condition such as "< 0"."""
     # For equality the age of variables is irrelevant, and `compare_by_age` assigns serial numbers to variables, which
     # costs memory.
     compare_variables = always_different if test in ("== 0", "!= 0") else compare_by_age
@@ -200,6 +200,8 @@ def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
 
 
 def _type_test(*classes: type) -> Callable[[Machine, Term], bool]:
+    """Return a predicate that tests whether the class of a term is one of some classes."""
+
     def test(machine: Machine, term: Term) -> bool:
         return deref(term).__class__ in classes
 
@@ -329,7 +331,7 @@ def _check_steps(steps: int, left: Term, right: Term) -> None:
         require_acyclic((MINUS, left, right))
 
 
-_NUMBERS = (int, float)
+_NUMBER_CLASSES = (int, float)
 
 
 _LIST_OF = functor("list", 1)
@@ -349,13 +351,13 @@ _ENCODINGS = frozenset(
         "wchar_t",
     ]
 )
-_STREAMS = frozenset(("user_input", "user_output", "user_error"))
+_STANDARD_STREAMS = frozenset(("user_input", "user_output", "user_error"))
 
 _TYPE_TESTS: Dict[str, Callable[[Term], bool]] = {
     "any": lambda term: True,
     "dict": lambda term: False,  # dicts are not supported
     "encoding": lambda term: term.__class__ is Atom and term.name in _ENCODINGS,
-    "stream": lambda term: term.__class__ is Atom and term.name in _STREAMS,
+    "stream": lambda term: term.__class__ is Atom and term.name in _STANDARD_STREAMS,
     "acyclic": is_acyclic,
     "cyclic": lambda term: not is_acyclic(term),
     "var": lambda term: term.__class__ is Var,
@@ -373,7 +375,7 @@ _TYPE_TESTS: Dict[str, Callable[[Term], bool]] = {
     "compound": lambda term: term.__class__ is tuple,
     "float": lambda term: term.__class__ is float,
     "integer": lambda term: term.__class__ is int,
-    "number": lambda term: term.__class__ in _NUMBERS,
+    "number": lambda term: term.__class__ in _NUMBER_CLASSES,
     "string": lambda term: term.__class__ is String,
     "list": lambda term: list_items(term) is not None,
     "proper_list": lambda term: list_items(term) is not None,
@@ -398,26 +400,27 @@ def _is_partial_list(term: Term) -> bool:
     return tail.__class__ is Var or tail is NIL
 
 
-_ITEM_TYPES = {"chars": atom("char"), "codes": atom("code")}
-_WHOLLY_BOUND = frozenset(("text", "string", "rational", "ground", "oneof"))
-"""Types for which a term that contains variables is an instantiation error."""
+_ITEM_TYPES_OF_LISTS = {"chars": atom("char"), "codes": atom("code")}
+"""Types of the items for types of lists."""
+
+_GROUND_TYPES = frozenset(("text", "string", "rational", "ground", "oneof"))
+"""Types without variables: a term that contains some is an instantiation error, because it may still get the type."""
 
 
 def has_type(type_term: Term, term: Term) -> Optional[bool]:
-    """Return whether a term has a type, or None for an unknown type.
+    """Return whether a dereferenced term has a type, or None for an unknown type.
 
     Raises:
         PrologError: if an argument of the type is invalid.
     """
     name = functor_name(type_term)
     if type_term.__class__ is tuple:
-        return _has_parametric_type(name, type_term, term)
-    # The tests take a dereferenced term.
+        return _has_compound_type(name, type_term, term)
     test = _TYPE_TESTS.get(name)
     return None if test is None else test(term)
 
 
-def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Optional[bool]:
+def _has_compound_type(name: str, type_term: CompoundTerm, term: Term) -> Optional[bool]:
     if name == "oneof" and len(type_term) == 2:
         return is_ground(term) and any(
             not compare(item, term) for item in with_limit_checks(items(type_term[1]))
@@ -427,7 +430,7 @@ def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Opti
         # Bounds that are integers require an integer, other bounds accept any number.
         if low.__class__ is int:
             return term.__class__ is int and low <= term <= integer(high)
-        return term.__class__ in _NUMBERS and evaluate(low) <= term <= evaluate(high)
+        return term.__class__ in _NUMBER_CLASSES and evaluate(low) <= term <= evaluate(high)
     if name in ("list", "list_of") and len(type_term) == 2:
         values = list_items(term)
         return values is not None and all(
@@ -436,14 +439,14 @@ def _has_parametric_type(name: str, type_term: CompoundTerm, term: Term) -> Opti
     return None
 
 
-def check(type_term: Term, term: Term) -> Optional[PrologError]:
-    """Return the error for a term that does not have a type, or None if it does."""
+def find_type_error(type_term: Term, term: Term) -> Optional[PrologError]:
+    """Return the error for a term that does not have a type, or None if it has the type."""
     type_term, term = deref(type_term), deref(term)
     if type_term.__class__ is Var:
         return instantiation_error()
     name = functor_name(type_term)
     # `chars` and `codes` are checked as lists of a type, so that the error names the wrong item.
-    item_type = _ITEM_TYPES.get(name) if type_term.__class__ is Atom else None
+    item_type = _ITEM_TYPES_OF_LISTS.get(name) if type_term.__class__ is Atom else None
     if item_type is not None:
         type_term = (_LIST_OF, item_type)
     result = has_type(type_term, term)
@@ -458,7 +461,7 @@ def check(type_term: Term, term: Term) -> Optional[PrologError]:
     if name in ("cyclic", "acyclic"):
         return domain_error(f"{name}_term", term)
     # An unbound part might still be bound to a value of the type.
-    if term.__class__ is Var or (name in _WHOLLY_BOUND and not is_ground(term)):
+    if term.__class__ is Var or (name in _GROUND_TYPES and not is_ground(term)):
         return instantiation_error()
     return type_error_of(type_term, term)
 
@@ -468,7 +471,7 @@ def _list_error(type_term: Term, term: Term) -> Optional[PrologError]:
     values = list_items(term)
     if values is None or type_term.__class__ is not tuple:
         return instantiation_error() if _is_partial_list(term) else type_error_of(type_term, term)
-    errors = (check(type_term[1], item) for item in with_limit_checks(values))
+    errors = (find_type_error(type_term[1], item) for item in with_limit_checks(values))
     return next((error for error in errors if error is not None), None)
 
 
@@ -480,9 +483,9 @@ def type_error_of(type_term: Term, term: Term) -> PrologError:
 @deterministic("must_be/2", is_locked=False)
 def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
     """Raise an error unless a term has a type."""
-    failure = check(type_term, term)
-    if failure is not None:
-        raise failure
+    problem = find_type_error(type_term, term)
+    if problem is not None:
+        raise problem
     return True
 
 
@@ -517,9 +520,9 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
         undo(trail, mark)
         return True
     # The terms unify. Without bindings they are equal; with some, later bindings may make them equal or different.
-    undecided = len(trail) > mark
+    is_undecided = len(trail) > mark
     undo(trail, mark)
-    if undecided:
+    if is_undecided:
         raise _undecided_error(_DIF)
     return False
 
@@ -535,12 +538,12 @@ def freeze(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
 @control("when/2")
 def when(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a condition holds; raise an error otherwise."""
-    if not _holds(machine, args[0]):
+    if not _is_when_condition_true(machine, args[0]):
         raise _undecided_error(_WHEN)
     return machine.logic.control.call(args[1], continuation)
 
 
-def _holds(machine: Machine, condition: Term) -> bool:
+def _is_when_condition_true(machine: Machine, condition: Term) -> bool:
     """Return whether a condition of ``when/2`` holds, without recursion into nested conditions."""
     # Connective and right operand of the conjunctions and disjunctions whose left operand is being evaluated.
     pending: List[Tuple[Functor, Term]] = []
@@ -551,20 +554,20 @@ def _holds(machine: Machine, condition: Term) -> bool:
                 pending.append((condition[0], condition[2]))
                 condition = condition[1]
                 continue
-            holds = _simple_condition_holds(machine, condition)
+            is_true = _is_simple_condition_true(machine, condition)
             while pending:
                 key, right = pending.pop()
                 # The left operand has not decided the connective, so the right one does.
-                if holds is (key is COMMA):
+                if is_true is (key is COMMA):
                     condition = right
                     break
             else:
-                return holds
+                return is_true
         check_limits()
     raise TermTooLarge
 
 
-def _simple_condition_holds(machine: Machine, condition: Term) -> bool:
+def _is_simple_condition_true(machine: Machine, condition: Term) -> bool:
     if condition.__class__ is Var:
         raise instantiation_error()
     if condition.__class__ is not tuple:
@@ -575,14 +578,16 @@ def _simple_condition_holds(machine: Machine, condition: Term) -> bool:
     if key is _GROUND:
         return is_ground(condition[1])
     if key is _DECIDED:
-        return is_not_unifiable(machine, condition[1], condition[2]) or _is_identical(machine, *condition[1:])
+        return is_not_unifiable(machine, condition[1], condition[2]) or _unifies_without_binding(
+            machine, *condition[1:]
+        )
     raise domain_error("when_condition", condition)
 
 
-def _is_identical(machine: Machine, left: Term, right: Term) -> bool:
+def _unifies_without_binding(machine: Machine, left: Term, right: Term) -> bool:
+    """Return whether two terms unify without a binding, which means that they are equal."""
     trail = machine.trail
     mark = len(trail)
-    # Equal if they unify without binding a variable.
     is_same = unify(left, right, trail) and len(trail) == mark
     undo(trail, mark)
     return is_same
