@@ -8,7 +8,7 @@ from prolog.support import prolog
 from retalis import Limits, PrologError, String, Var, atom, functor, make_list
 from retalis.foundation.cancellation import set_limit_check
 from retalis.prolog.builtins import list_predicates
-from retalis.prolog.builtins.atoms_and_strings import _split, _words
+from retalis.prolog.builtins.atoms_and_strings import _split, _split_words
 from retalis.prolog.builtins.list_predicates import sorted_positions
 from retalis.prolog.builtins.text_arguments import convert_each
 from retalis.prolog.compiler.clause_nodes import CALL
@@ -331,8 +331,8 @@ def test_the_text_of_an_error_does_not_grow_with_its_term(logic):
 def test_white_space_is_found_across_pieces():
     for size in range(1015, 1030):
         text = " " + "a" * size + " b  " + "c" * size + "\t\n"
-        assert _words(text) == text.split()
+        assert _split_words(text) == text.split()
 
 
 def test_an_empty_text_has_no_words():
-    assert _words("") == []
+    assert _split_words("") == []

@@ -41,11 +41,17 @@ from .tabling import AS, Mode, parse_moded_head, tables_of
 _NECK = functor(":-", 2)
 
 
-def _check_rights(machine: Machine, key: Functor, action: str, object_type: str) -> Predicate:
-    """Return the predicate whose clauses a goal may change or read.
+def _require_access(machine: Machine, key: Functor, action: str, object_type: str) -> Predicate:
+    """Return the predicate that holds the clauses of a functor, for a goal that changes or reads them.
+
+    Args:
+        machine: the machine of the program.
+        key: the functor.
+        action: ``modify`` or ``access``.
+        object_type: type of the object in the error term.
 
     Raises:
-        PrologError: a permission error for a control construct or a built-in predicate.
+        PrologError: a permission error if goals may not do this.
     """
     predicate: Predicate = machine.logic.database.predicate(key)
     # Predicates of libraries may be read but not modified, except for dynamic ones; built-ins neither.
@@ -58,7 +64,9 @@ def _check_rights(machine: Machine, key: Functor, action: str, object_type: str)
     return predicate if predicate.hidden_predicate is None else predicate.hidden_predicate
 
 
-def _assert(first: bool) -> Callable[[Machine, Term], bool]:
+def _assert_predicate(first: bool) -> Callable[[Machine, Term], bool]:
+    """Return ``asserta/1`` if ``first``, otherwise ``assertz/1``."""
+
     def run(machine: Machine, term: Term) -> bool:
         logic = machine.logic
         clause = logic.add_clause(term, first=first, asserted=True)
@@ -71,7 +79,7 @@ def _assert(first: bool) -> Callable[[Machine, Term], bool]:
     return run
 
 
-def _strip(term: Term) -> Term:
+def _strip_module(term: Term) -> Term:
     """Return a clause without its module qualification."""
     term = deref(term)
     while term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
@@ -79,11 +87,12 @@ def _strip(term: Term) -> Term:
     return term
 
 
-deterministic("assertz/1", "assert/1")(_assert(False))
-deterministic("asserta/1")(_assert(True))
+deterministic("assertz/1", "assert/1")(_assert_predicate(False))
+deterministic("asserta/1")(_assert_predicate(True))
 
 
-def _split(machine: Machine, term: Term) -> Tuple[Term, Term]:
+def _split_clause(machine: Machine, term: Term) -> Tuple[Term, Term]:
+    """Return the head and the body of a clause that is searched for."""
     modules = machine.logic.database.modules
     term = modules.resolve_searched_clause(term)
     if term.__class__ is tuple and term[0] is _NECK:
@@ -91,7 +100,7 @@ def _split(machine: Machine, term: Term) -> Tuple[Term, Term]:
     return term, atom("true")
 
 
-def _key(head: Term) -> Functor:
+def _head_functor(head: Term) -> Functor:
     if head.__class__ is Var:
         raise instantiation_error()
     if head.__class__ is tuple:
@@ -102,7 +111,7 @@ def _key(head: Term) -> Functor:
     raise type_error("callable", head)
 
 
-def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
+def _candidate_clauses(predicate: Predicate, head: Term) -> Iterator[Clause]:
     """Yield the current clauses whose heads may match."""
     # Tables that are being evaluated depend on these clauses.
     if predicate.is_incremental:
@@ -122,8 +131,8 @@ def _candidates(predicate: Predicate, head: Term) -> Iterator[Clause]:
 @nondeterministic("retract/1")
 def retract(machine: Machine, term: Term) -> Outcome:
     """Remove the first clause that unifies, and further ones on backtracking."""
-    head, body = _split(machine, term)
-    predicate = _check_rights(machine, _key(head), "modify", "static_procedure")
+    head, body = _split_clause(machine, term)
+    predicate = _require_access(machine, _head_functor(head), "modify", "static_procedure")
     return _enumerate_clauses(machine, predicate, head, body, predicate.remove)
 
 
@@ -136,35 +145,35 @@ def _enumerate_clauses(
     predicate: Predicate,
     head: Term,
     body: Term,
-    action: Optional[Callable[[Clause], object]],
+    on_match: Optional[Callable[[Clause], object]],
 ) -> Outcome:
-    """Enumerate the clauses that unify with a head and a body, and call ``action`` for each of them."""
-    clauses = list(_candidates(predicate, head))
+    """Enumerate the clauses that unify with a head and a body, and call ``on_match`` for each of them."""
+    clauses = list(_candidate_clauses(predicate, head))
     trail, modules = machine.trail, machine.logic.database.modules
-    is_qualified = action is None and modules.plain_functor(predicate.functor) is not None
-    conversion: BodyConversion = modules.display_form if is_qualified else _unchanged
+    is_qualified = on_match is None and modules.plain_functor(predicate.functor) is not None
+    convert_body: BodyConversion = modules.display_form if is_qualified else _unchanged
     if len(clauses) > 1:
-        return _matching_clauses(trail, clauses, head, body, action, conversion)
-    return bool(clauses) and _unify_clause(trail, clauses[0], head, body, action, conversion)
+        return _enumerate_matching(trail, clauses, head, body, on_match, convert_body)
+    return bool(clauses) and _unify_clause(trail, clauses[0], head, body, on_match, convert_body)
 
 
 def _unchanged(body: Term) -> Term:
     return body
 
 
-def _matching_clauses(
+def _enumerate_matching(
     trail: Trail,
     clauses: List[Clause],
     head: Term,
     body: Term,
-    action: Optional[Callable[[Clause], object]],
-    conversion: BodyConversion,
+    on_match: Optional[Callable[[Clause], object]],
+    convert_body: BodyConversion,
 ) -> Solutions:
     last = clauses[-1]
     for clause in clauses:
         # A failed unification may have bound variables, which the next clause must not see.
         mark = len(trail)
-        if _unify_clause(trail, clause, head, body, action, conversion):
+        if _unify_clause(trail, clause, head, body, on_match, convert_body):
             yield LAST if clause is last else None
         else:
             undo(trail, mark)
@@ -175,33 +184,34 @@ def _unify_clause(
     clause: Clause,
     head: Term,
     body: Term,
-    action: Optional[Callable[[Clause], object]],
-    conversion: BodyConversion,
+    on_match: Optional[Callable[[Clause], object]],
+    convert_body: BodyConversion,
 ) -> bool:
-    own_head, own_body = _renamed(clause)
-    if not unify(own_head, head, trail) or not unify(conversion(own_body), body, trail):
+    clause_head, clause_body = _rename_variables(clause)
+    if not unify(clause_head, head, trail) or not unify(convert_body(clause_body), body, trail):
         return False
     # A clause that another goal has removed meanwhile is a solution all the same, by the logical update view.
-    if action is not None and clause.retracted_at == NEVER_RETRACTED:
-        action(clause)
+    if on_match is not None and clause.retracted_at == NEVER_RETRACTED:
+        on_match(clause)
     return True
 
 
-def _renamed(clause: Clause) -> Tuple[Term, Term]:
+def _rename_variables(clause: Clause) -> Tuple[Term, Term]:
+    """Return the head and the body of a clause with new variables."""
     # A ground clause needs no copy.
     if clause.is_ground_fact:
         return clause.head, clause.body
-    fresh: Dict[Var, Term] = {}
-    return copy(clause.head, fresh), copy(clause.body, fresh)
+    new_vars: Dict[Var, Term] = {}
+    return copy(clause.head, new_vars), copy(clause.body, new_vars)
 
 
 @deterministic("retractall/1")
 def retractall(machine: Machine, head: Term) -> bool:
     """Remove all clauses whose heads unify; a predicate that is not defined becomes dynamic."""
     head = machine.logic.database.modules.resolve_searched_clause(head)
-    key = _key(head)
-    predicate = _check_rights(machine, key, "modify", "static_procedure")
-    # SWI-Prolog creates a dynamic predicate then, so that later calls fail instead of raising an error.
+    key = _head_functor(head)
+    predicate = _require_access(machine, key, "modify", "static_procedure")
+    # As in SWI-Prolog, later calls of an undefined predicate fail then, instead of raising an error.
     if not predicate.is_defined:
         predicate.dynamic = True
         machine.logic.database.change_count += 1
@@ -209,7 +219,7 @@ def retractall(machine: Machine, head: Term) -> bool:
     trail = machine.trail
     mark = len(trail)
     # The list is complete before the first removal (logical update view).
-    for clause in list(_candidates(predicate, head)):
+    for clause in list(_candidate_clauses(predicate, head)):
         if unify(head, clause.head if clause.is_ground_fact else copy(clause.head), trail):
             predicate.remove(clause)
         undo(trail, mark)
@@ -220,11 +230,11 @@ def retractall(machine: Machine, head: Term) -> bool:
 def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
     """Enumerate the clauses of a predicate that unify with a head and a body."""
     head = machine.logic.database.modules.resolve_searched_clause(head)
-    key = _key(head)
+    key = _head_functor(head)
     body = deref(body)
     if body.__class__ not in (Var, Atom, tuple):
         raise type_error("callable", body)
-    predicate = _check_rights(machine, key, "access", "private_procedure")
+    predicate = _require_access(machine, key, "access", "private_procedure")
     return _enumerate_clauses(machine, predicate, head, body, None)
 
 
@@ -232,7 +242,7 @@ def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
 def abolish(machine: Machine, term: Term) -> bool:
     """Remove all clauses and properties of a predicate."""
     key = indicator_of(machine.logic.database.modules.resolve_declared_indicators(term))
-    predicate = _check_rights(machine, key, "modify", "static_procedure")
+    predicate = _require_access(machine, key, "modify", "static_procedure")
     if predicate.is_defined and not predicate.dynamic and machine.logic.flags["iso"] is atom("true"):
         raise permission_error("modify", "static_procedure", indicator(key))
     predicate.abolish()
@@ -245,19 +255,19 @@ def abolish_named(machine: Machine, name: Term, arity: Term) -> bool:
     return abolish(machine, (SLASH, name, arity))
 
 
-def declared(term: Term) -> Iterator[Term]:
-    """Yield the items of a declaration, which may be lists or conjunctions."""
-    return (item for item, _ in declared_with_options(term))
+def declared_items(term: Term) -> Iterator[Term]:
+    """Yield the items of a declaration, which may be nested in lists and conjunctions."""
+    return (item for item, _ in declared_items_with_options(term))
 
 
-def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
+def declared_items_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
     """Yield the items of a declaration, each with its options after ``as``."""
     stack: List[Tuple[Term, Values]] = [(term, ())]
-    visited = 0
+    visited_count = 0
     while stack:
         # A list of a million names is one inference.
-        visited += 1
-        if visited % len(STEPS_PER_ROUND) == 0:
+        visited_count += 1
+        if visited_count % len(STEPS_PER_ROUND) == 0:
             check_limits()
         item, options = stack.pop()
         item = deref(item)
@@ -272,9 +282,11 @@ def declared_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
             yield item, options
 
 
-def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
+def _declaration_predicate(attribute: str) -> Callable[[Machine, Term], bool]:
+    """Return a predicate that sets an attribute of the predicates that it declares."""
+
     def run(machine: Machine, term: Term) -> bool:
-        for item in declared(machine.logic.database.modules.resolve_declared_indicators(term)):
+        for item in declared_items(machine.logic.database.modules.resolve_declared_indicators(term)):
             predicate = machine.logic.database.writable(indicator_of(item), "modify")
             setattr(predicate, attribute, True)
             machine.logic.database.change_count += 1
@@ -286,17 +298,17 @@ def _declaration(attribute: str) -> Callable[[Machine, Term], bool]:
 @deterministic("dynamic/1", "thread_local/1")
 def dynamic(machine: Machine, term: Term) -> bool:
     """Declare predicates dynamic; with ``as incremental``, incremental tables depend on their clauses."""
-    for item, options in declared_with_options(
+    for item, options in declared_items_with_options(
         machine.logic.database.modules.resolve_declared_indicators(term)
     ):
-        declare_dynamic(machine, item, set(map(_dynamic_option, options)))
+        declare_dynamic(machine, item, set(map(_parse_dynamic_option, options)))
     return True
 
 
 @deterministic("dynamic/2")
 def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
     """Declare the predicates of a list dynamic, with the options of SWI-Prolog; unknown ones are ignored."""
-    chosen: Set[str] = set()
+    chosen_options: Set[str] = set()
     for option in option_values(options):
         if (
             option.__class__ is tuple
@@ -304,22 +316,26 @@ def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
             and option[0].name in _DYNAMIC_OPTIONS
             and is_true(option[1])
         ):
-            chosen.add(option[0].name)
+            chosen_options.add(option[0].name)
     for item in items(machine.logic.database.modules.resolve_declared_indicators(names)):
-        declare_dynamic(machine, item, chosen)
+        declare_dynamic(machine, item, chosen_options)
     return True
 
 
 _DYNAMIC_OPTIONS = frozenset(("incremental", "discontiguous", "multifile"))
-_WITHOUT_EFFECT = frozenset(("opaque", "volatile", "shared", "local", "abstract"))
+"""Options of ``dynamic`` that have an effect."""
+
+_INEFFECTIVE_DYNAMIC_OPTIONS = frozenset(("opaque", "volatile", "shared", "local", "abstract"))
 """Options of SWI-Prolog without effect here: they concern threads, saved states, or restate the default."""
 
 
-def _dynamic_option(option: Term) -> str:
+def _parse_dynamic_option(option: Term) -> str:
     """Return the name of an option of ``dynamic ... as``, or raise a domain error."""
-    key = _key(option)
+    key = _head_functor(option)
     # Only `abstract` has an argument.
-    if key.name not in _DYNAMIC_OPTIONS | _WITHOUT_EFFECT or key.arity != (key.name == "abstract"):
+    if key.name not in _DYNAMIC_OPTIONS | _INEFFECTIVE_DYNAMIC_OPTIONS or key.arity != (
+        key.name == "abstract"
+    ):
         raise domain_error("predicate_option", option)
     return key.name
 
@@ -336,8 +352,8 @@ def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
         tables_of(machine).observe(predicate)
 
 
-deterministic("discontiguous/1")(_declaration("discontiguous"))
-deterministic("multifile/1")(_declaration("multifile"))
+deterministic("discontiguous/1")(_declaration_predicate("discontiguous"))
+deterministic("multifile/1")(_declaration_predicate("multifile"))
 deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, term: True)
 
 
@@ -345,7 +361,7 @@ deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, 
 def current_predicate(machine: Machine, term: Term) -> Solutions:
     """Enumerate the program's predicates with clauses; a complete indicator may also denote a built-in predicate."""
     modules = machine.logic.database.modules
-    term = _strip(modules.resolve_declared_indicators(term))
+    term = _strip_module(modules.resolve_declared_indicators(term))
     if term.__class__ is Var:
         term = (SLASH, Var(), Var())
     if term.__class__ is not tuple or term[0] is not SLASH:
@@ -380,7 +396,7 @@ def _is_current(predicate: Predicate, iso: bool) -> bool:
 
 
 @control("garbage_collect/0", "prompt/2")
-def nothing(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def do_nothing(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Do nothing; the predicate exists for compatibility."""
     return continuation
 
@@ -396,22 +412,22 @@ _INEFFECTIVE_OPTIONS = {
 }
 """Options of SWI-Prolog without effect, with the explanation for the warning."""
 
-_WITH_ARGUMENT = ("max_answers", "answer_abstract", "subgoal_abstract")
+_OPTIONS_WITH_ARGUMENT = ("max_answers", "answer_abstract", "subgoal_abstract")
 
 
 @deterministic("table/1")
-def table_declaration(machine: Machine, which: Term) -> bool:
+def table_declaration(machine: Machine, specification: Term) -> bool:
     """Declare predicates tabled; with ``as incremental``, their tables depend on the data that they read."""
-    for item, options in declared_with_options(
-        machine.logic.database.modules.resolve_declared_indicators(which)
+    for item, options in declared_items_with_options(
+        machine.logic.database.modules.resolve_declared_indicators(specification)
     ):
         if item.__class__ is tuple and item[0].name == ":" and len(item) == 3:
             item = deref(item[2])
-        declare_as(machine, item, options)
+        declare_tabled(machine, item, options)
     return True
 
 
-def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
+def declare_tabled(machine: Machine, item: Term, options: Values = ()) -> None:
     """Declare the predicate of an indicator, or of a head with argument modes, tabled.
 
     Args:
@@ -424,26 +440,28 @@ def declare_as(machine: Machine, item: Term, options: Values = ()) -> None:
     """
     item = deref(item)
     if item.__class__ is tuple and item[0] is AS:
-        declare_as(machine, item[1], (*options, *conjuncts(item[2])))
+        declare_tabled(machine, item[1], (*options, *conjuncts(item[2])))
         return
     if item.__class__ is tuple and item[0] is not SLASH:
         key, modes = parse_moded_head(item)
     else:
         key, modes = indicator_of(item), {}
-    names = [_table_option(machine, key, option) for option in options]
-    declare(machine, key, modes)
+    option_names = [_table_option(machine, key, option) for option in options]
+    _make_tabled(machine, key, modes)
     tables = tables_of(machine)
     tables.declarations_by_functor.setdefault(key, copy(item))
     predicate = machine.logic.database.predicate(key)
-    if "dynamic" in names:
+    if "dynamic" in option_names:
         declare_dynamic(machine, indicator(key), set())
-    incremental = "incremental" in names or (predicate.is_incremental and "opaque" not in names)
-    if incremental != predicate.is_incremental:
-        predicate.is_incremental = incremental
+    is_incremental = "incremental" in option_names or (
+        predicate.is_incremental and "opaque" not in option_names
+    )
+    if is_incremental != predicate.is_incremental:
+        predicate.is_incremental = is_incremental
         machine.logic.database.change_count += 1
         tables.clear()
     # The clauses of a tabled dynamic predicate may change too.
-    if incremental:
+    if is_incremental:
         tables.observe(predicate.clause_owner)
 
 
@@ -452,7 +470,10 @@ def _table_option(machine: Machine, key: Functor, option: Term) -> str:
     option = callable_of(option)
     option_key = functor_of(option)
     name = option_key.name
-    if option_key.arity != (name in _WITH_ARGUMENT) or name not in (*_INEFFECTIVE_OPTIONS, *_TABLE_OPTIONS):
+    if option_key.arity != (name in _OPTIONS_WITH_ARGUMENT) or name not in (
+        *_INEFFECTIVE_OPTIONS,
+        *_TABLE_OPTIONS,
+    ):
         raise domain_error("table_option", option)
     if name in _INEFFECTIVE_OPTIONS:
         reason, text = _INEFFECTIVE_OPTIONS[name], machine.logic.show(option)
@@ -465,7 +486,7 @@ def _table_option(machine: Machine, key: Functor, option: Term) -> str:
 _TABLE_OPTIONS = ("incremental", "opaque", "variant", "dynamic")
 
 
-def declare(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
+def _make_tabled(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
     """Declare a predicate tabled, and move its clauses to a hidden predicate that the tables call."""
     database = machine.logic.database
     if database.predicate(key).hidden_predicate is not None:

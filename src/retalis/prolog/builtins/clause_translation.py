@@ -50,9 +50,9 @@ def translate_rule(rule: CompoundTerm) -> Term:
     first, last = Var(), Var()
     if head.__class__ is tuple and head[0] is COMMA:
         # Pushback: the terminals after the head are put in front of the list that remains after the body.
-        pushed = _terminals(deref(head[2]))
+        pushback = _parse_terminals(deref(head[2]))
         middle = Var()
-        translated = (COMMA, translate_body(body, first, middle), _consume(pushed, last, middle))
+        translated = (COMMA, translate_body(body, first, middle), _terminals_goal(pushback, last, middle))
         return (_NECK, add_arguments(head[1], (first, last)), translated)
     if head.__class__ is Var:
         raise instantiation_error()
@@ -62,25 +62,31 @@ def translate_rule(rule: CompoundTerm) -> Term:
 
 
 def translate_body(body: Term, first: Term, last: Term) -> Term:
-    """Return the goal of a grammar body between two states of the list."""
+    """Return the goal that parses the part of a list that a grammar body describes.
+
+    Args:
+        body: the grammar body.
+        first: the list before the part.
+        last: the list after it.
+    """
     translated_body = Var()
     # Nested bodies are translated later, into variables of the goal, so the depth of a body is not limited by
     # recursion.
-    pending: List[_Hole] = [_Hole(translated_body, body, first, last)]
+    pending: List[_PendingBody] = [_PendingBody(translated_body, body, first, last)]
     while pending:
-        hole, body, first, last = pending.pop()
-        elements = _sequence(body)
+        goal_var, body, first, last = pending.pop()
+        elements = _split_conjunction(body)
         goals = []
         state = first
         for index, element in enumerate(elements):
-            following = last if index == len(elements) - 1 else Var()
-            goals.append(_translate_element(element, state, following, pending))
-            state = following
-        hole.ref = conjunction(goals)
+            next_state = last if index == len(elements) - 1 else Var()
+            goals.append(_translate_element(element, state, next_state, pending))
+            state = next_state
+        goal_var.ref = conjunction(goals)
     return resolve(translated_body)
 
 
-class _Hole(NamedTuple):
+class _PendingBody(NamedTuple):
     """A variable of a goal that is bound to the translation of a nested body, with the states of the list."""
 
     goal: Var
@@ -89,14 +95,15 @@ class _Hole(NamedTuple):
     last: Term
 
 
-def _nested_body(pending: List[_Hole], body: Term, first: Term, last: Term) -> Var:
+def _nested_body(pending: List[_PendingBody], body: Term, first: Term, last: Term) -> Var:
     """Return the variable of a nested body, whose translation is pending."""
-    hole = _Hole(Var(), body, first, last)
-    pending.append(hole)
-    return hole.goal
+    pending_body = _PendingBody(Var(), body, first, last)
+    pending.append(pending_body)
+    return pending_body.goal
 
 
-def _sequence(body: Term) -> List[Term]:
+def _split_conjunction(body: Term) -> List[Term]:
+    """Return the elements of a sequence in a grammar body."""
     elements = []
     stack = [body]
     while stack:
@@ -108,14 +115,14 @@ def _sequence(body: Term) -> List[Term]:
     return elements
 
 
-def _translate_element(element: Term, first: Term, last: Term, pending: List[_Hole]) -> Term:
+def _translate_element(element: Term, first: Term, last: Term, pending: List[_PendingBody]) -> Term:
     if element.__class__ is tuple:
         return _translate_compound(element, first, last, pending)
     # The body is known only at run time, and is translated then.
     if element.__class__ is Var:
         return (_PHRASE, element, first, last)
     if element is NIL or element.__class__ is String:
-        return _consume(_terminals(element), first, last)
+        return _terminals_goal(_parse_terminals(element), first, last)
     if element.__class__ is not Atom:
         raise type_error("callable", element)
     # A cut has to stay a goal of the clause itself; within `phrase/3` it would be local.
@@ -126,10 +133,10 @@ def _translate_element(element: Term, first: Term, last: Term, pending: List[_Ho
     return (functor(element.name, 2), first, last)
 
 
-def _translate_compound(element: CompoundTerm, first: Term, last: Term, pending: List[_Hole]) -> Term:
+def _translate_compound(element: CompoundTerm, first: Term, last: Term, pending: List[_PendingBody]) -> Term:
     key = element[0]
     if key is CONS:
-        return _consume(_terminals(element), first, last)
+        return _terminals_goal(_parse_terminals(element), first, last)
     if key in (SEMICOLON, BAR):
         left = _nested_body(pending, element[1], first, last)
         return (SEMICOLON, left, _nested_body(pending, element[2], first, last))
@@ -150,7 +157,8 @@ def _translate_compound(element: CompoundTerm, first: Term, last: Term, pending:
     return add_arguments(element, (first, last))
 
 
-def _terminals(term: Term) -> List[Term]:
+def _parse_terminals(term: Term) -> List[Term]:
+    """Return the terminals of a list or a string."""
     if term.__class__ is String:
         return [ord(char) for char in term.text]
     items = list_items(term)
@@ -159,7 +167,8 @@ def _terminals(term: Term) -> List[Term]:
     return items
 
 
-def _consume(terminals: List[Term], first: Term, last: Term) -> Term:
+def _terminals_goal(terminals: List[Term], first: Term, last: Term) -> Term:
+    """Return the goal that parses terminals."""
     return (EQUAL, first, make_list(terminals, last))
 
 
@@ -185,22 +194,24 @@ def translate_single_sided(rule: CompoundTerm) -> Tuple[Term, Term]:
     if head.__class__ is Var:
         raise instantiation_error()
     if isinstance(head, Atom):
-        called: Term = head
+        clause_head: Term = head
         tests: List[Term] = []
     elif head.__class__ is tuple:
-        called, tests = _tested(head)
+        clause_head, tests = _replace_tested_arguments(head)
     else:
         raise type_error("callable", head)
     # The cut commits to the rule after the guard and before the body.
     goals = [*tests, *([] if guard is TRUE else [guard]), _CUT, rule[2]]
-    last = (called[0], *(Var() for _ in called[1:])) if called.__class__ is tuple else called
-    return (_NECK, called, conjunction(goals)), (_NECK, last, (_NO_RULE, last))
+    error_clause_head = (
+        (clause_head[0], *(Var() for _ in clause_head[1:])) if clause_head.__class__ is tuple else clause_head
+    )
+    return (_NECK, clause_head, conjunction(goals)), (_NECK, error_clause_head, (_NO_RULE, error_clause_head))
 
 
-def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
+def _replace_tested_arguments(head: CompoundTerm) -> Tuple[Term, List[Term]]:
     """Return the head with a new variable for each argument that has to be tested, and the tests."""
     head_variables: Set[Var] = set()
-    called: List[Term] = []
+    new_arguments: List[Term] = []
     patterns: List[Term] = []
     arguments: List[Term] = []
     tests: List[Term] = []
@@ -208,21 +219,21 @@ def _tested(head: CompoundTerm) -> Tuple[Term, List[Term]]:
         # The first occurrence of a variable matches any argument, and later ones require an identical argument.
         if isinstance(argument, Var) and argument not in head_variables:
             head_variables.add(argument)
-            called.append(argument)
+            new_arguments.append(argument)
             continue
-        fresh = Var()
-        called.append(fresh)
+        new_var = Var()
+        new_arguments.append(new_var)
         if argument.__class__ is not tuple and argument.__class__ is not Var:
-            tests.append((_IDENTICAL, fresh, argument))
+            tests.append((_IDENTICAL, new_var, argument))
         else:
             patterns.append(argument)
-            arguments.append(fresh)
+            arguments.append(new_var)
     if patterns:
-        tests += _subsuming(patterns, arguments, head_variables)
-    return (head[0], *called), tests
+        tests += _subsumption_goals(patterns, arguments, head_variables)
+    return (head[0], *new_arguments), tests
 
 
-def _subsuming(patterns: List[Term], arguments: List[Term], head_variables: Set[Var]) -> List[Term]:
+def _subsumption_goals(patterns: List[Term], arguments: List[Term], head_variables: Set[Var]) -> List[Term]:
     """Return goals that match patterns against the arguments without binding variables of the arguments.
 
     Args:
@@ -232,21 +243,21 @@ def _subsuming(patterns: List[Term], arguments: List[Term], head_variables: Set[
     """
     # The bound variables are on both sides, so that `subsumes_term` does not bind them again.
     bound_variables: List[Term] = list(head_variables)
-    shape = functor("$arguments", len(patterns) + len(bound_variables))
-    general = (shape, *patterns, *bound_variables)
+    arguments_functor = functor("$arguments", len(patterns) + len(bound_variables))
+    general = (arguments_functor, *patterns, *bound_variables)
     return [
-        (_SUBSUMES, general, (shape, *arguments, *bound_variables)),
+        (_SUBSUMES, general, (arguments_functor, *arguments, *bound_variables)),
         *[(EQUAL, *pair) for pair in zip(patterns, arguments)],
     ]
 
 
-def is_behind(body: Term) -> bool:
-    """Return whether a body is that of the clause after the last rule of a predicate."""
+def is_error_clause_body(body: Term) -> bool:
+    """Return whether a clause body is that of the error clause, which follows the last rule of a predicate."""
     body = deref(body)
     return body.__class__ is tuple and body[0] is _NO_RULE
 
 
 @deterministic("$no_matching_rule/1")
-def raise_no_rule(machine: Machine, call: Term) -> bool:
+def raise_no_matching_rule(machine: Machine, call: Term) -> bool:
     """Raise the error for a call that matches no rule."""
     raise no_matching_rule("user", call)

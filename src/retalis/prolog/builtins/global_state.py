@@ -40,7 +40,7 @@ from ..terms.types import (
 from ..terms.unification import unify
 from .argument_checks import atom_of, integer, is_iso, items
 from .builtin_registry import Solutions, control, deterministic, nondeterministic
-from .clause_predicates import declared
+from .clause_predicates import declared_items
 from .clause_translation import translate_rule
 
 
@@ -67,7 +67,7 @@ def default_flags() -> Dict[str, Term]:
     }
 
 
-_CHANGEABLE: Dict[str, Tuple[str, ...]] = {
+_CHANGEABLE_FLAGS: Dict[str, Tuple[str, ...]] = {
     "debug": ("on", "off", "true", "false"),
     "unknown": ("error", "fail", "warning"),
     "double_quotes": ("codes", "chars", "atom", "string"),
@@ -76,9 +76,10 @@ _CHANGEABLE: Dict[str, Tuple[str, ...]] = {
     "occurs_check": ("false",),
     "char_conversion": ("on", "off"),
 }
+"""Flags that goals may change, with their values."""
 
 
-def flags_from(stored_flags: Dict[str, Term]) -> Dict[str, Term]:
+def restored_flags(stored_flags: Dict[str, Term]) -> Dict[str, Term]:
     """Return the initial flags, updated with stored values.
 
     Raises:
@@ -86,10 +87,12 @@ def flags_from(stored_flags: Dict[str, Term]) -> Dict[str, Term]:
     """
     flags = default_flags()
     for name, value in stored_flags.items():
-        allowed = _CHANGEABLE.get(name, ())
-        changed = value.__class__ is not flags.get(name, value).__class__ or value != flags.get(name, value)
+        allowed = _CHANGEABLE_FLAGS.get(name, ())
+        is_changed = value.__class__ is not flags.get(name, value).__class__ or value != flags.get(
+            name, value
+        )
         # A stored value is only accepted if the program could have set it.
-        if name in flags and changed and not (isinstance(value, Atom) and value.name in allowed):
+        if name in flags and is_changed and not (isinstance(value, Atom) and value.name in allowed):
             raise UsageError(
                 f"Prolog flag '{name}': the stored value '{write_term(value)}' is not valid: "
                 f"expected {' or '.join(allowed) or 'the initial value'}"
@@ -107,7 +110,7 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
     # Goals of services and of the dashboard may not change flags, which affect the whole program.
     machine.logic.require_flags(name)
     flags = machine.logic.flags
-    allowed = _CHANGEABLE.get(name.name)
+    allowed = _CHANGEABLE_FLAGS.get(name.name)
     if allowed is None:
         if name.name in flags and name.name in default_flags():
             raise permission_error("modify", "flag", name)
@@ -160,7 +163,7 @@ def current_prolog_flag(machine: Machine, flag: Term, value: Term) -> Solutions:
 # Operators
 
 
-_SPECIFIERS = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
+_OPERATOR_TYPES = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 
 @deterministic("op/3")
@@ -170,20 +173,20 @@ def op(machine: Machine, priority: Term, op_type: Term, names: Term) -> bool:
     type_name = atom_of(op_type).name
     if not 0 <= value <= 1200:
         raise domain_error("operator_priority", value)
-    if type_name not in _SPECIFIERS:
+    if type_name not in _OPERATOR_TYPES:
         raise domain_error("operator_specifier", atom(type_name))
     names = deref(names)
     targets = (
         [] if names is NIL else items(names) if names.__class__ is tuple and names[0] is CONS else [names]
     )
     # The error for an invalid name depends on whether it was given in a list.
-    in_list = targets != [names]
+    is_in_list = targets != [names]
     for item in targets:
         item = deref(item)
         # Operators are global, so the module of a name is ignored.
         if item.__class__ is tuple and item[0].name == ":":
             item = deref(item[2])
-        name = _operator_name(item, value, type_name, machine.logic.operators, in_list)
+        name = _checked_operator_name(item, value, type_name, machine.logic.operators, is_in_list)
         # ISO 13211-1, 6.3.4.3: an atom cannot be an infix and a postfix operator.
         if len(type_name) == 3 and is_iso(machine) and name in machine.logic.operators.postfix:
             raise permission_error("create", "operator", item)
@@ -194,11 +197,14 @@ def op(machine: Machine, priority: Term, op_type: Term, names: Term) -> bool:
     return True
 
 
-def _operator_name(term: Term, priority: int, op_type: str, operators: Operators, in_list: bool) -> str:
+def _checked_operator_name(
+    term: Term, priority: int, op_type: str, operators: Operators, is_in_list: bool
+) -> str:
+    """Return the name of a new operator, or raise the error if no such operator may be defined."""
     if term.__class__ is Var:
         raise instantiation_error()
     if term.__class__ is not Atom:
-        raise type_error("atom" if in_list else "list", term)
+        raise type_error("atom" if is_in_list else "list", term)
     name: str = term.name
     # ISO 13211-1, 8.14.3.3 and its second corrigendum, for the comma, the bar, `[]` and `{}`.
     if name == ",":
@@ -220,7 +226,9 @@ def current_op(machine: Machine, priority: Term, op_type: Term, name: Term) -> S
         raise domain_error("operator_priority", priority)
     if op_type.__class__ not in (Var, Atom) and not is_iso(machine):
         raise type_error("atom", op_type)
-    if op_type.__class__ is not Var and (op_type.__class__ is not Atom or op_type.name not in _SPECIFIERS):
+    if op_type.__class__ is not Var and (
+        op_type.__class__ is not Atom or op_type.name not in _OPERATOR_TYPES
+    ):
         raise domain_error("operator_specifier", op_type)
     if name.__class__ not in (Var, Atom):
         raise type_error("atom", name)
@@ -234,14 +242,14 @@ def current_op(machine: Machine, priority: Term, op_type: Term, name: Term) -> S
             yield None
 
 
-# Conversions of characters
+# Character conversion
 
 
 @deterministic("char_conversion/2")
 def char_conversion(machine: Machine, char: Term, converted: Term) -> bool:
     """Check two characters; the predicate has no effect, as characters are never converted."""
-    _character(char)
-    _character(converted)
+    _check_character(char)
+    _check_character(converted)
     return True
 
 
@@ -250,7 +258,7 @@ def current_char_conversion(machine: Machine, char: Term, converted: Term) -> So
     """Enumerate the character conversions: each character is converted to itself."""
     character = deref(char) if deref(char).__class__ is not Var else deref(converted)
     if character.__class__ is not Var:
-        _character(character)
+        _check_character(character)
         if machine.unify_all((char, character), (converted, character)):
             yield LAST
         return
@@ -259,7 +267,7 @@ def current_char_conversion(machine: Machine, char: Term, converted: Term) -> So
             yield None
 
 
-def _character(term: Term) -> None:
+def _check_character(term: Term) -> None:
     if len(atom_of(term).name) != 1:
         raise representation_error("character")
 
@@ -267,18 +275,18 @@ def _character(term: Term) -> None:
 # Global variables
 
 
-class _RestoreValue:
+class _GlobalVariableTrailEntry:
     """Trail entry that restores the previous value of a global variable.
 
-    Undoing the trail sets ``ref`` of each entry to None, as for a variable.
+    Undoing the trail sets ``ref`` of each entry to None, which makes variables unbound; here, it sets the old value.
     """
 
-    __slots__ = ("values", "name", "old")
+    __slots__ = ("values", "name", "old_value")
 
     def __init__(self, values: Dict[str, Term], name: str):
         self.values = values
         self.name = name
-        self.old = values.get(name)
+        self.old_value = values.get(name)
 
     @property
     def ref(self) -> None:
@@ -286,13 +294,14 @@ class _RestoreValue:
 
     @ref.setter
     def ref(self, value: None) -> None:
-        if self.old is None:
+        if self.old_value is None:
             self.values.pop(self.name, None)
         else:
-            self.values[self.name] = self.old
+            self.values[self.name] = self.old_value
 
 
 def _counter_key(name: Term) -> str:
+    """Return the key of a counter or flag in the state of the program, by its name: an atom or an integer."""
     name = deref(name)
     # An integer and an atom of the same digits are different keys; the null character keeps them apart.
     if name.__class__ is int:
@@ -313,7 +322,7 @@ def b_setval(machine: Machine, name: Term, value: Term) -> bool:
     values = machine.logic.globals
     key = atom_of(name).name
     # The old value is on the trail before the change, so that no interrupt in between can lose it.
-    machine.trail.append(_RestoreValue(values, key))
+    machine.trail.append(_GlobalVariableTrailEntry(values, key))
     values[key] = deref(value)
     return True
 
@@ -377,7 +386,7 @@ def halt(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]
 
 
 _USER = atom("user")
-_OP, _GRAMMAR_NAME = functor("op", 3), functor("//", 2)
+_OP, _GRAMMAR_INDICATOR = functor("op", 3), functor("//", 2)
 
 
 @deterministic("module/2")
@@ -393,7 +402,7 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
             continue
         key = (
             functor_of_indicator(export)
-            if isinstance(export, tuple) and export[0] in (SLASH, _GRAMMAR_NAME)
+            if isinstance(export, tuple) and export[0] in (SLASH, _GRAMMAR_INDICATOR)
             else None
         )
         if key is None:
@@ -425,7 +434,7 @@ def module_of_dialect(machine: Machine, name: Term, exports: Term, _: Term) -> b
 def meta_predicate(machine: Machine, heads: Term) -> bool:
     """Declare which arguments of predicates are goals: in a module they are called with its local names."""
     modules = machine.logic.database.modules
-    for item in declared(modules.resolve_declared_indicators(heads)):
+    for item in declared_items(modules.resolve_declared_indicators(heads)):
         if item.__class__ is Var:
             raise instantiation_error()
         if item.__class__ is tuple:
@@ -453,7 +462,7 @@ def current_module(machine: Machine, name: Term) -> Solutions:
             yield None
 
 
-_GRAMMAR = functor("-->", 2)
+_GRAMMAR_RULE = functor("-->", 2)
 _MAIN = atom("main")
 _INITIALIZATION_TIMES = ("now", "after_load", "restore", "restore_state", "program", "main")
 
@@ -468,9 +477,9 @@ _INITIALIZATION_TIMES = ("now", "after_load", "restore", "restore_state", "progr
     "non_terminal/1",
     "expects_dialect/1",
 )
-def declaration(machine: Machine, declared: Term) -> bool:
+def declaration(machine: Machine, specification: Term) -> bool:
     """Accept a declaration that has no effect."""
-    if deref(declared).__class__ is Var:
+    if deref(specification).__class__ is Var:
         raise instantiation_error()
     return True
 
@@ -484,12 +493,12 @@ def initialization(machine: Machine, args: Values, continuation: Frame) -> Optio
 @control("initialization/2")
 def initialization_at(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal, unless its time is ``main``: the process does not belong to the program."""
-    when = deref(args[1])
-    if when.__class__ is Var:
+    time = deref(args[1])
+    if time.__class__ is Var:
         raise instantiation_error()
-    if not isinstance(when, Atom) or when.name not in _INITIALIZATION_TIMES:
-        raise domain_error("initialization_type", when)
-    return continuation if when is _MAIN else machine.logic.control.call(args[0], continuation)
+    if not isinstance(time, Atom) or time.name not in _INITIALIZATION_TIMES:
+        raise domain_error("initialization_type", time)
+    return continuation if time is _MAIN else machine.logic.control.call(args[0], continuation)
 
 
 @deterministic("dcg_translate_rule/2")
@@ -498,7 +507,7 @@ def dcg_translate_rule(machine: Machine, rule: Term, clause: Term) -> bool:
     rule = deref(rule)
     if rule.__class__ is Var:
         raise instantiation_error()
-    if rule.__class__ is not tuple or rule[0] is not _GRAMMAR:
+    if rule.__class__ is not tuple or rule[0] is not _GRAMMAR_RULE:
         return False
     return machine.unify(clause, translate_rule(rule))
 
@@ -519,6 +528,6 @@ def expand_term(machine: Machine, term: Term, expanded: Term) -> bool:
         result = Var()
         if machine.logic.once((key, term, result)):
             term = deref(result)
-    if term.__class__ is tuple and term[0] is _GRAMMAR:
+    if term.__class__ is tuple and term[0] is _GRAMMAR_RULE:
         term = translate_rule(term)
     return machine.unify(expanded, term)

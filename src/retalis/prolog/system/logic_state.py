@@ -8,8 +8,8 @@ contain no code: compiled code is generated again by the system that restores th
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import Place
-from ..builtins.clause_predicates import declare_as
-from ..builtins.global_state import flags_from
+from ..builtins.clause_predicates import declare_tabled
+from ..builtins.global_state import restored_flags
 from ..builtins.tabling import tables_of
 from ..database.clause_index import Clause
 from ..database.predicate import Predicate
@@ -139,7 +139,7 @@ def restore_program(logic: PrologSystem, program: ProgramSnapshot) -> None:
     tables = tables_of(logic.machine)
     # Declarations first: they create the hidden predicates that hold the clauses of tabled ones.
     for declaration in program.table_declarations:
-        declare_as(logic.machine, declaration)
+        declare_tabled(logic.machine, declaration)
     for key in program.observed_predicates:
         tables.observe(logic.database.writable(key, "modify"))
     for key, properties, clauses in program.predicates:
@@ -152,7 +152,7 @@ def restore_program(logic: PrologSystem, program: ProgramSnapshot) -> None:
 
 def restore_values(logic: PrologSystem, snapshot: ValuesSnapshot) -> None:
     """Load stored values into a Prolog system whose program has been restored."""
-    logic.flags.update(flags_from(snapshot.flags))
+    logic.flags.update(restored_flags(snapshot.flags))
     logic.globals.update(snapshot.global_variables)
     logic.column = snapshot.column
     for name in _SAVED_STATE_KEYS:

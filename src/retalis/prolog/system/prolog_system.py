@@ -32,7 +32,12 @@ from typing import (
 
 from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place, printable
 from ..builtins.builtin_registry import control
-from ..builtins.clause_translation import SINGLE_SIDED, is_behind, translate_rule, translate_single_sided
+from ..builtins.clause_translation import (
+    SINGLE_SIDED,
+    is_error_clause_body,
+    translate_rule,
+    translate_single_sided,
+)
 from ..builtins.text_streams import end_captures
 from ..compiler.clause_nodes import CALL
 from ..database.clause_index import Clause
@@ -551,18 +556,18 @@ class PrologSystem(PredicateTable):
     ) -> Clause:
         """Add a single-sided unification rule.
 
-        Such a predicate raises an error if no rule matches. A last clause does that, and it must stay behind all
-        rules.
+        Such a predicate raises an error if no rule matches: its last clause raises it, and is moved behind each new
+        rule.
         """
-        term, behind = translate_single_sided(rule)
+        term, error_clause = translate_single_sided(rule)
         clause = self._add_to_predicate(term, place, first, asserted)
         predicate = self.database.writable(clause.predicate.functor, "modify")
         last = predicate.clauses[-1]
-        if not is_behind(last.body):
+        if not is_error_clause_body(last.body):
             for earlier in list(predicate.active_clauses())[-2:]:
-                if is_behind(earlier.body):
+                if is_error_clause_body(earlier.body):
                     predicate.remove(earlier)
-            self._add_to_predicate(behind, None, False, asserted)
+            self._add_to_predicate(error_clause, None, False, asserted)
         return clause
 
     def _add_to_predicate(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
