@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from retalis.cli.command_line import main
-from retalis.events.language.event_operators import OPERATORS
+from retalis.events.language.event_operators import PAIR_OPERATORS
 from retalis.events.matches.partial_matches import ConsumptionPolicy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"
@@ -49,7 +49,7 @@ def test_every_operator_and_policy_has_one():
         "do",
         "event_multiply",
     ]
-    assert {*OPERATORS, *others} <= names
+    assert {*PAIR_OPERATORS, *others} <= names
     assert {f"policy_{policy.value}" for policy in ConsumptionPolicy} <= names
 
 

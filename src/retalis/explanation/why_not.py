@@ -25,7 +25,7 @@ from typing import (
     Tuple,
 )
 
-from ..events.language.event_operators import OPERATORS, EventOperator, OperatorKind, names_of_kind
+from ..events.language.event_operators import PAIR_OPERATORS, EventOperator, OperatorKind, names_of_kind
 from ..events.language.pattern_tree import (
     AbsencePattern,
     ActionPattern,
@@ -248,7 +248,7 @@ class WhyNot:
 
     def _evaluate_pair(self, pattern: PairPattern) -> PartResult:
         left, right = self.evaluate(pattern.left), self.evaluate(pattern.right)
-        join_intervals = _compile_interval_join(OPERATORS[pattern.operator])
+        join_intervals = _compile_interval_join(PAIR_OPERATORS[pattern.operator])
         values_agree = False
         matches = []
         for first in left.matches:
@@ -264,7 +264,9 @@ class WhyNot:
         reason = "one side is missing"
         if left.matches and right.matches:
             reason = (
-                OPERATORS[pattern.operator].no_match_text if values_agree else "no pair with the same values"
+                PAIR_OPERATORS[pattern.operator].no_match_text
+                if values_agree
+                else "no pair with the same values"
             )
         return PartResult(
             f"{pattern.operator}: {self._format_result(matches, reason)}",
@@ -699,7 +701,7 @@ def _get_progress_key(counts: Sequence[int]) -> Tuple[int, int]:
     return max((step for step, count in enumerate(counts) if count), default=-1), sum(counts)
 
 
-@lru_cache(maxsize=len(OPERATORS))
+@lru_cache(maxsize=len(PAIR_OPERATORS))
 def _compile_interval_join(
     operator: EventOperator,
 ) -> Callable[[int, int, int, int], Optional[Tuple[int, int]]]:

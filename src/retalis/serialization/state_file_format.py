@@ -185,8 +185,8 @@ def _definition(expected: Functor) -> ValueCheck:
 
 def _check_property(value: Decoded) -> Property:
     label_property: Property = _check_property_items(value)
-    if label_property.label.__class__ is not Atom or label_property.problem is not None:
-        raise invalid_value(value, label_property.problem or "a property of a label")
+    if label_property.label.__class__ is not Atom or label_property.error_text is not None:
+        raise invalid_value(value, label_property.error_text or "a property of a label")
     return label_property
 
 

@@ -137,10 +137,10 @@ def test_it_is_exchanged_where_the_program_is_read_again(engine, tmp_path):
 def test_a_declaration_is_read_once_and_none_is_looked_at_for_an_event(monkeypatch):
     read, looked = [], []
     reading = event_declarations._parse_clause  # noqa: SLF001
-    found = event_declarations.DeclaredEvents._read_clauses  # noqa: SLF001
+    found = event_declarations.DeclaredEvents._parse_clauses  # noqa: SLF001
     monkeypatch.setattr(event_declarations, "_parse_clause", lambda clause: read.append(1) or reading(clause))
     monkeypatch.setattr(
-        event_declarations.DeclaredEvents, "_read_clauses", lambda self: looked.append(1) or found(self)
+        event_declarations.DeclaredEvents, "_parse_clauses", lambda self: looked.append(1) or found(self)
     )
     engine = Engine()
     for number in range(30):

@@ -11,7 +11,7 @@ from events import operator_table
 from fuzz.kinds import rules as fuzzed
 
 import retalis
-from retalis.events.language.event_operators import EVENT_OPERATORS, OPERATORS, OperatorKind
+from retalis.events.language.event_operators import EVENT_OPERATORS, PAIR_OPERATORS, OperatorKind
 from retalis.events.streams.aggregates import SEQUENCE_AGGREGATES
 
 SOURCE = Path(retalis.__file__).parent
@@ -70,7 +70,7 @@ def test_tests_know_all():
     """The tests have a table of their own: it is a second opinion of what the operators mean."""
     known = [one for one in EVENT_OPERATORS if one.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED)]
     names = {one.spellings[0] for one in known}
-    assert set(OPERATORS) == set(operator_table.PAIRS)
+    assert set(PAIR_OPERATORS) == set(operator_table.PAIRS)
     assert set(SEQUENCE_AGGREGATES) == set(operator_table.AGGREGATES)
     assert names <= {re.sub(r"\W.*", "", row) for row in operator_table.ROWS} | {
         "do",

@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from retalis.events.language.event_operators import OPERATORS
+from retalis.events.language.event_operators import PAIR_OPERATORS
 from retalis.events.matches.interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE, interval_bounds
 
 INTERVALS = [(start, end) for start, end in product(range(6), repeat=2) if start <= end]
@@ -24,9 +24,9 @@ def fits(operator, span, one, other):
 
 
 @pytest.mark.parametrize("span", [None, 0, 3])
-@pytest.mark.parametrize("name", list(OPERATORS))
+@pytest.mark.parametrize("name", list(PAIR_OPERATORS))
 def test_all_partners_that_fit_are_within_reach(name, span):
-    operator = OPERATORS[name]
+    operator = PAIR_OPERATORS[name]
     for one, other in product(INTERVALS, repeat=2):
         if fits(operator, span, one, other):
             for left, mine, partner in ((True, one, other), (False, other, one)):
@@ -39,7 +39,7 @@ def test_all_partners_that_fit_are_within_reach(name, span):
 def test_what_is_within_reach_of_an_operator_fits_it(name, left):
     for mine, partner in product(INTERVALS, repeat=2):
         if within(interval_bounds(name, None, left).limits(*mine), partner):
-            assert fits(OPERATORS[name], None, *((mine, partner) if left else (partner, mine)))
+            assert fits(PAIR_OPERATORS[name], None, *((mine, partner) if left else (partner, mine)))
 
 
 def test_partners_of_and_are_anywhere_unless_the_result_is_bounded():

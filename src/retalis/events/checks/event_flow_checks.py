@@ -274,19 +274,17 @@ def find_declaration_violations(program: ProgramModel) -> Iterator[RuleError]:
         variable_types = VariableTypes(
             {**program.names, **rule.definition.names}, not has_alternatives(rule.definition.term)
         )
-        yield from declarations.declaration_errors(events_of_rule(rule), rule.place_of, variable_types)
+        yield from declarations.find_errors(events_of_rule(rule), rule.place_of, variable_types)
     for source_term in (*program.clauses, *program.goals) if declarations else ():
         variable_types = VariableTypes(program.names, not has_alternatives(source_term.parent))
-        yield from declarations.declaration_errors(
+        yield from declarations.find_errors(
             events_of_goals(source_term), source_term.place_of, variable_types
         )
     for form, place_of, prefix in program.states if declarations else ():
-        for error in declarations.declaration_errors(
-            _events_of_state(form), place_of, VariableTypes(program.names)
-        ):
+        for error in declarations.find_errors(_events_of_state(form), place_of, VariableTypes(program.names)):
             yield RuleError(f"{prefix}{error.message}", error.place)
     for consumer in (*program.memories, *program.subscriptions) if declarations else ():
-        for error in declarations.declaration_errors(
+        for error in declarations.find_errors(
             [event_of_consumer(consumer)], consumer.place_of, VariableTypes({})
         ):
             yield RuleError(f"{consumer.prefix}{error.message}", error.place)
@@ -331,7 +329,7 @@ def events_of_rule(rule: SourceRule) -> List[EventTerm]:
         return [*reader.events, *events_raised_by_goals(reader.goals)]
     head = deref(term[1])
     if head.__class__ is tuple and OPERATOR_NAMES.get(head[0]) == "do":
-        reader.goal(head, 2, "do")
+        reader.read_goal(head, 2, "do")
     reader.read(term, 2)
     goals = [*reader.goals, *calls_in_query(rule.definition.head or TRUE)]
     return [head_event(term, 1), *reader.events, *events_raised_by_goals(goals)]

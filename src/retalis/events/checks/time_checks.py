@@ -14,7 +14,7 @@ from ...foundation.errors import Place, RuleError
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import Functor, Term, Trail, atom, deref, functor
 from ...prolog.terms.unification import undo, unify
-from ..language.event_operators import OPERATOR_NAMES, OPERATORS
+from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
     AbsencePattern,
     ActionPattern,
@@ -164,7 +164,7 @@ def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
     instants = _InstantEvents(program)
     for rule in program.rules:
         for node in _walk_nodes(rule.definition.pattern):
-            if isinstance(node, PairPattern) and node.operator in OPERATORS:
+            if isinstance(node, PairPattern) and node.operator in PAIR_OPERATORS:
                 left_is_instant, right_is_instant = (
                     instants.is_instant(node.left),
                     instants.is_instant(node.right),
@@ -177,9 +177,10 @@ def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
                         if left_is_instant and right_is_instant
                         else f"the {'left' if left_is_instant else 'right'} side is an instant"
                     )
+                    requirement = _REQUIREMENTS.get(node.operator, "asks for intervals")
                     yield RuleError(
                         f"{node.operator} never matches here: {instant_sides}, and "
-                        f"{OPERATORS[node.operator].name} {_REQUIREMENTS.get(node.operator, 'asks for intervals')}",
+                        f"{PAIR_OPERATORS[node.operator].name} {requirement}",
                         _operator_place(rule, node.operator),
                     )
 
@@ -193,7 +194,7 @@ _REQUIREMENTS = {
 
 def _can_match(operator: str, left_is_instant: bool, right_is_instant: bool) -> bool:
     """Return whether the comparisons of an operator hold for some intervals, or instants where required."""
-    comparisons = OPERATORS[operator].comparisons
+    comparisons = PAIR_OPERATORS[operator].comparisons
     # The comparisons depend on the order of four end points only, and five values are enough for every order.
     for s1, e1 in _SAMPLE_INSTANTS if left_is_instant else _SAMPLE_INTERVALS:
         for s2, e2 in _SAMPLE_INSTANTS if right_is_instant else _SAMPLE_INTERVALS:
@@ -336,11 +337,11 @@ def find_unlikely_spans(program: ProgramModel) -> Iterator[RuleError]:
     for key, properties in program.rule_base.all_properties().items():
         for prop in properties:
             problem = ""
-            if prop.known and prop.word is None and "step" not in prop.name:
+            if prop.is_known and prop.word_value is None and "step" not in prop.name:
                 problem = (
                     "0: nothing but instants is ever matched"
-                    if prop.number == 0
-                    else _explain_long_span(prop.number)
+                    if prop.numeric_value == 0
+                    else _explain_long_span(prop.numeric_value)
                 )
                 # A time to live may be long, and 0 turns it off.
                 problem = "" if prop.name == "ttl" else problem

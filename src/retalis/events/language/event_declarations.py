@@ -1,8 +1,9 @@
 """Declared events and the types of their arguments.
 
-``:- event temperature(motor:atom, value:number).`` declares the arguments of an event by name and type. The module
-reads such declarations, checks that events in rules, clauses and input fit them, and checks the names that a
-program may give to the events of a topic.
+``:- event temperature(motor:atom, value:number).`` declares the arguments of an event by name and type (an event
+schema). The module parses such declarations (`parse_declarations`), checks that events in rules and clauses fit them
+(`Declarations`), checks events at run time (`DeclaredEvents`), and checks the names that a program may give to the
+events of a topic.
 
 The type check works without running the program: each term belongs to one of a few *forms* (see `form_of`), and a
 `ValueType` is the set of forms that its values can have. Two types exclude each other if they share no form. A
@@ -54,7 +55,13 @@ from ...prolog.terms.types import (
     functor,
 )
 from .called_predicates import Subgoal, calls
-from .event_operators import NO_EVENTS, OPERATOR_NAMES, OPERATORS, OperatorKind, names_of_kind
+from .event_operators import (
+    OPERATOR_NAMES,
+    PAIR_OPERATORS,
+    RESERVED_EVENT_ARITIES,
+    OperatorKind,
+    names_of_kind,
+)
 from .pattern_parser import EventTerm, PlaceLookup, no_place
 from .rule_head_parser import ALARMS, SYNCHRONIZED, makes_event
 from .state_parser import declares_state
@@ -64,8 +71,8 @@ if TYPE_CHECKING:
 
 _RESERVED_NAMES = frozenset(
     (
-        *OPERATORS,
-        *NO_EVENTS,
+        *PAIR_OPERATORS,
+        *RESERVED_EVENT_ARITIES,
         "event",
         "false",
         "new_event",
@@ -104,7 +111,7 @@ _FLOAT_NAMES = frozenset(("nan", "inf", "infinite"))
 
 
 _AMBIGUOUS_FORMS = frozenset(("word",))
-"""Form of the atoms ``nan`` and ``inf``: both atoms and floats, so it proves neither type."""
+"""Form of ``nan`` and ``inf``, which are both atoms and floats: a common form ``word`` alone proves nothing."""
 
 
 class ValueType(NamedTuple):
@@ -143,14 +150,14 @@ class ValueType(NamedTuple):
         return self.term is not _TIME or _may_be_instant(value)
 
 
-def _value_types(*table: Tuple[str, str, str]) -> Dict[str, ValueType]:
+def _create_value_types(*table: Tuple[str, str, str]) -> Dict[str, ValueType]:
     return {
         name: ValueType(atom(name), description, frozenset(forms.split()))
         for name, description, forms in table
     }
 
 
-VALUE_TYPES = _value_types(
+VALUE_TYPES = _create_value_types(
     ("any", "anything", "atom quoted word nil text integer float cons stamp compound"),
     ("atom", "an atom", "atom quoted word"),
     ("number", "a number", "integer float word"),
@@ -163,7 +170,7 @@ VALUE_TYPES = _value_types(
 )
 """Types that a declaration can name, except messages and ``list(Type)``."""
 
-SLOT_TYPES = _value_types(
+SLOT_TYPES = _create_value_types(
     ("list", "a list", "nil cons"),
     ("text", "a text", "quoted"),
     ("stamp", "a stamp [Sec,NSec]", "stamp"),
@@ -227,7 +234,7 @@ _MAX_LIST_DEPTH = 10
 
 def _parse_simple_type(term: Term) -> ValueType:
     if not isinstance(term, Atom):
-        raise UsageError(f"a type is {_value_type_notations()}")
+        raise UsageError(f"a type is {_list_type_notations()}")
     value_type = VALUE_TYPES.get(term.name)
     if value_type is not None:
         return value_type
@@ -235,10 +242,10 @@ def _parse_simple_type(term: Term) -> ValueType:
         return ValueType(term, f"a message {term.name}", frozenset(("compound", "atom")), None, term.name)
     suggestion = get_close_matches(term.name, VALUE_TYPES, 1)
     hint = f"; did you mean {suggestion[0]}?" if suggestion else ""
-    raise UsageError(f"there is no type {term.name}{hint or f': a type is {_value_type_notations()}'}")
+    raise UsageError(f"there is no type {term.name}{hint or f': a type is {_list_type_notations()}'}")
 
 
-def _value_type_notations() -> str:
+def _list_type_notations() -> str:
     return f"{', '.join(VALUE_TYPES)}, list(Type) or the name of a message's term"
 
 
@@ -280,6 +287,8 @@ def _may_be_instant(value: Term) -> bool:
 
 
 UNDECLARED = atom("undeclared_events")
+"""Name of the flag for events without a declaration."""
+
 STRICTLY = atom("error")
 """Value of the flag `UNDECLARED` that requires a declaration for every event."""
 
@@ -334,12 +343,12 @@ def parse_declarations(
     """
     stack = [(parent, 1)]
     while stack:
-        container, number = stack.pop()
-        term = deref(container[number])
+        container, position = stack.pop()
+        term = deref(container[position])
         if isinstance(term, tuple) and term[0] is COMMA:
             stack += [(term, 2), (term, 1)]
         else:
-            place = place_of(term) if isinstance(term, tuple) else place_of(container, number)
+            place = place_of(term) if isinstance(term, tuple) else place_of(container, position)
             yield _parse_declaration(term, place, place_of), place
 
 
@@ -355,8 +364,8 @@ def _parse_declaration(term: Term, place: Optional[Place], place_of: PlaceLookup
     if has_fixed_meaning(name):
         raise RuleError(f"{name} has a fixed meaning in rules: choose another name for the event", place)
     arguments: Dict[str, Argument] = {}
-    for number, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):
-        argument_place = place_of(term, number)
+    for position, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):
+        argument_place = place_of(term, position)
         pair = deref(part)
         argument_name = deref(pair[1]) if isinstance(pair, tuple) and pair[0] is COLON else None
         if not isinstance(pair, tuple) or not isinstance(argument_name, Atom):
@@ -430,7 +439,7 @@ class Declarations:
         )
         return f"{key} is not declared; {advice}"
 
-    def declaration_errors(
+    def find_errors(
         self, events: Iterable[EventTerm], place_of: PlaceLookup, variable_types: "VariableTypes"
     ) -> Iterator[RuleError]:
         """Yield an error for each misfit between events of one rule or clause and their declarations."""
@@ -439,12 +448,12 @@ class Declarations:
             stack = [event]
             while stack:
                 current = stack.pop()
-                for error in self._event_errors(current, place_of, variable_types, stack):
+                for error in self._find_event_errors(current, place_of, variable_types, stack):
                     if (error.message, error.place) not in reported:
                         reported.add((error.message, error.place))
                         yield error
 
-    def _event_errors(
+    def _find_event_errors(
         self,
         event: EventTerm,
         place_of: PlaceLookup,
@@ -473,14 +482,14 @@ class Declarations:
                 text = (
                     variable_types.add_occurrence(part.value, part.value_type, subject)
                     if is_var
-                    else self._type_error(part, subject, declaration)
+                    else self._explain_type_error(part, subject, declaration)
                 )
                 if text:
                     yield RuleError(text, place_of(part.parent, part.position) or place_of(term, position))
                 elif part.value_type is _EVENT and not is_var:
                     inner_events.append(EventTerm(part.value, part.parent, part.position))
 
-    def _type_error(self, part: ValuePart, subject: str, declaration: Optional[Declaration]) -> str:
+    def _explain_type_error(self, part: ValuePart, subject: str, declaration: Optional[Declaration]) -> str:
         """Return the error for a value that does not have its type, or ""."""
         if part.value_type.accepts(part.value):
             return ""
@@ -493,7 +502,7 @@ class Declarations:
         """Return the reason why an incoming event does not fit its declaration, or ""."""
         parent = (_EVENT_WRAPPER, term)
         # Values of one event are bound, so no variable can occur in two places: clashes need no report.
-        for error in self.declaration_errors(
+        for error in self.find_errors(
             [EventTerm(deref(term), parent, 1)], no_place, VariableTypes({}, False)
         ):
             return error.message
@@ -590,6 +599,8 @@ def _declaration_template(key: Functor) -> str:
 
 
 _DECLARED = functor("$declared_event", 1)
+"""Hidden predicate whose clauses are the declarations."""
+
 _ALWAYS_DECLARED = frozenset(functor(name, arity) for name, arity in (("null", 0), ("null_event", 0)))
 _NO_CLAUSES: List[Clause] = []
 
@@ -614,10 +625,10 @@ class DeclaredEvents:
         self._logic = logic
         self._flags = flags
         self._clauses: List[Clause] = _NO_CLAUSES
-        self._clause_count = self._dead_count = 0
-        self._read: Dict[Clause, List[Declaration]] = {}
+        self._clause_count = self._retracted_count = 0
+        self._parsed_clauses: Dict[Clause, List[Declaration]] = {}
         self._strict = False
-        self._current = Declarations(logic.brief)
+        self._current_declarations = Declarations(logic.brief)
         self.in_use = False
         self._is_external_event = is_external_event
         logic.define(DECLARE_EVENT.name, 1, self._declare)
@@ -626,20 +637,20 @@ class DeclaredEvents:
         """Return a copy of the present declarations; additions to it have no effect on others."""
         return Declarations(
             self._logic.brief,
-            self._read_clauses(),
+            self._parse_clauses(),
             self._flags.get(UNDECLARED.name) is STRICTLY,
             self._needs_no_declaration,
         )
 
-    def _read_clauses(self) -> Iterable[Declaration]:
+    def _parse_clauses(self) -> Iterable[Declaration]:
         predicate = self._logic.database.predicates.get(_DECLARED)
-        # The new dictionary keeps only clauses that still exist.
-        previous, self._read = self._read, {}
+        # The dictionary is created again, so that it contains only clauses that still exist.
+        previous, self._parsed_clauses = self._parsed_clauses, {}
         for clause in () if predicate is None else predicate.active_clauses():
             declarations = previous.get(clause)
             if declarations is None:
                 declarations = _parse_clause(clause)
-            self._read[clause] = declarations
+            self._parsed_clauses[clause] = declarations
             yield from declarations
 
     def _needs_no_declaration(self, key: Functor) -> bool:
@@ -666,7 +677,7 @@ class DeclaredEvents:
     def refusal(self, term: Term) -> str:
         """Return the reason why an event does not match its declaration, or "" if it matches."""
         predicate = self._logic.database.predicates.get(_DECLARED)
-        clauses, dead = (
+        clauses, retracted_count = (
             (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.retracted_count)
         )
         strict = self._flags.get(UNDECLARED.name) is STRICTLY
@@ -676,17 +687,17 @@ class DeclaredEvents:
         if (
             clauses is not self._clauses
             or clause_count != self._clause_count
-            or dead != self._dead_count
+            or retracted_count != self._retracted_count
             or strict != self._strict
         ):
-            self._clauses, self._clause_count, self._dead_count, self._strict = (
+            self._clauses, self._clause_count, self._retracted_count, self._strict = (
                 clauses,
                 clause_count,
-                dead,
+                retracted_count,
                 strict,
             )
-            self._current = self.current()
-        return self._current.refusal(term)
+            self._current_declarations = self.current()
+        return self._current_declarations.refusal(term)
 
     def require(self, pattern: Term) -> None:
         """Check a pattern or event in a goal.
@@ -703,6 +714,6 @@ def _parse_clause(clause: Clause) -> List[Declaration]:
     assert isinstance(clause.head, tuple)
     try:
         return [declaration for declaration, _ in parse_declarations(clause.head, no_place)]
-    # Asserted by the program under the hidden name, and not a declaration.
     except RuleError:
+        # The program itself has asserted a clause under the hidden name.
         return []

@@ -1,8 +1,8 @@
 """Table of event operators: the only list of the operators of the event language.
 
 This module registers the syntax of the operators with the Prolog reader (`EventSyntax`). The compiler of patterns
-takes their meaning from the table, explanations the reason why a pair did not match.
-A further operator between two patterns needs one more entry here.
+takes their meaning from the table; explanations take the reason why a pair did not match. A further operator between
+two patterns needs one more entry here.
 
 ``comparisons`` define when the intervals of a pair match. They are Python expressions over ``s1, e1, s2, e2``, the
 start and end of the left and the right side, with the relations of Allen's interval algebra (CACM 26, 1983). They are
@@ -37,8 +37,14 @@ class OperatorKind(Enum):
     TIMEOUT = "a pattern that must not happen for some time"
 
 
-class OperatorEntry(NamedTuple):
-    """A row of the table of patterns in the documentation: notation, condition, and interval of the result."""
+class PatternTableRow(NamedTuple):
+    """A row of the table of patterns in the documentation.
+
+    Attributes:
+        notation: the notation of the pattern.
+        matched: the condition under which it matches.
+        interval: the interval of the match.
+    """
 
     notation: str
     matched: str
@@ -99,7 +105,7 @@ class EventOperator(NamedTuple):
     notation: str = ""
     confused_words: Tuple[str, ...] = ()
     advice: str = ""
-    table_rows: Tuple[OperatorEntry, ...] = ()
+    table_rows: Tuple[PatternTableRow, ...] = ()
 
     @property
     def canonical_name(self) -> str:
@@ -139,7 +145,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1124,
         patterns=_GOAL,
         table_rows=(
-            OperatorEntry("`P do G`", "P happened, and G, which is called once, succeeded", "that of P"),
+            PatternTableRow("`P do G`", "P happened, and G, which is called once, succeeded", "that of P"),
         ),
     ),
     EventOperator(
@@ -148,14 +154,14 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1065,
         patterns=_GOAL,
         table_rows=(
-            OperatorEntry("`P with throttle(N)`", "P happened, at most once in N seconds", "that of P"),
-            OperatorEntry(
+            PatternTableRow("`P with throttle(N)`", "P happened, at most once in N seconds", "that of P"),
+            PatternTableRow(
                 "`P with burst(N)`", "P happened, and no other P ended in the N seconds before", "that of P"
             ),
-            OperatorEntry(
+            PatternTableRow(
                 "`P with debounce(N)`", "P happened, and no other P for N seconds after it", "[s,e+N]"
             ),
-            OperatorEntry(
+            PatternTableRow(
                 "`P with change(X)`", "P happened, and X differs from the X of the previous P", "that of P"
             ),
         ),
@@ -165,7 +171,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         OperatorKind.CONDITION,
         1060,
         patterns=_GOAL,
-        table_rows=(OperatorEntry("`P where G`", "P happened, and goal G has a solution", "that of P"),),
+        table_rows=(PatternTableRow("`P where G`", "P happened, and goal G has a solution", "that of P"),),
     ),
     EventOperator(
         "within",
@@ -174,7 +180,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         "xfy",
         patterns=_GOAL,
         functors=("within",),
-        table_rows=(OperatorEntry("`P within N`", "P happened and took less than N seconds", "that of P"),),
+        table_rows=(PatternTableRow("`P within N`", "P happened and took less than N seconds", "that of P"),),
     ),
     EventOperator(
         "or",
@@ -182,7 +188,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1053,
         signs=("\\/",),
         allows_event_name=False,
-        table_rows=(OperatorEntry("`P or Q`", "P or Q happened", "that of P or Q"),),
+        table_rows=(PatternTableRow("`P or Q`", "P or Q happened", "that of P or Q"),),
     ),
     EventOperator(
         "check",
@@ -191,7 +197,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         patterns=_GOAL,
         has_interval_predicates=True,
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P check G`, `P timestamp G`", "as `where`, with `t1(S)` and `t2(E)` inside G", "that of P"
             ),
         ),
@@ -206,7 +212,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         allows_fact_name=False,
         calls_for_all_solutions=True,
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P event_multiply G`", "P happened; one match for each solution of G", "that of P"
             ),
         ),
@@ -219,7 +225,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         comparisons=("s1 < e2", "s2 < e1", "s1 < e1", "s2 < e2"),
         no_match_text="no two of them overlap",
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P par Q`", "P and Q overlap by more than an instant", "from the first start to the last end"
             ),
         ),
@@ -231,7 +237,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         signs=("/\\",),
         allows_event_name=False,
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P and Q`", "P and Q happened, in any order", "from the first start to the last end"
             ),
         ),
@@ -244,10 +250,10 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         allows_fact_name=False,
         may_lie_between=True,
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`(P seq Q) cnot R`", "P happened, then Q, and no R entirely between them", "[s1,e2]"
             ),
-            OperatorEntry(
+            PatternTableRow(
                 "`P cnot R`, `P fnot R`", "P happened, and no R ended before P started", "that of P"
             ),
         ),
@@ -269,7 +275,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         no_match_text="none of the first ended before one of the second started",
         confused_words=("before", "after", "then", "followed_by"),
         advice='to say that one event ends before another starts, write "seq", the earlier one first',
-        table_rows=(OperatorEntry("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
+        table_rows=(PatternTableRow("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
     ),
     EventOperator(
         "forall_seq",
@@ -284,7 +290,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         can_share_event=False,
         joins_all_left=True,
         no_match_text="none of the first ended before one of the second started",
-        table_rows=(OperatorEntry("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
+        table_rows=(PatternTableRow("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
     ),
     EventOperator(
         "equals",
@@ -294,7 +300,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s1",
         end="e1",
         no_match_text="no two of them have the same interval",
-        table_rows=(OperatorEntry("`P equals Q`", "P and Q have the same interval", "that interval"),),
+        table_rows=(PatternTableRow("`P equals Q`", "P and Q have the same interval", "that interval"),),
     ),
     EventOperator(
         "meets",
@@ -304,7 +310,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s1",
         end="e2",
         no_match_text="none of the first ended when one of the second started",
-        table_rows=(OperatorEntry("`P meets Q`", "Q starts when P ends: e1 = s2", "[s1,e2]"),),
+        table_rows=(PatternTableRow("`P meets Q`", "Q starts when P ends: e1 = s2", "[s1,e2]"),),
     ),
     EventOperator(
         "during",
@@ -314,7 +320,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         start="s2",
         end="e2",
         no_match_text="none of the first lies within one of the second",
-        table_rows=(OperatorEntry("`P during Q`", "P lies within Q, ends included", "that of Q"),),
+        table_rows=(PatternTableRow("`P during Q`", "P lies within Q, ends included", "that of Q"),),
     ),
     EventOperator(
         "starts",
@@ -325,7 +331,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         end="e2",
         can_share_event=False,
         no_match_text="none of the first starts with one of the second and ends before it",
-        table_rows=(OperatorEntry("`P starts Q`", "P and Q start together, and P ends first", "that of Q"),),
+        table_rows=(
+            PatternTableRow("`P starts Q`", "P and Q start together, and P ends first", "that of Q"),
+        ),
     ),
     EventOperator(
         "finishes",
@@ -337,7 +345,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         can_share_event=False,
         no_match_text="none of the first ends with one of the second and starts after it",
         table_rows=(
-            OperatorEntry("`P finishes Q`", "P and Q end together, and P started later", "that of Q"),
+            PatternTableRow("`P finishes Q`", "P and Q end together, and P started later", "that of Q"),
         ),
     ),
     EventOperator(
@@ -348,7 +356,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         allows_event_name=False,
         allows_fact_name=False,
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`Q ntimes N`", "Q happened N times in sequence", "from the first start to the last end"
             ),
         ),
@@ -362,7 +370,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         functors=("star_times",),
         allows_event_name=False,
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P seq (Q star_times)`", "P happened, and again at each later Q", "[s1, end of the last Q]"
             ),
         ),
@@ -375,7 +383,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         allows_event_name=False,
         notation="aggregate(Kind, Pattern, Result)",
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P seq aggregate(K,Q,R)`",
                 "as `star_times`; R is computed from the Q so far",
                 "[s1, end of the last Q]",
@@ -389,7 +397,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         functors=("aggregate",),
         notation="aggregate(Kind, Pattern, Result, Window)",
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`aggregate(K,Q,R,W)`",
                 "Q happened, or window W ended; R is computed from the Q in W",
                 "that of these Q, or of W",
@@ -402,7 +410,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         patterns=(True, False),
         notation="absent(Pattern, Seconds)",
         table_rows=(
-            OperatorEntry(
+            PatternTableRow(
                 "`P seq absent(Q,N)`", "N seconds have passed since P ended, with no Q between", "[s1,e1+N]"
             ),
         ),
@@ -410,10 +418,10 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
 )
 """All event operators, the highest priority first, as ``current_op/3`` lists them."""
 
-EVENT_OPERATOR: Dict[str, EventOperator] = {operator.name: operator for operator in EVENT_OPERATORS}
+EVENT_OPERATORS_BY_NAME: Dict[str, EventOperator] = {operator.name: operator for operator in EVENT_OPERATORS}
 """Event operators by name."""
 
-OPERATORS: Dict[str, EventOperator] = {
+PAIR_OPERATORS: Dict[str, EventOperator] = {
     operator.name: operator for operator in EVENT_OPERATORS if operator.kind is OperatorKind.PAIR
 }
 """Operators between two patterns, by name."""
@@ -426,7 +434,7 @@ OPERATOR_NAMES: Dict[Functor, str] = {
     if operator.kind not in (OperatorKind.RULE, *_RUN_OPERATOR_KINDS)
     for key in operator.keys
 }
-"""Functor of a term -> the name of the operator that it denotes within a pattern."""
+"""Names of the operators that terms denote within a pattern, by the functors of the terms."""
 
 RUN_OPERATORS: Dict[Functor, EventOperator] = {
     key: operator
@@ -434,14 +442,14 @@ RUN_OPERATORS: Dict[Functor, EventOperator] = {
     if operator.kind in _RUN_OPERATOR_KINDS
     for key in operator.keys
 }
-"""Functor of a term -> the operator that it denotes as the right side of a sequence, and only there."""
+"""Operators that terms denote as the right side of a sequence, and only there, by the functors of the terms."""
 
 ARROWS = frozenset(
     key for operator in EVENT_OPERATORS if operator.canonical_name == "<-" for key in operator.keys
 )
 """Functors of rules with a head and a pattern."""
 
-NO_EVENTS = {
+RESERVED_EVENT_ARITIES = {
     operator.name: len(operator.patterns) for operator in EVENT_OPERATORS if not operator.allows_event_name
 }
 """Names that events cannot have with this number of arguments; with another number, they are events."""
@@ -455,7 +463,7 @@ FUNCTIONAL_FORMS = tuple(
 """Name, number of arguments and notation of the operators in functional notation only."""
 
 
-def _notations() -> Dict[str, str]:
+def _build_notations() -> Dict[str, str]:
     texts: Dict[str, str] = {}
     for name, count, notation in FUNCTIONAL_FORMS:
         arity_text = f"{texts[name]}, or {count}" if name in texts else f"takes {counted(count, 'argument')}"
@@ -463,10 +471,10 @@ def _notations() -> Dict[str, str]:
     return texts
 
 
-NOTATIONS = _notations()
+NOTATIONS = _build_notations()
 """Notation of the operators in functional notation only, in words, by name."""
 
-NO_FACTS = frozenset(
+RESERVED_FACT_FUNCTORS = frozenset(
     key for operator in EVENT_OPERATORS if not operator.allows_fact_name for key in operator.keys[:1]
 )
 """Functors of facts that were meant as rules, because no fact can have the name."""

@@ -18,11 +18,11 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import CONS, Atom, CompoundTerm, Term, Var, deref, functor
 from .event_operators import (
     ARROWS,
-    EVENT_OPERATOR,
+    EVENT_OPERATORS_BY_NAME,
     FUNCTIONAL_FORMS,
-    NO_EVENTS,
     NOTATIONS,
     OPERATOR_NAMES,
+    RESERVED_EVENT_ARITIES,
     RUN_OPERATORS,
     OperatorKind,
     names_of_kind,
@@ -74,8 +74,8 @@ _EVENT_WARNINGS: Dict[Any, str] = {
         for name in ("true", "fail", "false", "!")
     },
 }
-_ARITIES = {
-    **NO_EVENTS,
+_RESERVED_ARITIES = {
+    **RESERVED_EVENT_ARITIES,
     "prolog": 1,
     "exceptionAlarm": 2,
     "exceptionAlarmAbsoluteDatime": 2,
@@ -138,7 +138,7 @@ def _misspelling_warning(term: Any) -> Optional[str]:
 def arity_warning(term: Any) -> Optional[str]:
     """Return the warning for a term with a special name but another number of arguments, or None."""
     name, count = term[0].name, len(term) - 1
-    expected = _ARITIES.get(name)
+    expected = _RESERVED_ARITIES.get(name)
     if expected is None and name in _SPECIAL_HEAD_NAMES:
         expected = _SPECIAL_HEADS[name][0]
     if expected is None or expected == count or (count == expected + 1 and name in _HEADS_WITH_OPTIONS):
@@ -168,7 +168,7 @@ def head_error(head: Any, operator: Optional[str]) -> Optional[str]:
     """Return the reason why a compound term, which may be a pattern operator, cannot be a rule head, or None."""
     if operator == "do":
         return "a head has one do: Head do (Goal, Goal)"
-    if operator in NO_EVENTS and head[0].name.isidentifier():
+    if operator in RESERVED_EVENT_ARITIES and head[0].name.isidentifier():
         return f"{_SINGLE_HEAD}; {operator} is a pattern operator"
     return _HEAD_ERRORS.get(head[0])
 
@@ -179,10 +179,10 @@ def head_warning(head: Any, operator: Optional[str]) -> Optional[str]:
         return f"no pattern can match this event: in patterns {head[0].name} is an operator"
     if len(head) == 3 and head[0].name in _COMPARISONS:
         return _CONDITION_WARNING
-    return arity_warning(head) if head[0].name in _SPECIAL_HEAD_NAMES else _similar_special_head(head)
+    return arity_warning(head) if head[0].name in _SPECIAL_HEAD_NAMES else _special_head_warning(head)
 
 
-def _similar_special_head(head: Any) -> Optional[str]:
+def _special_head_warning(head: Any) -> Optional[str]:
     """Return a warning if the name of a head resembles that of a special head, or None."""
     folded_name = head[0].name.lower().replace("_", "")
     for special_name, (arity, notation) in _SPECIAL_HEADS.items():
@@ -214,21 +214,20 @@ def uncovered_gap_warning(
     """
     operator = OPERATOR_NAMES[term[0]]
     outer_conditions: List[Tuple[str, Term]] = []
-    core: Any = deref(term[1])
-    while core.__class__ is tuple and _is_condition(core):
-        outer_conditions.append((OPERATOR_NAMES[core[0]], core[2]))
-        core = deref(core[1])
+    sequence: Any = deref(term[1])
+    while sequence.__class__ is tuple and _is_condition(sequence):
+        outer_conditions.append((OPERATOR_NAMES[sequence[0]], sequence[2]))
+        sequence = deref(sequence[1])
     # Parentheses leave no trace in the term, only in the places of its parts; a rule that was built by a goal has
     # none, so it gets no warning.
-    if core.__class__ is not tuple or place_of(core) is None:
-        # A rule that was built as a term has no places at all.
+    if sequence.__class__ is not tuple or place_of(sequence) is None:
         return None
-    parts = _repetitions(core) or _parts_without_parentheses(core, place_of)
+    parts = _parts_of_repetition(sequence) or _parts_without_parentheses(sequence, place_of)
     if len(parts) < 3:
         return None
-    texts = [_pattern_text(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
-    negated = _pattern_text(term[2], names)
-    last_text = _pattern_text(parts[-1], names)
+    texts = [_format_pattern(part, names) for part in parts[:_MAX_SHOWN_PARTS]]
+    negated = _format_pattern(term[2], names)
+    last_text = _format_pattern(parts[-1], names)
     gap = f"the gap before the last part of the sequence, {beginning(last_text)}"
     message = f"{operator} covers only {gap}: {beginning(negated)} in an earlier gap does not prevent a match"
     is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last_text, negated))
@@ -242,17 +241,17 @@ def uncovered_gap_warning(
     if outer_conditions and len(parts) <= _MAX_SHOWN_PARTS:
         inner_text = covering_text[: -len(f" {operator} {negated}")]
         for name, argument in reversed(outer_conditions):
-            inner_text = f"({inner_text} {name} {_pattern_text(argument, names)})"
+            inner_text = f"({inner_text} {name} {_format_pattern(argument, names)})"
         covering_text = f"{inner_text} {operator} {negated}"
     if len(parts) > _MAX_SHOWN_PARTS:
         covering_text += f" and so on up to the last of {len(parts)} parts"
     advice = f"{message}; for none in any gap write {covering_text}"
-    grouped_text = _text_grouped_before_last(core, parts, names)
+    grouped_text = _format_grouped_before_last(sequence, parts, names)
     return f"{advice}; if only the last gap is meant, write {grouped_text} {operator} {negated}"
 
 
 def _is_condition(term: CompoundTerm) -> bool:
-    kind = EVENT_OPERATOR[OPERATOR_NAMES[term[0]]].kind if term[0] in OPERATOR_NAMES else None
+    kind = EVENT_OPERATORS_BY_NAME[OPERATOR_NAMES[term[0]]].kind if term[0] in OPERATOR_NAMES else None
     return kind in (OperatorKind.CONDITION, OperatorKind.LIMIT)
 
 
@@ -260,16 +259,16 @@ def _operator_name(term: Any) -> Optional[str]:
     return OPERATOR_NAMES.get(term[0]) if term.__class__ is tuple else None
 
 
-def _repetitions(core: CompoundTerm) -> List[Term]:
+def _parts_of_repetition(sequence: CompoundTerm) -> List[Term]:
     """Return the parts of ``Q ntimes N``, or an empty list for another pattern."""
-    times = deref(core[2]) if _operator_name(core) == "ntimes" else None
-    return [deref(core[1])] * times if times.__class__ is int else []
+    times = deref(sequence[2]) if _operator_name(sequence) == "ntimes" else None
+    return [deref(sequence[1])] * times if times.__class__ is int else []
 
 
-def _parts_without_parentheses(core: CompoundTerm, place_of: Callable[..., Any]) -> List[Term]:
+def _parts_without_parentheses(sequence: CompoundTerm, place_of: Callable[..., Any]) -> List[Term]:
     """Return the parts of a sequence without parentheses."""
     parts: List[Term] = []
-    node: Any = core
+    node: Any = sequence
     while _operator_name(node) == "seq" and not _is_goal_or_run(deref(node[2])):
         parts.append(deref(node[2]))
         # The place of a term is that of its first token. An inner sequence in parentheses begins one character after
@@ -293,22 +292,22 @@ def _is_goal_or_run(term: Any) -> bool:
 
 def _depends_on_later_parts(negated: Term, parts: List[Term]) -> bool:
     """Return whether an absent pattern has variables that are bound after the first gap."""
-    early = {*variables(parts[0]), *variables(parts[1])}
-    late = {var for part in parts[2:] for var in variables(part)} - early
-    return not late.isdisjoint(variables(negated))
+    early_vars = {*variables(parts[0]), *variables(parts[1])}
+    later_vars = {var for part in parts[2:] for var in variables(part)} - early_vars
+    return not later_vars.isdisjoint(variables(negated))
 
 
-def _text_grouped_before_last(core: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
+def _format_grouped_before_last(sequence: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
     """Return the text of the sequence with parentheses before its last gap."""
-    last_text = _pattern_text(parts[-1], names)
-    if _operator_name(core) == "ntimes":
+    last_text = _format_pattern(parts[-1], names)
+    if _operator_name(sequence) == "ntimes":
         return f"(({last_text} ntimes {len(parts) - 1}) seq {last_text})"
     if len(parts) > _MAX_SHOWN_PARTS:
         return f"((...) seq {last_text})"
-    return f"(({' seq '.join(_pattern_text(part, names) for part in parts[:-1])}) seq {last_text})"
+    return f"(({' seq '.join(_format_pattern(part, names) for part in parts[:-1])}) seq {last_text})"
 
 
-def _pattern_text(term: Term, names: Mapping[Var, str]) -> str:
+def _format_pattern(term: Term, names: Mapping[Var, str]) -> str:
     """Return the text of a pattern as a part of another one."""
     # Variables that occur once have no name; they are shown as ``_``.
     anonymous = {var: "_" for var in variables(term) if var not in names}

@@ -20,7 +20,7 @@ from ..streams.aggregates import AGGREGATES, SEQUENCE_AGGREGATES
 from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
-    EVENT_OPERATOR,
+    EVENT_OPERATORS_BY_NAME,
     OPERATOR_NAMES,
     RUN_OPERATORS,
     EventOperator,
@@ -52,7 +52,7 @@ from .pattern_tree import (
 from .stream_parser import is_event, parse_rate_operator, parse_window, regroup_rate_operator
 
 PlaceLookup = Callable[..., Optional[Place]]
-"""Returns the place of a compound term: that of its functor, or that of the argument with a given number."""
+"""Takes a compound term, and optionally the position of an argument; returns the place of its functor or argument."""
 
 
 def no_place(part: Term, position: int = 0) -> Optional[Place]:
@@ -122,8 +122,7 @@ class PatternReader:
             self.nested_rules.append(term)
             return self._read_event(term, 1)
         name = OPERATOR_NAMES.get(head)
-        # Programs older than an operator may use its name for events; `is_event` tells the two apart by the
-        # arguments.
+        # Programs older than an operator may use its name for events; `is_event` distinguishes them by the arguments.
         if name is None or is_event(term):
             run = None if is_event(term) else RUN_OPERATORS.get(head)
             if run is None:
@@ -132,38 +131,42 @@ class PatternReader:
             message = f"{subject} can only be the right side of a {SEQ}"
             if run.kind is OperatorKind.AGGREGATE:
                 message += ", or has a window: aggregate(K, Q, R, last(60))"
-            raise self.error(message, term)
-        return self._parsers[EVENT_OPERATOR[name].kind](self, name, term)
+            raise self.create_error(message, term)
+        return self._parsers[EVENT_OPERATORS_BY_NAME[name].kind](self, name, term)
 
     def _parse_pair(self, name: str, term: CompoundTerm) -> Pattern:
         if name == SEQ:
             return self._parse_sequence(term)
-        return PairPattern(name, self.operand(term, 1, name), self.operand(term, 2, name))
+        return PairPattern(name, self.read_operand(term, 1, name), self.read_operand(term, 2, name))
 
     def _reject_operator(self, name: str, term: CompoundTerm) -> Pattern:
-        raise self.error(
+        raise self.create_error(
             f"there is no operator {name}; use {_ABSENCE_OPERATORS} for the absence of an event", term
         )
 
     def _parse_time_limit(self, name: str, term: CompoundTerm) -> WithinPattern:
         # The bound is exclusive in the language and inclusive in the network, hence one nanosecond less.
-        return WithinPattern(self.operand(term, 1, name), self.span(name, term) - 1)
+        return WithinPattern(self.read_operand(term, 1, name), self.read_span(name, term) - 1)
 
     def _parse_condition(self, name: str, term: CompoundTerm) -> ConditionPattern:
-        pattern = self.operand(term, 1, name)
+        pattern = self.read_operand(term, 1, name)
         return ConditionPattern(
-            pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].has_interval_predicates
+            pattern, self.read_goal(term, 2, name), EVENT_OPERATORS_BY_NAME[name].has_interval_predicates
         )
 
     def _parse_action(self, name: str, term: CompoundTerm) -> ActionPattern:
-        pattern = self.operand(term, 1, name)
-        return ActionPattern(pattern, self.goal(term, 2, name), EVENT_OPERATOR[name].calls_for_all_solutions)
+        pattern = self.read_operand(term, 1, name)
+        return ActionPattern(
+            pattern, self.read_goal(term, 2, name), EVENT_OPERATORS_BY_NAME[name].calls_for_all_solutions
+        )
 
-    def operand(self, parent: CompoundTerm, position: int, operator: str) -> Pattern:
+    def read_operand(self, parent: CompoundTerm, position: int, operator: str) -> Pattern:
         """Return the pattern of an operand; see `read`."""
         term = deref(parent[position])
         if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
-            raise self.error(f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term)
+            raise self.create_error(
+                f"{term[0].name}(Goal) can only be an operand of {SEQ}, not of {operator}", term
+            )
         return self.read(parent, position)
 
     def _read_event(self, parent: CompoundTerm, position: int) -> EventPattern:
@@ -171,10 +174,12 @@ class PatternReader:
         if term.__class__ not in (tuple, Atom, Var):
             class_name = "a string" if term.__class__ is String else "a number"
             message = f"an event is an atom or a compound term, not {class_name}"
-            raise self.error(message, parent, position)
+            raise self.create_error(message, parent, position)
         warning = event_warning(term)
         if warning is not None:
-            self._warn(self.error(warning, *((parent, position) if term.__class__ is Atom else (term, 0))))
+            self._warn(
+                self.create_error(warning, *((parent, position) if term.__class__ is Atom else (term, 0)))
+            )
         self.events.append(EventTerm(term, parent, position))
         return EventPattern(term)
 
@@ -184,7 +189,7 @@ class PatternReader:
         right_goal = self._parse_goal_operand(right)
         # A goal beside ``seq`` is a condition on the other operand. With two goals no event would ever start a match.
         if left_goal is not None and right_goal is not None:
-            raise self.error("a sequence of two goals does not wait for any event", term)
+            raise self.create_error("a sequence of two goals does not wait for any event", term)
         if right_goal is not None:
             return ConditionPattern(self.read(term, 1), right_goal, False)
         if left_goal is not None:
@@ -195,16 +200,18 @@ class PatternReader:
             if run.kind is OperatorKind.AGGREGATE:
                 return self._parse_aggregate(first, right, run)
             if run.kind is OperatorKind.TIMEOUT:
-                return AbsencePattern(first, self.operand(right, 1, run.name), self.span(run.name, right))
-            return KleenePattern(first, self.operand(right, 1, run.name))
+                return AbsencePattern(
+                    first, self.read_operand(right, 1, run.name), self.read_span(run.name, right)
+                )
+            return KleenePattern(first, self.read_operand(right, 1, run.name))
         if right.__class__ is tuple and right[0].name == _ABSENT:
             notation = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
-            self._warn(self.error(f"this is an ordinary event; {notation}", right))
+            self._warn(self.create_error(f"this is an ordinary event; {notation}", right))
         return PairPattern(SEQ, first, self.read(term, 2))
 
     def _parse_goal_operand(self, term: Term) -> Optional[Term]:
         if term.__class__ is tuple and term[0] in _GOAL_OPERANDS:
-            return self.goal(term, 1, term[0].name)
+            return self.read_goal(term, 1, term[0].name)
         return None
 
     def _parse_aggregate(
@@ -215,10 +222,10 @@ class PatternReader:
         arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
         if name not in SEQUENCE_AGGREGATES or SEQUENCE_AGGREGATES[name].arity != arity:
             forms = ", ".join(function.notation for function in SEQUENCE_AGGREGATES.values())
-            raise self.error(
+            raise self.create_error(
                 f"there is no such aggregate; the aggregates are {forms}", function_term if arity else term
             )
-        collected = self.operand(term, 2, operator.name)
+        collected = self.read_operand(term, 2, operator.name)
         value = deref(function_term[1]) if function_term.__class__ is tuple else None
         aggregate = AggregatePattern(first, name, value, collected, deref(term[3]))
         self.aggregates.append((aggregate, term))
@@ -235,7 +242,7 @@ class PatternReader:
             if branch.__class__ is tuple and OPERATOR_NAMES.get(branch[0]) == name:
                 pending += [(branch, 2), (branch, 1)]
             else:
-                branches.append(self.operand(parent, position, name))
+                branches.append(self.read_operand(parent, position, name))
         return OrPattern(tuple(branches))
 
     def _parse_window(self, name: str, term: CompoundTerm) -> WindowPattern:
@@ -247,12 +254,12 @@ class PatternReader:
         regrouped = regroup_rate_operator(term)
         if regrouped is not None:
             return self.read((term[0], regrouped), 1)
-        return parse_rate_operator(term, self.operand(term, 1, "with"), self.error)
+        return parse_rate_operator(term, self.read_operand(term, 1, "with"), self.create_error)
 
     def _parse_absence(self, name: str, term: CompoundTerm) -> NotPattern:
-        pattern = self.operand(term, 1, name)
-        negated = self.operand(term, 2, name)
-        is_between = EVENT_OPERATOR[name].may_lie_between
+        pattern = self.read_operand(term, 1, name)
+        negated = self.read_operand(term, 2, name)
+        is_between = EVENT_OPERATORS_BY_NAME[name].may_lie_between
         inside = is_between and _is_sequence(pattern)
         if is_between and not inside:
             message = (
@@ -260,7 +267,7 @@ class PatternReader:
                 f"(write {_ABSENCE_BEFORE_OPERATORS}); "
                 f"for no R between two events write (P {SEQ} Q) {name} R"
             )
-            self._warn(self.error(message, term))
+            self._warn(self.create_error(message, term))
         if inside:
             self.absences.append(term)
         return NotPattern(pattern, negated, inside)
@@ -268,10 +275,10 @@ class PatternReader:
     def _parse_repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
         if times.__class__ is not int or times < 1:
-            raise self.error(f"{name} needs a positive integer", term, 2)
+            raise self.create_error(f"{name} needs a positive integer", term, 2)
         if times > MAX_REPETITIONS:
-            raise self.error(f"{name} takes at most {MAX_REPETITIONS} repetitions", term, 2)
-        pattern = self.operand(term, 1, name)
+            raise self.create_error(f"{name} takes at most {MAX_REPETITIONS} repetitions", term, 2)
+        pattern = self.read_operand(term, 1, name)
         if times == 1:
             return pattern
         # Each ``_`` stands for a different value in each repetition, so each repetition gets fresh variables; named
@@ -279,18 +286,18 @@ class PatternReader:
         fresh_variables = tuple([var for var in bound_by(pattern, True) if var in self._anonymous])
         renaming = {var: Var() for var in fresh_variables}
         self._anonymous |= set(renaming.values())
-        # The last repetition is kept apart: the node of the first ones then is an ordinary left operand, and a
-        # ``cnot`` covers the gap before the last one.
+        # The last repetition is a separate operand: ``cnot`` covers the gap between the operands of a sequence, which
+        # then is the gap before the last repetition.
         last = substitute_variables(pattern, renaming) if renaming else pattern
         repeated = RepeatedPattern(pattern, times - 1, fresh_variables)
         if times > MAX_COMPOSED_REPETITIONS and not repeated.repeats_single_events():
             message = (
                 f"{name} takes at most {MAX_COMPOSED_REPETITIONS} repetitions of a pattern of several events"
             )
-            raise self.error(message, term, 2)
+            raise self.create_error(message, term, 2)
         return PairPattern(SEQ, pattern if times == 2 else repeated, last)
 
-    def span(self, name: str, term: CompoundTerm) -> int:
+    def read_span(self, name: str, term: CompoundTerm) -> int:
         """Return the second argument of a term, a number of seconds, in nanoseconds.
 
         Raises:
@@ -298,12 +305,12 @@ class PatternReader:
         """
         seconds = deref(term[2])
         if seconds.__class__ not in (int, float) or not seconds > 0 or seconds == float("inf"):
-            raise self.error(
+            raise self.create_error(
                 f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, 2
             )
         return from_seconds(seconds)
 
-    def goal(self, parent: CompoundTerm, position: int, operator: str) -> Term:
+    def read_goal(self, parent: CompoundTerm, position: int, operator: str) -> Term:
         """Return the goal in argument ``position`` of a term, and record its calls.
 
         Raises:
@@ -311,13 +318,16 @@ class PatternReader:
         """
         for call in calls(parent, position):
             if call.term.__class__ not in (tuple, Atom, Var):
-                raise self.error(f"{operator} needs a goal", call.parent, call.position)
+                raise self.create_error(f"{operator} needs a goal", call.parent, call.position)
             self.goals.append(call)
-        if operator not in EVENT_OPERATOR or not EVENT_OPERATOR[operator].has_interval_predicates:
+        if (
+            operator not in EVENT_OPERATORS_BY_NAME
+            or not EVENT_OPERATORS_BY_NAME[operator].has_interval_predicates
+        ):
             self.interval_calls += required_interval_calls(parent, position)
         return deref(parent[position])
 
-    def error(self, message: str, term: Term, position: int = 0) -> RuleError:
+    def create_error(self, message: str, term: Term, position: int = 0) -> RuleError:
         """Return an error at a term, or at one of its arguments."""
         return RuleError(message, self.place(term, position))
 
@@ -333,7 +343,7 @@ class PatternReader:
         OperatorKind.WINDOW: _parse_window,
         OperatorKind.RATE: _parse_rate_operator,
     }
-    """Parsing method for each kind of operator."""
+    """Parsing methods, by the kind of the operator."""
 
 
 def _is_sequence(pattern: Pattern) -> bool:
@@ -364,11 +374,11 @@ def check_aggregate(
     Raises:
         RuleError: if a numeric aggregate gets a value that can never be a number.
     """
-    first, collected = set(bound_by(aggregate.first)), set(bound_by(aggregate.collected))
-    mentioned = [] if aggregate.value is None else variables(aggregate.value)
-    unbound = [var for var in mentioned if var not in first and var not in collected]
-    numeric = AGGREGATES[aggregate.kind].is_numeric
-    if not numeric:
+    first_vars, collected_vars = set(bound_by(aggregate.first)), set(bound_by(aggregate.collected))
+    value_vars = [] if aggregate.value is None else variables(aggregate.value)
+    unbound = [var for var in value_vars if var not in first_vars and var not in collected_vars]
+    is_numeric = AGGREGATES[aggregate.kind].is_numeric
+    if not is_numeric:
         # An aggregate of terms may collect a variable that another part of the pattern binds later; only a variable
         # that occurs nowhere else stays unbound.
         counts = occurrences([], pattern)
@@ -380,13 +390,16 @@ def check_aggregate(
             f"neither what {aggregate.kind} collects nor what comes before it binds it"
         )
         error = RuleError(message, place_of(deref(term[1])))
-        if numeric:
+        if is_numeric:
             raise error
         warn(error)
-    if aggregate.value is not None and numeric and not _may_be_numeric(aggregate.value):
+    if aggregate.value is not None and is_numeric and not _may_be_numeric(aggregate.value):
         raise RuleError(f"{aggregate.kind} needs numbers or arithmetic expressions", place_of(deref(term[1])))
-    # The result would be unified with each collected value, so only equal ones would be reported.
-    if aggregate.result.__class__ is Var and aggregate.result in (collected | set(mentioned)) - first:
+    # The variable is already bound to a collected value when it is unified with the result.
+    if (
+        aggregate.result.__class__ is Var
+        and aggregate.result in (collected_vars | set(value_vars)) - first_vars
+    ):
         name = names.get(aggregate.result, "a variable")
         message = (
             f"{name} is both a collected value and the result of {aggregate.kind}, "
@@ -396,7 +409,7 @@ def check_aggregate(
 
 
 def check_window(
-    windowed: WindowPattern,
+    window_pattern: WindowPattern,
     term: Any,
     rule: Term,
     names: Mapping[Var, str],
@@ -406,7 +419,7 @@ def check_window(
     """Check the measured values of a window, and warn about values that also partition it.
 
     Args:
-        windowed: the aggregate over a window.
+        window_pattern: the aggregate over a window.
         term: the aggregate as it is written.
         rule: the rule as it is written.
         names: names of the variables.
@@ -416,13 +429,14 @@ def check_window(
     Raises:
         RuleError: if a numeric measure gets a value that can never be a number.
     """
-    for kind, value in zip(windowed.kinds, windowed.values):
-        if value is not None and AGGREGATES[kind].is_numeric and not _may_be_numeric(value):
+    for aggregate_name, value in zip(window_pattern.kinds, window_pattern.values):
+        if value is not None and AGGREGATES[aggregate_name].is_numeric and not _may_be_numeric(value):
             raise RuleError(
-                f"{kind} needs numbers or arithmetic expressions", place_of(deref(term[1])) or place_of(term)
+                f"{aggregate_name} needs numbers or arithmetic expressions",
+                place_of(deref(term[1])) or place_of(term),
             )
-    measured = [value for value in windowed.values if value is not None]
-    inside_counts = occurrences([*measured, *windowed.window.goals], windowed.collected)
+    measured = [value for value in window_pattern.values if value is not None]
+    inside_counts = occurrences([*measured, *window_pattern.window.goals], window_pattern.collected)
     rule_counts = occurrences([rule], None)
     for var in dict.fromkeys(variable for value in measured for variable in variables(value)):
         # A window has one partition for each binding of the variables that occur outside of it.

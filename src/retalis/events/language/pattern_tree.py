@@ -36,7 +36,7 @@ class EventPattern(NamedTuple):
 
 
 class PairPattern(NamedTuple):
-    """Two patterns that are joined by an operator of `OPERATORS`."""
+    """Two patterns that are joined by an operator of `PAIR_OPERATORS`."""
 
     operator: str
     left: "Pattern"
@@ -297,9 +297,9 @@ def always_bound_by(pattern: Pattern, conditions: bool = True, empty: bool = Fal
     if isinstance(pattern, KleenePattern) or (empty and isinstance(pattern, AggregatePattern)):
         # Zero repetitions are a match as well, and bind nothing.
         return always_bound_by(pattern.first, conditions, empty)
-    # A condition binds variables when it is solved, which may be after the match was stored under its key.
-    counts = conditions or not isinstance(pattern, ConditionPattern)
-    bound = {var for term in own_terms(pattern) for var in variables(term)} if counts else set()
+    # The key of a stored match may need the variables before the condition is solved and binds them.
+    is_counted = conditions or not isinstance(pattern, ConditionPattern)
+    bound = {var for term in own_terms(pattern) for var in variables(term)} if is_counted else set()
     for child in children(pattern, False):
         bound |= always_bound_by(child, conditions, empty)
     return bound
@@ -324,7 +324,7 @@ def own_terms(node: Pattern) -> List[Term]:
 def walk(pattern: Pattern, negated: bool = False) -> List[Pattern]:
     """Return the nodes of a pattern from left to right; with ``negated`` also those of negated patterns."""
     nodes: List[Pattern] = []
-    # No recursion: sequences of thousands of events are nested that deep.
+    # A stack, no recursion: a sequence of thousands of events is nested that deep.
     stack = [pattern]
     while stack:
         node = stack.pop()
@@ -334,7 +334,7 @@ def walk(pattern: Pattern, negated: bool = False) -> List[Pattern]:
 
 
 def children(node: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
-    """Return the children of a node, from left to right."""
+    """Return the children of a node, from left to right; with ``negated`` also a negated pattern."""
     if isinstance(node, PairPattern):
         return (node.left, node.right)
     if isinstance(node, OrPattern):
@@ -352,27 +352,29 @@ def children(node: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
     return ()
 
 
-def same_rule_key(head: Optional[Term], pattern: Pattern) -> Hashable:
+def rule_key(head: Optional[Term], pattern: Pattern) -> Hashable:
     """Return a key that is equal for rules that differ only in names of variables and spellings of operators."""
-    return variant_key((functor("<-", 2), functor("none", 0) if head is None else head, _as_term(pattern)))
+    return variant_key(
+        (functor("<-", 2), functor("none", 0) if head is None else head, _pattern_key_term(pattern))
+    )
 
 
-def _as_term(pattern: Pattern) -> Term:
+def _pattern_key_term(pattern: Pattern) -> Term:
     terms: List[Term] = []
     for node in walk(pattern, True):
-        name, numbers = _discriminator(node)
-        terms.append((functor(name, 0), *numbers, *own_terms(node), *_conditions_of_steps(node)))
+        name, numbers = _distinguishing_name_and_numbers(node)
+        terms.append((functor(name, 0), *numbers, *own_terms(node), *_step_conditions(node)))
     return (functor("pattern", 0), *terms)
 
 
-def _conditions_of_steps(node: Pattern) -> List[Term]:
+def _step_conditions(node: Pattern) -> List[Term]:
     steps = node.window.steps if isinstance(node, WindowPattern) else ()
-    # A placeholder keeps the positions of the conditions distinct: a ``where`` is no ``until``.
+    # A missing condition has a placeholder, so that a ``where`` never stands at the position of an ``until``.
     none = functor("none", 1)(0)
     return [none if goal is None else goal for step in steps for goal in (step.goal, step.until)]
 
 
-def _discriminator(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
+def _distinguishing_name_and_numbers(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
     """Return a name and numbers that distinguish a node from others with the same terms."""
     if isinstance(node, PairPattern):
         return node.operator, ()
@@ -386,10 +388,10 @@ def _discriminator(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
         # Only the plain fields of steps: their conditions are terms, and compared as such.
         name += "".join(map(repr, (*(step[:5] for step in node.window.steps), *node.scopes)))
         return name, (*node.window[1:4], int(node.window.running), int(node.is_listed))
-    return type(node).__name__, _numbers(node)
+    return type(node).__name__, _distinguishing_numbers(node)
 
 
-def _numbers(node: Pattern) -> Tuple[int, ...]:
+def _distinguishing_numbers(node: Pattern) -> Tuple[int, ...]:
     if isinstance(node, RepeatedPattern):
         return (node.times,)
     if isinstance(node, OrPattern):
@@ -452,16 +454,16 @@ class RuleDefinition(NamedTuple):
     @property
     def key(self) -> Hashable:
         """Key that is equal for rules that differ only in names of variables, spellings and labels."""
-        return same_rule_key(self.head, self.pattern)
+        return rule_key(self.head, self.pattern)
 
     @property
     def unused(self) -> FrozenSet[Var]:
-        """Variables with one occurrence, if each position in the rule is matched once."""
+        """Variables with one occurrence; none if parts of the rule are repeated."""
+        # A variable with one occurrence in a repeated part still joins the events of the repetitions.
         if any(
             isinstance(node, (RepeatedPattern, KleenePattern, AggregatePattern, WindowPattern))
             for node in walk(self.pattern, negated=True)
         ):
             return frozenset()
-        # In repeated nodes, one occurrence in the text joins several events, so its binding matters.
         counts = occurrences([self.term], None)
         return frozenset(var for var, count in counts.items() if count == 1)

@@ -31,6 +31,7 @@ WORD_PROPERTIES: Dict[str, Tuple[str, ...]] = {
     "after_match": ("keep", "skip_past_last", "skip_to_next"),
 }
 """Properties whose value is one of several words. If a property is set twice, the last value holds."""
+
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", *WORD_PROPERTIES)
 _LABEL_FORM = "a label is an atom, or Label([property(Name, Value), ...])"
 
@@ -43,26 +44,26 @@ class Property(NamedTuple):
     value: Term
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """True if a property with this name exists."""
         return self.name in KNOWN_PROPERTIES
 
     @property
-    def number(self) -> float:
+    def numeric_value(self) -> float:
         """The value of a valid numeric property."""
         value = self.value
         assert isinstance(value, (int, float))
         return value
 
     @property
-    def word(self) -> Optional[str]:
+    def word_value(self) -> Optional[str]:
         """The value of a valid property of `WORD_PROPERTIES`; None for a number."""
         return self.value.name if self.name in WORD_PROPERTIES and isinstance(self.value, Atom) else None
 
     @property
-    def problem(self) -> Optional[str]:
+    def error_text(self) -> Optional[str]:
         """Error in the property, or None."""
-        if not self.known:
+        if not self.is_known:
             names = ", ".join(KNOWN_PROPERTIES)
             hint = suggestion(self.name, KNOWN_PROPERTIES)
             return f"there is no property {self.name}; the properties are {names}{hint}"
@@ -72,14 +73,14 @@ class Property(NamedTuple):
             return (
                 None
                 if value in words
-                else f"property {self.name} is {_alternatives_text(words)}{suggestion(value, words)}"
+                else f"property {self.name} is {_join_alternatives(words)}{suggestion(value, words)}"
             )
         if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
             return f"property {self.name} needs a number of seconds, 0 or more"
         return None
 
 
-def _alternatives_text(words: Tuple[str, ...]) -> str:
+def _join_alternatives(words: Tuple[str, ...]) -> str:
     return f"{', '.join(words[:-1])} or {words[-1]}"
 
 
@@ -125,11 +126,11 @@ def label_error(term: CompoundTerm, place_of: PlaceLookup) -> Optional[RuleError
             part = deref(item)
             if not _is_property(part):
                 place = place_of(part) if part.__class__ is tuple else place_of(label)
-                return RuleError(f"expected {_intended_property(part)}; {_LABEL_FORM}", place)
+                return RuleError(f"expected {_guess_property(part)}; {_LABEL_FORM}", place)
     return RuleError(_LABEL_FORM, place_of(term, 1))
 
 
-def _intended_property(part: Term) -> str:
+def _guess_property(part: Term) -> str:
     """Return the property that was probably intended by an invalid item in the list of a label."""
     name: Any = None
     value: Any = None
@@ -165,7 +166,6 @@ def resolve_alarm(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Te
         UsageError: if the delay or instant is invalid.
     """
     if head[0] is _ALARM_AFTER:
-        # The original engine counts alarms in whole seconds.
         instant = int(end + alarm_delay(head[2]))
     elif head[0] is _ALARM_AT:
         instant = int(from_any(head[2]))
@@ -176,7 +176,7 @@ def resolve_alarm(head: CompoundTerm, start: int, end: int) -> Optional[Tuple[Te
     return deref(head[1]), start, instant
 
 
-def is_absolute(head: Term) -> bool:
+def is_absolute_alarm(head: Term) -> bool:
     """Return whether the head of an alarm contains its instant."""
     return head.__class__ is tuple and head[0] is _ALARM_AT
 
@@ -205,7 +205,7 @@ def check_alarm_time(head: CompoundTerm) -> None:
     if head[0] is _ALARM_AFTER:
         alarm_delay(instant)
     elif head[0] is _ALARM_AT:
-        with_defaults = _with_default_fields(instant)
+        with_defaults = _fill_unbound_fields(instant)
         try:
             from_any(with_defaults)
         except UsageError as error:
@@ -217,12 +217,12 @@ def _is_datime(term: Term) -> bool:
     return term.__class__ is tuple and (term[0] is DATIME6 or term[0] is DATIME7)
 
 
-def _with_default_fields(instant: Term) -> Term:
-    """Return an instant with its variables bound to values that are valid if any values are."""
+def _fill_unbound_fields(instant: Term) -> Term:
+    """Return an instant with values for its variables that are valid if any values are."""
     if instant.__class__ is not tuple:
         return instant
-    # A year, month or day of 1 exists in all formats, and 2000 is a leap year: if these values are invalid with the
-    # bound fields, all values are.
+    # Month, day, hour and second 1 are always valid, and 2000 is a leap year: if the bound fields are invalid with
+    # these values, they are invalid with all.
     if instant[0] is CONS:
         items = list_items(instant)
         return 1 if items is None else make_list([_default_if_unbound(item, 1) for item in items])
@@ -241,8 +241,9 @@ def _default_if_unbound(term: Term, value: int) -> Term:
 
 
 SYNCHRONIZED = frozenset(functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4))
+"""Heads and events of synchronized queries; the original Retalis has the first spelling."""
+
 _TIMEOUT = functor("timeout", 1)
-_COLON = functor(":", 2)
 
 
 def check_head(
@@ -270,7 +271,7 @@ def check_head(
     warning = head_warning(head, operator)
     if warning is not None:
         warn(RuleError(warning, place))
-    if head[0] is _COLON:
+    if head[0] is COLON:
         warn(RuleError("this is an event that contains a colon: a rule has one label", place))
     if head[0] in ALARMS:
         try:
@@ -377,12 +378,12 @@ def parse_schedule(term: Term) -> Schedule:
     schedule: Any = deref(term)
     key = schedule[0] if schedule.__class__ is tuple else None
     if key is _EVERY:
-        return Schedule(schedule, _interval(schedule, MIN_PERIOD_SECONDS), True, phase=0)
+        return Schedule(schedule, _parse_period(schedule, MIN_PERIOD_SECONDS), True, phase=0)
     # Without ``from_now``, periods are aligned to multiples since 1970, so all nodes fire at the same instants.
     if key is _EVERY_FROM_NOW and deref(schedule[2]) is _FROM_NOW:
-        return Schedule(schedule, _interval(schedule, MIN_PERIOD_SECONDS), True)
+        return Schedule(schedule, _parse_period(schedule, MIN_PERIOD_SECONDS), True)
     if key is _TIMER_AFTER:
-        return Schedule(schedule, _interval(schedule), False)
+        return Schedule(schedule, _parse_period(schedule), False)
     if key is _TIME_OF_DAY:
         return Schedule(schedule, _DAY_NANOSECONDS, True, phase=_parse_time_of_day(schedule))
     if key is _TIMER_AT:
@@ -417,7 +418,7 @@ def sets_timer(term: Term) -> bool:
 _SCHEDULES = frozenset((_EVERY, _EVERY_FROM_NOW, _TIME_OF_DAY, _TIMER_AT, _TIMER_AFTER))
 
 
-def _interval(schedule: CompoundTerm, minimum: float = 0.0) -> int:
+def _parse_period(schedule: CompoundTerm, minimum: float = 0.0) -> int:
     seconds: Any = deref(schedule[1])
     if seconds.__class__ in (int, float) and minimum <= seconds <= MAX_INTERVAL_SECONDS and seconds > 0:
         return from_seconds(seconds)
@@ -449,7 +450,7 @@ def makes_event(term: Term) -> bool:
 
 
 def event_raised_by(head: Optional[Term]) -> Optional[Term]:
-    """Return the event that a rule with some head raises, immediately or later."""
+    """Return the event that a rule with a head raises, immediately or later; None without a head."""
     if head is None:
         return None
     term: Any = deref(head)

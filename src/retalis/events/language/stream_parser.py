@@ -12,7 +12,7 @@ A row pattern ``steps([low, high(2, 5) where T > prev(T)])`` corresponds to MATC
 pattern variable with a quantifier: ``high(2, 5)`` is ``HIGH{2,5}``, ``reluctant`` makes it reluctant, and its
 ``where`` goal is the DEFINE condition. ``prev(X)``, ``first(Step, X)`` and ``last(Step, X)`` are the navigation
 functions; the parser replaces each of them by a fresh variable and records in a `RowNavigation` the value to bind it
-to. A condition is split at its commas into parts (`conditions`), so that each part can be evaluated as soon as the
+to. `split_condition` splits a condition at its commas into parts, so that each part can be evaluated as soon as the
 rows that it refers to exist.
 """
 
@@ -59,7 +59,7 @@ MIN_STEP_NANOSECONDS = 1_000_000
 MAX_OVERLAPPING_WINDOWS = 10_000
 """Maximum number of windows of ``last(N, every(M))`` that contain one event."""
 MAX_WINDOW_ITEMS = 1_000_000
-"""Maximum size of a window of a number of events."""
+"""Maximum size of a window that contains a number of events."""
 MAX_STEPS = 100
 """Maximum number of steps of a row pattern."""
 _LATER, _UNTIL, _WHERE = functor("later", 1), functor("until", 1), functor("where", 2)
@@ -71,7 +71,7 @@ _STEP_NAVIGATIONS = {functor("first", 2): "first", functor("last", 2): "last"}
 _STEP_NOTATION = "Name, Name(N), Name(N, M), Name(N, many), with reluctant or until(Goal) behind the numbers"
 
 CreateError = Callable[..., RuleError]
-"""Creates an error from a message, a term, and optionally the number of the argument that is wrong."""
+"""Takes a message, a term, and optionally the position of the argument that is wrong; returns the error."""
 
 
 class RateOperatorNotation(NamedTuple):
@@ -187,33 +187,33 @@ def parse_window(reader: "PatternReader", term: CompoundTerm) -> WindowPattern:
     # One measure, or a list of measures over the same window.
     listed_measures = list_items(measures_term)
     if listed_measures is not None and not listed_measures:
-        raise reader.error("an aggregate needs at least one kind", term, 1)
+        raise reader.create_error("an aggregate needs at least one kind", term, 1)
     measure_terms = [measures_term] if listed_measures is None else [deref(item) for item in listed_measures]
     restricted_measures = [_split_step_restriction(measure_term) for measure_term in measure_terms]
     measures = [_parse_measure(reader, measure_term, term) for _, measure_term in restricted_measures]
-    collected = reader.operand(term, 2, "aggregate")
+    collected = reader.read_operand(term, 2, "aggregate")
     pattern_variables = set(bound_by(collected))
     for (_, measure_term), measure in zip(restricted_measures, measures):
         if measure.value is not None and any(
             var not in pattern_variables for var in variables(measure.value)
         ):
-            raise reader.error(
+            raise reader.create_error(
                 "a measured value has a variable that no event in the window binds", measure_term
             )
     # For a list of measures, the result is a list of the same length, or a variable for the whole list.
     result_terms = list_items(term[3]) if listed_measures is not None else None
     if result_terms is not None and len(result_terms) != len(measure_terms):
-        raise reader.error(
+        raise reader.create_error(
             f"{len(measure_terms)} aggregates have {len(measure_terms)} results, not {len(result_terms)}",
             term,
             3,
         )
     results = tuple([deref(term[3])] if result_terms is None else [deref(result) for result in result_terms])
     window = _parse_window_term(reader, deref(term[4]), term, pattern_variables)
-    scopes = _step_numbers(reader, [step for step, _ in restricted_measures], window, term)
+    scopes = _find_step_numbers(reader, [step for step, _ in restricted_measures], window, term)
     # The rate is computed between the first and the last event of a window.
     if "rate" in [measure.name for measure in measures] and window.kind == "batch" and window.max_count == 1:
-        raise reader.error("rate needs a window of at least two events", term, 4)
+        raise reader.create_error("rate needs a window of at least two events", term, 4)
     names, settings, values = zip(*measures)
     is_listed = listed_measures is not None and result_terms is None
     return WindowPattern(collected, names, settings, values, results, is_listed, window, scopes)
@@ -226,7 +226,7 @@ def _split_step_restriction(measure: Any) -> Tuple[Any, Any]:
     return None, measure
 
 
-def _step_numbers(
+def _find_step_numbers(
     reader: "PatternReader", steps: Sequence[Any], window: WindowSpec, term: CompoundTerm
 ) -> Tuple[Optional[int], ...]:
     """Return for each measure the number of the step that it is restricted to, or None."""
@@ -235,7 +235,7 @@ def _step_numbers(
         if step is not None and step not in names:
             hint = f"; there are {', '.join(name.name for name in names)}" if names else ""
             message = f"of(Step, Kind) needs the name of a step of a window of steps{hint}"
-            raise reader.error(message, term, 1)
+            raise reader.create_error(message, term, 1)
     return tuple([None if step is None else names.index(step) for step in steps])
 
 
@@ -254,7 +254,7 @@ def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTer
     aggregate = AGGREGATES.get(name)
     if aggregate is None or len(arguments) != aggregate.arity:
         notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
-        raise reader.error(
+        raise reader.create_error(
             f"there is no such aggregate; the aggregates are {notations}{suggestion(name, AGGREGATES)}",
             *error_position,
         )
@@ -263,11 +263,13 @@ def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTer
     if name == "quantile":
         setting = settings[0]
         if setting.__class__ not in (int, float) or not 0 <= setting <= 1:
-            raise reader.error("quantile needs a number from 0 to 1", *error_position)
+            raise reader.create_error("quantile needs a number from 0 to 1", *error_position)
     elif settings:
         setting = tuple(settings)
         if not all(argument.__class__ is Atom for argument in settings):
-            raise reader.error(f"{aggregate.notation} needs the names of three predicates", *error_position)
+            raise reader.create_error(
+                f"{aggregate.notation} needs the names of three predicates", *error_position
+            )
     return _WindowMeasure(name, setting, deref(arguments[-1]) if aggregate.has_value else None)
 
 
@@ -290,11 +292,11 @@ def _parse_window_term(
         tumbling = _parse_window_term(reader, deref(window[1]), term, pattern_variables)
         # Sliding windows and row patterns emit at each match in any case, and hopping windows overlap.
         if tumbling.kind not in ("every", "first", "batch") or tumbling.span != tumbling.step:
-            raise reader.error(
+            raise reader.create_error(
                 "running needs every(Seconds), every(Seconds, first) or every(N, events)", window
             )
         return tumbling._replace(running=True)
-    syntax_error = reader.error(
+    syntax_error = reader.create_error(
         f"a window is {_WINDOW_NOTATIONS}", *((window,) if window.__class__ is tuple else (term, 4))
     )
     if name not in ("last", "every") or len(window) not in (2, 3):
@@ -304,25 +306,31 @@ def _parse_window_term(
     if option == "events":
         size = deref(window[1])
         if size.__class__ is not int or not 1 <= size <= MAX_WINDOW_ITEMS:
-            raise reader.error(f"{name} needs a number of events from 1 to {MAX_WINDOW_ITEMS}", window, 1)
+            raise reader.create_error(
+                f"{name} needs a number of events from 1 to {MAX_WINDOW_ITEMS}", window, 1
+            )
         return WindowSpec("newest" if name == "last" else "batch", max_count=size)
     if len(window) == 2:
-        span = _parse_seconds(name, window, 1, reader.error)
-        return WindowSpec(name, span, span) if name == "last" else _hopping_window(reader, window, span, span)
+        span = _parse_seconds(name, window, 1, reader.create_error)
+        return (
+            WindowSpec(name, span, span)
+            if name == "last"
+            else _create_hopping_window(reader, window, span, span)
+        )
     if name == "every" and option == "first":
-        span = _parse_seconds(name, window, 1, reader.error)
+        span = _parse_seconds(name, window, 1, reader.create_error)
         return WindowSpec("first", span, span)
     if name == "last" and argument.__class__ is tuple and argument[0].name == "every" and len(argument) == 2:
-        return _hopping_window(
+        return _create_hopping_window(
             reader,
             window,
-            _parse_seconds(name, window, 1, reader.error),
-            _parse_seconds("every", argument, 1, reader.error),
+            _parse_seconds(name, window, 1, reader.create_error),
+            _parse_seconds("every", argument, 1, reader.create_error),
         )
     raise syntax_error
 
 
-def _hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowSpec:
+def _create_hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowSpec:
     """Return windows that the clock closes, at regular times."""
     # An event with a later timestamp closes all windows that end before it, so their number must be bounded.
     if step < MIN_STEP_NANOSECONDS or span > MAX_OVERLAPPING_WINDOWS * step:
@@ -330,13 +338,13 @@ def _hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, st
             f"every needs 0.001 seconds at least, and last no more than {MAX_OVERLAPPING_WINDOWS} times those of its "
             "every"
         )
-        raise reader.error(message, window)
+        raise reader.create_error(message, window)
     return WindowSpec("every", span, step)
 
 
-def _parse_seconds(name: str, term: CompoundTerm, number: int, create_error: CreateError) -> int:
+def _parse_seconds(name: str, term: CompoundTerm, position: int, create_error: CreateError) -> int:
     """Return the nanoseconds of an argument, a positive number of seconds."""
-    seconds = deref(term[number])
+    seconds = deref(term[position])
     if (
         seconds.__class__ not in (int, float)
         or not seconds > 0
@@ -344,7 +352,7 @@ def _parse_seconds(name: str, term: CompoundTerm, number: int, create_error: Cre
         or not from_seconds(seconds)
     ):
         raise create_error(
-            f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, number
+            f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, position
         )
     return from_seconds(seconds)
 
@@ -423,8 +431,8 @@ def _parse_single_event(term: Term) -> EventPattern:
     return EventPattern(event)
 
 
-def _create_error(message: str, term: Term, number: int = 0) -> RuleError:
-    """Return an error without a place: the caller of ``subscribe/5`` has no positions of its terms."""
+def _create_error(message: str, term: Term, position: int = 0) -> RuleError:
+    """Return an error without a place, because the terms of a goal ``subscribe/5`` have no places."""
     return RuleError(message)
 
 
@@ -457,67 +465,69 @@ class StepCondition(NamedTuple):
 
 
 def parse_row_pattern(
-    reader: "PatternReader", form: CompoundTerm, pattern_variables: Set[Var]
+    reader: "PatternReader", row_pattern_term: CompoundTerm, pattern_variables: Set[Var]
 ) -> Tuple[Tuple[RowPatternStep, ...], Tuple[Var, ...]]:
     """Return the steps of a row pattern, and the variables of the pattern that their conditions use.
 
     Args:
         reader: reads goals, and creates errors with places.
-        form: the term of the row pattern.
+        row_pattern_term: the term of the row pattern.
         pattern_variables: the variables that the event pattern binds.
 
     Raises:
         RuleError: if a step is malformed or can never end.
     """
-    items = list_items(form[1])
+    items = list_items(row_pattern_term[1])
     if not items or len(items) > MAX_STEPS:
-        raise reader.error(f"steps needs a list of 1 to {MAX_STEPS} steps", form, 1)
-    steps = [_parse_step(reader, deref(step), form) for step in items]
+        raise reader.create_error(f"steps needs a list of 1 to {MAX_STEPS} steps", row_pattern_term, 1)
+    steps = [_parse_step(reader, deref(step), row_pattern_term) for step in items]
     names = [step.name for step in steps]
     for name in names:
         # Navigations refer to steps by name.
         if names.count(name) > 1:
-            raise reader.error(f"two steps are called {name}", form, 1)
+            raise reader.create_error(f"two steps are called {name}", row_pattern_term, 1)
     # A match without any row would hold at every instant.
     if not any(step.min_count for step in steps):
-        raise reader.error("at least one step must have a minimum above 0", form, 1)
-    _require_ends(reader, steps, form)
+        raise reader.create_error("at least one step must have a minimum above 0", row_pattern_term, 1)
+    _require_step_ends(reader, steps, row_pattern_term)
     navigated_vars: List[Var] = []
     for number, step in enumerate(steps):
         for goal in step.goals:
-            parts = conditions(goal, names, number, pattern_variables)
-            for navigations in (navigations for part in parts for navigations in part.navigations):
-                if navigations.var not in pattern_variables or navigations.step < 0:
-                    raise _navigation_error(reader, navigations, names, form)
+            parts = split_condition(goal, names, number, pattern_variables)
+            for navigation in (navigation for part in parts for navigation in part.navigations):
+                if navigation.var not in pattern_variables or navigation.step < 0:
+                    raise _navigation_error(reader, navigation, names, row_pattern_term)
             mentioned = [
                 *variables(goal),
-                *(navigations.var for part in parts for navigations in part.navigations),
+                *(navigation.var for part in parts for navigation in part.navigations),
             ]
             navigated_vars += [var for var in mentioned if var in pattern_variables]
     return tuple(steps), tuple(dict.fromkeys(navigated_vars))
 
 
-def _parse_step(reader: "PatternReader", term: Any, form: CompoundTerm) -> RowPatternStep:
+def _parse_step(reader: "PatternReader", term: Any, row_pattern_term: CompoundTerm) -> RowPatternStep:
     """Return the step that a term denotes."""
-    unwrapped, later = term, False
+    unwrapped, skips_rows = term, False
     goal: Optional[Term] = None
     while unwrapped.__class__ is tuple and unwrapped[0] in (_LATER, _WHERE):
         if unwrapped[0] is _WHERE and goal is None:
-            goal = reader.goal(unwrapped, 2, "where")
-        elif unwrapped[0] is _LATER and not later and deref(unwrapped[1]).__class__ in (Atom, tuple):
-            later = True
+            goal = reader.read_goal(unwrapped, 2, "where")
+        elif unwrapped[0] is _LATER and not skips_rows and deref(unwrapped[1]).__class__ in (Atom, tuple):
+            skips_rows = True
         else:
             break
         unwrapped = deref(unwrapped[1])
     if unwrapped.__class__ is Atom:
-        return RowPatternStep(unwrapped.name, 1, 1, False, later, goal, None)
+        return RowPatternStep(unwrapped.name, 1, 1, False, skips_rows, goal, None)
     if unwrapped.__class__ is not tuple or unwrapped[0] in (_WHERE, _UNTIL):
-        raise reader.error(f"a step is {_STEP_NOTATION}; and Step where Goal, later(Step)", form, 1)
-    return _quantified_step(reader, unwrapped, later, goal)
+        raise reader.create_error(
+            f"a step is {_STEP_NOTATION}; and Step where Goal, later(Step)", row_pattern_term, 1
+        )
+    return _parse_quantified_step(reader, unwrapped, skips_rows, goal)
 
 
-def _quantified_step(
-    reader: "PatternReader", term: CompoundTerm, later: bool, goal: Optional[Term]
+def _parse_quantified_step(
+    reader: "PatternReader", term: CompoundTerm, skips_rows: bool, goal: Optional[Term]
 ) -> RowPatternStep:
     """Return the step that a term with a quantifier denotes."""
     arguments: List[Any] = [deref(argument) for argument in term[1:]]
@@ -526,7 +536,7 @@ def _quantified_step(
     if option.__class__ is Atom and option.name == _RELUCTANT:
         reluctant = True
     elif option.__class__ is tuple and option[0] is _UNTIL:
-        until = reader.goal(option, 1, "until")
+        until = reader.read_goal(option, 1, "until")
     if reluctant or until is not None:
         arguments.pop()
     minimum: Any = arguments[0] if arguments else None
@@ -534,10 +544,10 @@ def _quantified_step(
     if len(arguments) == 2 and maximum.__class__ is Atom and maximum.name == _GREEDY:
         maximum = None
     if not 1 <= len(arguments) <= 2 or not _are_counts(minimum, maximum):
-        raise reader.error(
+        raise reader.create_error(
             f"a step is {_STEP_NOTATION}, where N is not larger than M, and M at least 1", term
         )
-    return RowPatternStep(term[0].name, minimum, maximum, reluctant, later, goal, until)
+    return RowPatternStep(term[0].name, minimum, maximum, reluctant, skips_rows, goal, until)
 
 
 def _are_counts(minimum: Any, maximum: Any) -> bool:
@@ -546,8 +556,10 @@ def _are_counts(minimum: Any, maximum: Any) -> bool:
     return maximum is None or (maximum.__class__ is int and 1 <= maximum >= minimum)
 
 
-def _require_ends(reader: "PatternReader", steps: Sequence[RowPatternStep], form: CompoundTerm) -> None:
-    """Reject a step without an end, which would never complete a match."""
+def _require_step_ends(
+    reader: "PatternReader", steps: Sequence[RowPatternStep], row_pattern_term: CompoundTerm
+) -> None:
+    """Raise an error for a step without an end, because a match with it would never be complete."""
     for number, step in enumerate(steps):
         if step.reluctant or step.until is not None:
             continue
@@ -559,24 +571,24 @@ def _require_ends(reader: "PatternReader", steps: Sequence[RowPatternStep], form
             and step.max_count != step.min_count
             and not any(later_step.min_count for later_step in steps[number + 1 :])
         ):
-            # With ``skips_rows``, an optional further row could still arrive at any time, so the match would never be
-            # final.
-            # Else it would wait for more, which may never come.
+            # With ``skips_rows``, an optional further row can arrive at any time, so the match is never final.
             missing = "a single number"
         if missing:
             message = f"nothing ends the step {step.name}: give it {missing}, reluctant, or until(Goal)"
-            raise reader.error(message, form, 1)
+            raise reader.create_error(message, row_pattern_term, 1)
 
 
 def _navigation_error(
-    reader: "PatternReader", navigation: RowNavigation, names: Sequence[str], form: CompoundTerm
+    reader: "PatternReader", navigation: RowNavigation, names: Sequence[str], row_pattern_term: CompoundTerm
 ) -> RuleError:
     if navigation.step < 0:
-        return reader.error(f"unknown step; the steps are {', '.join(names)}", form, 1)
-    return reader.error(f"{navigation.kind} needs a variable that the pattern binds", form, 1)
+        return reader.create_error(f"unknown step; the steps are {', '.join(names)}", row_pattern_term, 1)
+    return reader.create_error(
+        f"{navigation.kind} needs a variable that the pattern binds", row_pattern_term, 1
+    )
 
 
-def conditions(
+def split_condition(
     goal: Term, names: Sequence[str], step: int, pattern_variables: Container[Var]
 ) -> List[StepCondition]:
     """Return the parts of a condition, each with its navigations.

@@ -20,7 +20,7 @@ from functools import lru_cache
 from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple
 
 from ...foundation.codegen import shared_function
-from ..language.event_operators import OPERATORS, EventOperator
+from ..language.event_operators import PAIR_OPERATORS, EventOperator
 from .partial_matches import PartialMatch
 
 TimeBounds = Tuple[int, int, int, int]
@@ -278,7 +278,7 @@ def interval_bounds(name: str, span: Optional[int], is_left: bool) -> Optional[I
         span: maximum length of the result, in ns; None for no bound.
         is_left: whether the match is the left operand.
     """
-    operator = OPERATORS[name]
+    operator = PAIR_OPERATORS[name]
     lower, upper = _bounds(operator, span, "1" if is_left else "2")
     if not any((*lower.values(), *upper.values())):
         return None

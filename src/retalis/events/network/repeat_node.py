@@ -32,7 +32,7 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Values, Var
-from ..language.event_operators import OPERATORS
+from ..language.event_operators import PAIR_OPERATORS
 from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from .event_rule import EventRule
 
 
-_SEQ = OPERATORS[SEQ]
+_SEQ = PAIR_OPERATORS[SEQ]
 
 
 class _Relay(NetworkNode):

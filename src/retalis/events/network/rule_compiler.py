@@ -20,7 +20,7 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import NIL, Term, Var
 from ..dispatch.matcher_compiler import compile_builder
-from ..language.event_operators import OPERATORS
+from ..language.event_operators import PAIR_OPERATORS
 from ..language.pattern_tree import (
     AbsencePattern,
     ActionPattern,
@@ -363,7 +363,7 @@ class RuleCompiler(StreamCompiler):
         self.shared_vars |= set(gap or ())
         node = JoinNode(
             self.rule,
-            OPERATORS[pair.operator],
+            PAIR_OPERATORS[pair.operator],
             left.node,
             right.node,
             self.shared_vars,
@@ -384,7 +384,7 @@ class RuleCompiler(StreamCompiler):
             deferred += self._test_gap(
                 node, DeferredCondition(required_vars, None, False, *gap, negated), conditions
             )
-        joined_leaves = order_for_dispatch(OPERATORS[pair.operator].completes_in_any_order, left, right)
+        joined_leaves = order_for_dispatch(PAIR_OPERATORS[pair.operator].completes_in_any_order, left, right)
         if negated is not None:
             joined_leaves += negated.first.leaves
         return BuiltPattern(node, deferred, joined_leaves, [])

@@ -34,7 +34,7 @@ from ..language.pattern_tree import (
     always_bound_by,
     bound_by,
 )
-from ..language.stream_parser import conditions
+from ..language.stream_parser import split_condition
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
 from ..matches.partial_matches import NetworkOptions, PartialMatch, unify_sides
@@ -83,7 +83,7 @@ def compile_row_pattern(window: WindowSpec, value_count: int, goal_test: GoalTes
 
     def compile_tests(goal: Term, position: int, title: str) -> Tuple[StepTest, ...]:
         tests = []
-        for condition in conditions(goal, step_names, position, position_of):
+        for condition in split_condition(goal, step_names, position, position_of):
             own_vars = [var for var in variables(condition.goal) if var in position_of]
             is_satisfied = goal_test(
                 condition.goal,

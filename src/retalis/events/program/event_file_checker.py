@@ -36,7 +36,7 @@ from ...prolog.terms.types import (
 )
 from ..language.called_predicates import PredicateCall, Subgoal, calls
 from ..language.event_declarations import Declarations, calls_in_query, events_raised_by_goals, head_event
-from ..language.event_operators import ARROWS, NO_FACTS, OPERATOR_NAMES
+from ..language.event_operators import ARROWS, OPERATOR_NAMES, RESERVED_FACT_FUNCTORS
 from ..language.likely_mistakes import uncovered_gap_warning
 from ..language.pattern_parser import PatternReader, PlaceLookup, check_aggregate, check_window, no_place
 from ..language.pattern_tree import ActionPattern, Pattern, RuleDefinition, bound_by, occurrences
@@ -246,7 +246,7 @@ class FileChecker:
                 self._warn(
                     "this is not a labelled rule (a rule has one label), so it is kept as a fact", place
                 )
-        elif head in NO_FACTS:
+        elif head in RESERVED_FACT_FUNCTORS:
             self._warn(
                 "this is a fact; an event rule has <- between head and pattern", place_of(term) or place
             )
@@ -272,10 +272,10 @@ class FileChecker:
         self, prop: Property, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]
     ) -> None:
         """Process a property from a term whose last arguments are its name and value."""
-        problem, value_position = prop.problem, len(term) - 1
+        problem, value_position = prop.error_text, len(term) - 1
         if problem is None:
             self.entries.append(FileEntry(EntryKind.PROPERTY, prop, place))
-        elif prop.known:
+        elif prop.is_known:
             raise RuleError(problem, place_of(term, value_position) or place)
         else:
             self._warn(problem, place_of(term, value_position - 1) or place)
@@ -323,7 +323,7 @@ class FileChecker:
         else:
             head, goal = deref(rule[1]), None
             if head.__class__ is tuple and OPERATOR_NAMES.get(head[0]) == "do":
-                goal = reader.goal(head, 2, "do")
+                goal = reader.read_goal(head, 2, "do")
                 head = deref(head[1])
             head_place = place_of(head) if head.__class__ is tuple else place_of(rule, 1)
             check_head(

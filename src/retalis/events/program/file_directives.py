@@ -148,7 +148,7 @@ class FileDeclarations:
         """Check events in a rule, clause or directive, with its variables, against the declarations."""
         if self._declarations:
             variable_types = VariableTypes(names, reports_clashes=not has_alternatives(term))
-            for error in self._declarations.declaration_errors(
+            for error in self._declarations.find_errors(
                 events, lambda part, position=0: place_of(part, position) or place, variable_types
             ):
                 self._errors.append(error)

@@ -33,6 +33,7 @@ from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var, functor
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
+from ..language.rule_head_parser import SYNCHRONIZED
 from ..matches.consumption_policy import metered
 from ..matches.partial_matches import PartialMatch, RepetitionChain, lineage_sources
 from ..matches.shared_run_buffer import Run
@@ -63,9 +64,6 @@ When it is exceeded, the oldest event is unlinked and can no longer be retracted
 """
 
 REV = functor("rev", 1)
-_SYNCHRONIZED = frozenset(
-    functor(name, arity) for name in ("syncronized", "synchronized") for arity in (3, 4)
-)
 
 _MIN_SWEPT_DEPENDENTS = 64
 """Number of dependents of an occurrence from which discarded matches are removed from the list."""
@@ -412,7 +410,7 @@ def _unlink(oldest: Occurrence) -> None:
 
 
 def _is_synchronized(term: Term) -> bool:
-    return term.__class__ is tuple and term[0] in _SYNCHRONIZED
+    return term.__class__ is tuple and term[0] in SYNCHRONIZED
 
 
 class _RetractionSteps:

@@ -24,7 +24,7 @@ from ..language.called_predicates import calls_in_goals
 from ..language.event_declarations import UNDECLARED, DeclaredEvents
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
-from ..language.rule_head_parser import Property, is_absolute, is_rule
+from ..language.rule_head_parser import Property, is_absolute_alarm, is_rule
 from ..matches.partial_matches import NetworkOptions, options_with_property
 from ..network.event_rule import EventRule
 from ..network.goal_evaluation import ConditionState, TimedNode
@@ -368,7 +368,7 @@ class RuleBase:
         properties = self._properties.setdefault(term_key(prop.label), [])
         # A property with a word has one value, so it replaces the previous one. Numbers of a window accumulate; the
         # smallest applies.
-        if prop.word is not None:
+        if prop.word_value is not None:
             properties[:] = [other for other in properties if other.name != prop.name]
         if prop not in properties:
             properties.append(prop)
@@ -394,10 +394,10 @@ class RuleBase:
         times: Dict[str, List[int]] = {}
         options = self.options
         for prop in self.properties(label_of(rule)):
-            if prop.word is not None:
-                options = options_with_property(options, prop.name, prop.word)
+            if prop.word_value is not None:
+                options = options_with_property(options, prop.name, prop.word_value)
             else:
-                times.setdefault(prop.name, []).append(from_seconds(prop.number))
+                times.setdefault(prop.name, []).append(from_seconds(prop.numeric_value))
         windows = times.get("window", []) + times.get("event_rule_window", [])
         rule.configure(options, min(windows) if windows else None, self.flags.garbage_control(times))
 
@@ -483,7 +483,7 @@ class RuleBase:
 
     def report_past_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
-        if not is_absolute(head) or (alarm is not None and alarm[2] >= self.clock.now()):
+        if not is_absolute_alarm(head) or (alarm is not None and alarm[2] >= self.clock.now()):
             return
         rule.past_alarm_count += 1
         consequence = "it is an ordinary event" if alarm is None else "it fires at once"
