@@ -6,7 +6,7 @@ predicate the function returns a frame for the call whose ``next`` runs the rema
 calls are nested in one frame expression; goals after them become a continuation, a function of its own whose frame
 carries the live variables, as a WAM environment does. A disjunction or condition whose branches contain calls pushes
 a choice point and joins its branches in a shared continuation. A last call of the predicate itself becomes another
-turn of a loop.
+iteration of a loop.
 """
 
 from typing import FrozenSet, List, Optional, Sequence, Tuple
@@ -29,8 +29,8 @@ from .clause_nodes import (
     Needed,
     needed_by,
 )
-from .code_scope import ClauseVariables, Scope, Unit
-from .inline_goals import forget, join, write_inline, write_test
+from .code_scope import ClauseVariables, CompilationUnit, Operand, Scope
+from .inline_goals import forget, join_goals, write_inline, write_test
 
 _MAX_FRAME_CALLS = 12
 """Calls nested in one frame expression; goals after them run in a continuation."""
@@ -43,7 +43,7 @@ _MAX_GROUND_TESTS = 16
 
 _OUTPUTS = functor("outputs", 0)
 _NONE_NEEDED: FrozenSet[Needed] = frozenset()
-_NO_OPERAND = ("", "")
+_NO_OPERAND: Operand = ("", "")
 
 
 class BodyGenerator:
@@ -61,7 +61,7 @@ class BodyGenerator:
 
     def __init__(
         self,
-        unit: Unit,
+        unit: CompilationUnit,
         clause: ClauseVariables,
         entry: Height,
         interpret: object,
@@ -79,15 +79,15 @@ class BodyGenerator:
 
     def write(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write goals up to the end of the function; the last statement returns the next frame."""
-        nodes = join(self.unit.database, self.clause.counts, nodes)
+        nodes = join_goals(self.unit.database, self.clause.counts, nodes)
         position = 0
         while position < len(nodes):
             node: GoalNode = nodes[position]
-            if not node.inline:
+            if not node.is_inline:
                 if not self._is_deterministic_arg(scope, nodes, position):
                     break
                 node = self._write_arg_test(scope, nodes[position:])
-            scope.later = needed_by(nodes[position + 1 :])
+            scope.needed_later = needed_by(nodes[position + 1 :])
             write_inline(scope, node)
             # Goals after a failure are unreachable; code for them would only be dead text after a return.
             if isinstance(nodes[position], Fail):
@@ -95,8 +95,8 @@ class BodyGenerator:
             position += 1
         remaining_nodes = nodes[position:]
         if not remaining_nodes:
-            self._flush(scope)
-            scope.line(f"return {scope.after}")
+            self._write_pending_statements(scope)
+            scope.write(f"return {scope.continuation}")
         elif isinstance(remaining_nodes[0], (CallNode, Interpret)):
             self._write_calls(scope, remaining_nodes)
         elif isinstance(remaining_nodes[0], Disjunction):
@@ -136,19 +136,19 @@ class BodyGenerator:
         if scope.numbers.get(var, _NO_OPERAND)[0] == number:
             return inline_goal
         scope.dereference(number)
-        scope.line("if k is Var:")
+        scope.write("if k is Var:")
         # The rare case enumerates arguments by backtracking. Interpreting the rest keeps one copy of its code: a
         # second compiled copy would double the function with each arg/3 of the clause.
-        saved_scope = scope.branch()
+        saved_scope = scope.snapshot()
         scope.depth += 1
         height = scope.names.get(self.entry)
         if height is None:
             height = scope.temp("h")
-            scope.push(f"{height} = len(choices)")
+            scope.write_choice(f"{height} = len(choices)")
         remaining_body = scope.build(conjunction(node.source for node in nodes if node.source is not None))
-        self._flush(scope)
-        scope.line(
-            f"return ({scope.unit.constant(self.interpret)}, {remaining_body}, {height}, {scope.after})"
+        self._write_pending_statements(scope)
+        scope.write(
+            f"return ({scope.unit.constant(self.interpret)}, {remaining_body}, {height}, {scope.continuation})"
         )
         scope.depth -= 1
         scope.restore(saved_scope)
@@ -156,34 +156,37 @@ class BodyGenerator:
 
     # Leaving the function
 
-    def _flush(self, scope: Scope, needed: FrozenSet[Needed] = _NONE_NEEDED) -> None:
+    def _write_pending_statements(self, scope: Scope, needed: FrozenSet[Needed] = _NONE_NEEDED) -> None:
         """Write the statements that must precede returning a frame or pushing a choice point."""
         # The height is read before the choice point of the other clauses is pushed: a cut removes that one, too.
         if self.entry in needed and self.entry not in scope.names:
             self._write_height(scope)
-        if scope.pending is not None:
-            scope.push(scope.pending)
-            scope.pending = None
+        if scope.pending_choice is not None:
+            scope.write_choice(scope.pending_choice)
+            scope.pending_choice = None
             scope.fail = "return None"
 
     def _write_calls(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+        """Write the return of a frame for the leading calls, with a continuation for the goals after them."""
         count = 0
         while count < min(len(nodes), _MAX_FRAME_CALLS) and isinstance(nodes[count], (CallNode, Interpret)):
-            if nodes[count].inline:
+            if nodes[count].is_inline:
                 break
             count += 1
         calls, remaining_nodes = nodes[:count], nodes[count:]
-        self._flush(scope, needed_by(remaining_nodes) | needed_by(calls))
-        if count == 1 and not remaining_nodes and self._write_turn(scope, calls[0]):
+        self._write_pending_statements(scope, needed_by(remaining_nodes) | needed_by(calls))
+        if count == 1 and not remaining_nodes and self._write_iteration(scope, calls[0]):
             return
         # Variables are created in statements before the frame expression: two calls that share a variable must get
         # the same object.
         for call in calls:
-            for var in sorted(call.vars, key=self.clause.number):
+            for var in sorted(call.needed, key=self.clause.number):
                 if isinstance(var, Var) and var not in scope.names and not self.clause.is_void(var):
                     scope.create(var)
         frame = (
-            self._continuation_frame(scope, remaining_nodes, scope.after) if remaining_nodes else scope.after
+            self._continuation_frame(scope, remaining_nodes, scope.continuation)
+            if remaining_nodes
+            else scope.continuation
         )
         if self._is_called_inline(calls[0]):
             self._write_inline_call(scope, calls, frame, not remaining_nodes)
@@ -194,7 +197,7 @@ class BodyGenerator:
         first = calls[0]
         if isinstance(first, CallNode) and first.key is scope.direct_last_call:
             frame = f"{self.unit.predicate(first.key)}.run({frame})"
-        scope.line(f"return {frame}")
+        scope.write(f"return {frame}")
 
     def _is_called_inline(self, call: GoalNode) -> bool:
         """Return whether a call is of a control predicate that most often finishes within the call."""
@@ -214,24 +217,24 @@ class BodyGenerator:
         depth = scope.depth
         condition = self._filter_condition(scope, first)
         if condition is not None:
-            scope.line(f"if {condition}:")
+            scope.write(f"if {condition}:")
             scope.depth += 1
         args = "".join(f"{scope.build(arg)}, " for arg in first.args)
         call_prefix = f"{self.unit.builtin(first.key)}(M, ({args}), "
         ground_argument = "" if condition is None else f", {self._ground_condition(scope, first.args[0])}"
         if remaining:
             then, result = scope.temp("then"), scope.temp("r")
-            scope.line(f"{then} = {frame}")
-            scope.line(f"{result} = {call_prefix}{then}{ground_argument})")
-            scope.line(f"if {result} is not {then}:")
-            scope.line(f"    return {result}")
+            scope.write(f"{then} = {frame}")
+            scope.write(f"{result} = {call_prefix}{then}{ground_argument})")
+            scope.write(f"if {result} is not {then}:")
+            scope.write(f"    return {result}")
         else:
-            scope.line(f"return {call_prefix}{frame}{ground_argument})")
+            scope.write(f"return {call_prefix}{frame}{ground_argument})")
         scope.depth = depth
-        # A recursive last call becomes a turn of the loop; without it the frame of the remaining calls is returned.
-        wrote_turn = is_last and len(remaining) == 1 and self._write_turn(scope, remaining[0])
-        if not wrote_turn and (remaining or condition is not None):
-            scope.line(f"return {frame}")
+        # A recursive last call becomes an iteration; otherwise the frame of the remaining calls is returned.
+        wrote_iteration = is_last and len(remaining) == 1 and self._write_iteration(scope, remaining[0])
+        if not wrote_iteration and (remaining or condition is not None):
+            scope.write(f"return {frame}")
 
     def _filter_condition(self, scope: Scope, call: CallNode) -> Optional[str]:
         """Return the condition under which a call can have an effect; None if every call may.
@@ -273,7 +276,7 @@ class BodyGenerator:
             or any(var in scope.fresh for var in term_variables)
         ):
             return "False"
-        return " and ".join(f"{name}.__class__ in PLAIN" for name in names) or "True"
+        return " and ".join(f"{name}.__class__ in ATOMIC" for name in names) or "True"
 
     def _frame_expression(self, scope: Scope, call: GoalNode, continuation: str) -> str:
         if isinstance(call, Interpret):
@@ -289,39 +292,41 @@ class BodyGenerator:
         frame_items = [code, *[scope.build(arg) for arg in call.args], continuation]
         return f"({', '.join(frame_items)})"
 
-    def _write_turn(self, scope: Scope, call: GoalNode) -> bool:
-        """Write a last call of the predicate itself as another turn of the loop around it.
+    def _write_iteration(self, scope: Scope, call: GoalNode) -> bool:
+        """Write a last call of the predicate itself as another iteration of the loop around it.
 
         Returns:
             Whether the call was written; False if it is no such call.
         """
-        if scope.loop is None or not isinstance(call, CallNode) or scope.after != "after":
+        if scope.loop is None or not isinstance(call, CallNode) or scope.continuation != "after":
             return False
-        key, arguments, statement, base_case = scope.loop
+        key, arguments, next_iteration, base_case = scope.loop
         if call.key is not key:
             return False
         values = [scope.build(arg) for arg in call.args]
-        # Another turn with the base case's constant would only succeed: return at once, without a turn for it.
+        # Another iteration with the base case's constant would only succeed: return at once.
         if base_case is not None:
-            scope.line(f"if {values[base_case[0]]} is {base_case[1]}:")
-            scope.line(f"    return {scope.after}")
+            base_position, base_constant = base_case
+            scope.write(f"if {values[base_position]} is {base_constant}:")
+            scope.write(f"    return {scope.continuation}")
         changed = [(argument, value) for argument, value in zip(arguments, values) if argument != value]
         # One tuple assignment, because a new argument may be computed from the old value of another one.
         if changed:
             targets, sources = zip(*changed)
-            scope.line(f"{', '.join(targets)} = {', '.join(sources)}")
-        if statement or not changed:
-            scope.line(statement or "pass")
-        scope.looped = True
+            scope.write(f"{', '.join(targets)} = {', '.join(sources)}")
+        if next_iteration or not changed:
+            scope.write(next_iteration or "pass")
+        scope.has_iteration = True
         return True
 
     # Continuations
 
     def _live_variables(self, scope: Scope, needed: FrozenSet[Needed]) -> List[Needed]:
+        """Return those of the needed variables and heights that have a value, in order of first use."""
         return sorted((var for var in needed if var in scope.names), key=self.clause.number)
 
     def _continuation_frame(
-        self, scope: Scope, nodes: Sequence[GoalNode], continuation: str, retried: bool = False
+        self, scope: Scope, nodes: Sequence[GoalNode], continuation: str, is_choice_point: bool = False
     ) -> str:
         """Return an expression for the frame that runs ``nodes``; their function is written by a job of the unit.
 
@@ -329,34 +334,37 @@ class BodyGenerator:
             scope: the function that builds the frame.
             nodes: the goals that the frame runs.
             continuation: expression for the frame that follows them.
-            retried: whether the frame is a choice point, which ends with the length of the trail.
+            is_choice_point: whether the frame is a choice point, which ends with the length of the trail.
         """
         live = self._live_variables(scope, needed_by(nodes))
         code, function = self._new_code()
-        self._add_job(function, live, nodes, retried)
+        self._add_continuation_job(function, live, nodes, is_choice_point)
         frame_items = [code, *[scope.names[var] for var in live], continuation]
-        if retried:
+        if is_choice_point:
             frame_items.append("len(trail)")
         # The frame holds these variables now, so code that runs later may bind them.
         scope.fresh.difference_update(live)
         return f"({', '.join(frame_items)})"
 
     def _new_code(self) -> Tuple[str, str]:
-        function = self.unit.unique("then_")
-        code = self.unit.code(self.title, function)
+        """Return the name of the constant for a new code object, and the name of the function that it runs."""
+        function = self.unit.unique_name("then_")
+        code = self.unit.make_code(self.title, function)
         code.functor = self.key
         return self.unit.constant(code), function
 
-    def _add_job(self, function: str, live: List[Needed], nodes: Sequence[GoalNode], retried: bool) -> None:
+    def _add_continuation_job(
+        self, function: str, live: List[Needed], nodes: Sequence[GoalNode], is_choice_point: bool
+    ) -> None:
         def write() -> None:
             scope = Scope(self.unit, self.clause)
-            scope.entry = False
+            scope.is_entry = False
             scope.names = {var: self.clause.local(var) for var in live}
             # Only live names are unpacked: the frame of goals without a cut carries no height.
-            parts = ["_", *scope.names.values(), "after", *(["_"] if retried else [])]
-            scope.line(f"{', '.join(parts)} = frame")
+            parts = ["_", *scope.names.values(), "after", *(["_"] if is_choice_point else [])]
+            scope.write(f"{', '.join(parts)} = frame")
             self.write(scope, nodes)
-            self.unit.add([f"def {function}(frame):", *scope.lines])
+            self.unit.add_function([f"def {function}(frame):", *scope.lines])
 
         # Deferred: writing continuations within continuations would recurse as deep as the body is long.
         self.unit.jobs.append(write)
@@ -366,12 +374,12 @@ class BodyGenerator:
 
         Branches and continuation run in different functions and must refer to the same variable.
         """
-        shared_needs: FrozenSet[Needed] = _NONE_NEEDED
+        needed_so_far: FrozenSet[Needed] = _NONE_NEEDED
         shared: FrozenSet[Needed] = _NONE_NEEDED
         for group in groups:
             needed = needed_by(group)
-            shared |= shared_needs & needed
-            shared_needs |= needed
+            shared |= needed_so_far & needed
+            needed_so_far |= needed
         for var in sorted(shared, key=self.clause.number):
             if isinstance(var, Var) and var not in scope.names:
                 scope.create(var)
@@ -380,20 +388,22 @@ class BodyGenerator:
     def _write_joined_frame(self, scope: Scope, remaining_nodes: Sequence[GoalNode]) -> None:
         """Write the frame of the goals after a control construct, which all of its branches continue with."""
         if remaining_nodes:
-            frame = self._continuation_frame(scope, remaining_nodes, scope.after)
-            scope.after = scope.temp("after")
-            scope.line(f"{scope.after} = {frame}")
+            frame = self._continuation_frame(scope, remaining_nodes, scope.continuation)
+            scope.continuation = scope.temp("after")
+            scope.write(f"{scope.continuation} = {frame}")
 
     def _push_alternative(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         """Write a statement that pushes a choice point which runs ``nodes``."""
         if nodes:
             # The choice point is needed even if it only fails: heights count it, and a cut removes it.
             if isinstance(nodes[0], Fail):
-                scope.push("choose((DEAD, len(trail)))")
+                scope.write_choice("choose((DEAD, len(trail)))")
             else:
-                scope.push(f"choose({self._continuation_frame(scope, nodes, scope.after, True)})")
+                scope.write_choice(
+                    f"choose({self._continuation_frame(scope, nodes, scope.continuation, True)})"
+                )
         else:
-            scope.push(f"choose((RESUME, {scope.after}, len(trail)))")
+            scope.write_choice(f"choose((RESUME, {scope.continuation}, len(trail)))")
 
     # Control
 
@@ -401,7 +411,7 @@ class BodyGenerator:
         self, scope: Scope, node: Disjunction, remaining_nodes: Sequence[GoalNode]
     ) -> None:
         self._create_shared(scope, [*node.branches, remaining_nodes])
-        self._flush(scope, needed_by([node, *remaining_nodes]))
+        self._write_pending_statements(scope, needed_by([node, *remaining_nodes]))
         self._write_joined_frame(scope, remaining_nodes)
         first, *others = node.branches
         # The stack is last in, first out: the second branch must be on top.
@@ -412,54 +422,57 @@ class BodyGenerator:
 
     def _write_condition(self, scope: Scope, node: IfThenElse, remaining_nodes: Sequence[GoalNode]) -> None:
         self._create_shared(scope, [[*node.test, *node.then], node.otherwise, remaining_nodes])
-        if all(goal.inline for goal in node.test) and node.inner is None and not node.soft:
+        if all(goal.is_inline for goal in node.test) and node.test_height is None and not node.is_soft:
             self._write_if(scope, node, remaining_nodes)
             return
-        self._flush(scope, needed_by([node, *remaining_nodes]))
+        self._write_pending_statements(scope, needed_by([node, *remaining_nodes]))
         self._write_joined_frame(scope, remaining_nodes)
         # The height is taken below the choice point of the else branch, so that the cut after the test removes both
         # that one and the choice points of the test.
-        height = Height(scope.temp("h"))
+        # Continuations carry the height under its name, so the name must be unique in the clause, not only in the
+        # function.
+        height = Height("")
         height.name = f"g{self.clause.number(height)}"
-        scope.push(f"{height.name} = len(choices)")
+        scope.write_choice(f"{height.name} = len(choices)")
         scope.names[height] = height.name
         self._push_alternative(scope, node.otherwise)
-        if node.inner is not None:
-            scope.push(f"{node.inner.name} = len(choices)")
-            scope.names[node.inner] = node.inner.name
+        if node.test_height is not None:
+            scope.write_choice(f"{node.test_height.name} = len(choices)")
+            scope.names[node.test_height] = node.test_height.name
         scope.fail = "return None"
-        self.write(scope, [*node.test, Cut(height, node.soft), *node.then])
+        self.write(scope, [*node.test, Cut(height, node.is_soft), *node.then])
 
     def _write_if(self, scope: Scope, node: IfThenElse, remaining_nodes: Sequence[GoalNode]) -> None:
         """Write a condition with an inline test and calls in its branches as a Python ``if``."""
-        scope.later = needed_by([*node.then, *remaining_nodes])
+        scope.needed_later = needed_by([*node.then, *remaining_nodes])
         if remaining_nodes:
             # Both branches use the joined frame, so what it needs is written before the test.
-            self._require_height(scope, remaining_nodes)
+            self._ensure_height(scope, remaining_nodes)
             self._write_joined_frame(scope, remaining_nodes)
         unset = write_test(scope, node.test)
-        saved_scope = scope.branch()
+        saved_scope = scope.snapshot()
         scope.depth += 1
         self.write(scope, node.then)
         scope.depth -= 1
         scope.restore(saved_scope)
         forget(scope, unset)
-        scope.line("else:")
+        scope.write("else:")
         scope.depth += 1
         self.write(scope, node.otherwise)
         scope.depth -= 1
 
-    def _require_height(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
+    def _ensure_height(self, scope: Scope, nodes: Sequence[GoalNode]) -> None:
         if self.entry in needed_by(nodes) and self.entry not in scope.names:
             self._write_height(scope)
 
     def _write_height(self, scope: Scope) -> None:
         """Write the assignment of the height at entry."""
-        scope.push(f"{self.entry.name} = len(choices)")
+        scope.write_choice(f"{self.entry.name} = len(choices)")
         scope.names[self.entry] = self.entry.name
 
 
 def _is_callable(term: Optional[Term]) -> bool:
+    """Return whether a goal can be interpreted from its term; goals that the compiler adds have none."""
     if term is None:
         return False
     goal = deref(term)

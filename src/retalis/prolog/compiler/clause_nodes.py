@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from ..database.predicate import Predicate
     from .function_code import FunctionCode
 
-Finder = Callable[..., Optional[bool]]
+PredicateFunction = Callable[..., Optional[bool]]
 """A predicate as a function of its arguments: whether there is a solution; None if the function cannot decide."""
 
 
@@ -70,12 +70,12 @@ class JoinedGoals(NamedTuple):
     output: Term
 
 
-Joins = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[JoinedGoals]]
+GoalJoiner = Callable[[Sequence[CompoundTerm], Mapping[Any, int]], Optional[JoinedGoals]]
 """Function that joins consecutive goals; takes the goals and how often each variable occurs in the clause."""
 
 
 class PredicateResolver(Protocol):
-    """Predicates as the compiler reads them: those of the program (`Database`) or of the library (`Library`)."""
+    """Predicates as the compiler reads them: those of the program (`Database`) or of the library (`LibraryView`)."""
 
     machine: Machine
 
@@ -149,6 +149,7 @@ TYPE_TESTS = {
 CONTROL = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, TRUE.functor, functor("!", 0)}
 """Control constructs, which a program may not define."""
 
+# ``$arg/3`` is ``arg/3`` with an argument number that is known to be bound, and so is deterministic.
 ARG, KNOWN_ARG = functor("arg", 3), functor("$arg", 3)
 FUNCTOR = functor("functor", 3)
 _CUT = functor("!", 0)
@@ -173,18 +174,18 @@ class GoalNode:
     """Goal of a body.
 
     Attributes:
-        vars: variables and heights that it needs.
-        inline: whether it is compiled to statements that leave no choice point and call no predicate of the program.
-        cuts: whether it contains a cut of the clause.
+        needed: variables and heights that it needs.
+        is_inline: whether it is compiled to statements that leave no choice point and run no frame of the program.
+        has_cut: whether it contains a cut of the clause.
         source: the goal as a term; None for nodes that the compiler adds.
     """
 
-    __slots__ = ("vars", "inline", "cuts", "source")
+    __slots__ = ("needed", "is_inline", "has_cut", "source")
 
     def __init__(self, needed: FrozenSet[Needed], inline: bool, cuts: bool = False):
-        self.vars = needed
-        self.inline = inline
-        self.cuts = cuts
+        self.needed = needed
+        self.is_inline = inline
+        self.has_cut = cuts
         self.source: Optional[Term] = None
 
 
@@ -195,17 +196,17 @@ class CallNode(GoalNode):
         form: name of the code that is written for it, a key of ``inline_goals._WRITERS``; "call" for a frame.
         key: functor of the predicate.
         args: arguments of the call.
-        once: for a call of a function (form "direct"), whether the first solution is enough.
+        first_is_enough: for a call of a function (form "function"), whether the first solution is enough.
     """
 
-    __slots__ = ("form", "key", "args", "once")
+    __slots__ = ("form", "key", "args", "first_is_enough")
 
     def __init__(self, form: str, key: Functor, args: Tuple[Term, ...], inline: bool):
         super().__init__(frozenset(variables((key, *args))), inline)
         self.form = form
         self.key = key
         self.args = args
-        self.once = False
+        self.first_is_enough = False
 
 
 class Succeed(GoalNode):
@@ -221,44 +222,46 @@ class Fail(GoalNode):
 
 
 class Cut(GoalNode):
-    """Cut to a height; a ``soft`` one disables only the choice point at that height, as ``*->`` requires."""
+    """Cut to a height; if ``is_soft``, it disables only the choice point at that height, as ``*->`` requires."""
 
-    __slots__ = ("height", "soft")
+    __slots__ = ("height", "is_soft")
 
-    def __init__(self, height: Height, soft: bool = False):
+    def __init__(self, height: Height, is_soft: bool = False):
         super().__init__(frozenset([height]), True)
         self.height = height
-        self.soft = soft
+        self.is_soft = is_soft
 
 
 class IfThenElse(GoalNode):
-    """If-then-else (``soft`` for ``*->``).
+    """If-then-else (``is_soft`` for ``*->``).
 
     Negation is the case whose ``then`` fails and whose ``otherwise`` is empty.
 
     Attributes:
-        inner: height that cuts in the test cut to; None if there are none.
+        test_height: height that cuts in the test cut to; None if there are none.
     """
 
-    __slots__ = ("test", "then", "otherwise", "soft", "inner")
+    __slots__ = ("test", "then", "otherwise", "is_soft", "test_height")
 
     def __init__(
         self,
         test: List[GoalNode],
         then: List[GoalNode],
         otherwise: List[GoalNode],
-        inner: Optional[Height],
-        soft: bool = False,
+        test_height: Optional[Height],
+        is_soft: bool = False,
     ):
         everything = (*test, *then, *otherwise)
-        cuts = any(node.cuts for node in (*then, *otherwise))
-        inline = not soft and not cuts and inner is None and all(node.inline for node in everything)
-        super().__init__(needed_by(everything).difference([inner]), inline, cuts)
+        cuts = any(node.has_cut for node in (*then, *otherwise))
+        inline = (
+            not is_soft and not cuts and test_height is None and all(node.is_inline for node in everything)
+        )
+        super().__init__(needed_by(everything).difference([test_height]), inline, cuts)
         self.test = test
         self.then = then
         self.otherwise = otherwise
-        self.soft = soft
-        self.inner = inner
+        self.is_soft = is_soft
+        self.test_height = test_height
 
 
 class Disjunction(GoalNode):
@@ -268,7 +271,7 @@ class Disjunction(GoalNode):
 
     def __init__(self, branches: List[List[GoalNode]]):
         everything = [node for branch in branches for node in branch]
-        super().__init__(needed_by(everything), False, any(node.cuts for node in everything))
+        super().__init__(needed_by(everything), False, any(node.has_cut for node in everything))
         self.branches = branches
 
 
@@ -285,7 +288,7 @@ class Interpret(GoalNode):
 
 def needed_by(nodes: Iterable[GoalNode]) -> FrozenSet[Needed]:
     """Return the variables and heights that nodes need."""
-    return frozenset().union(*[node.vars for node in nodes])
+    return frozenset().union(*[node.needed for node in nodes])
 
 
 class BodyParser:
@@ -293,25 +296,25 @@ class BodyParser:
 
     Args:
         database: the predicates; deterministic built-ins among them are called inline.
-        clause: the height at entry of the clause, the target of its cuts.
-        direct: returns whether a predicate of the program can be called as a function; by default none is.
+        entry: the height at entry of the clause, the target of its cuts.
+        can_be_function: returns whether a predicate of the program can be called as a function; by default none is.
     """
 
     def __init__(
         self,
         database: PredicateResolver,
-        clause: Height,
-        direct: Optional[Callable[[Functor], bool]] = None,
+        entry: Height,
+        can_be_function: Optional[Callable[[Functor], bool]] = None,
     ):
         self._database = database
-        self._direct = direct
-        self._heights: Dict[str, int] = {}
-        self.clause = clause
+        self._can_be_function = can_be_function
+        self._height_count = 0
+        self._entry = entry
 
-    def height(self) -> Height:
+    def _new_height(self) -> Height:
         """Return a new height."""
-        self._heights["h"] = number = self._heights.get("h", 0) + 1
-        return Height(f"h{number}")
+        self._height_count += 1
+        return Height(f"h{self._height_count}")
 
     def parse(self, body: Term, cut: Optional[Height] = None, depth: int = 0) -> List[GoalNode]:
         """Return the nodes of a body.
@@ -319,7 +322,7 @@ class BodyParser:
         Raises:
             PrologError: a type error if part of the body is not a goal.
         """
-        cut = self.clause if cut is None else cut
+        cut = self._entry if cut is None else cut
         nodes: List[GoalNode] = []
         for goal in conjuncts(body):
             node = self._goal_node(goal, cut, depth)
@@ -346,7 +349,7 @@ class BodyParser:
             is_conjunction = module_goal.__class__ is tuple and module_goal[0] is COMMA
             return Interpret(module_goal, cut) if is_conjunction else self._goal_node(module_goal, cut, depth)
         # ignore/1 is the only one of these that a program may redefine.
-        if key in _STRUCTURES and (
+        if key in _COMPILED_CONSTRUCTS and (
             key is not IGNORE or self._database.predicate(IGNORE).is_library_predicate
         ):
             # The compiler is recursive and Python limits the nesting of blocks.
@@ -362,7 +365,7 @@ class BodyParser:
             return Fail(frozenset(), True)
         if goal.functor is _CUT:
             node = Cut(cut)
-            node.cuts = cut is self.clause
+            node.has_cut = cut is self._entry
             return node
         return self._call_node(goal.functor, ())
 
@@ -382,8 +385,8 @@ class BodyParser:
             bound_form = self._database.predicate(key).bound_argument_builtin
             if bound_form is not None:
                 key, inline = bound_form, True
-        if not inline and self._direct is not None and self._direct(key):
-            return CallNode("direct", key, args, True)
+        if not inline and self._can_be_function is not None and self._can_be_function(key):
+            return CallNode("function", key, args, True)
         form = ("functor" if key is FUNCTOR else "builtin") if inline else "call"
         return CallNode(form, key, args, inline)
 
@@ -396,7 +399,7 @@ class BodyParser:
         # A variable as a goal is opaque to cuts, which call/1 provides.
         if argument.__class__ is Var:
             argument = (CALL, argument)
-        inner_height = self.height()
+        inner_height = self._new_height()
         test = self.parse(argument, inner_height, depth)
         barrier = _if_needed(inner_height, test)
         if key is NOT:
@@ -423,7 +426,7 @@ class BodyParser:
     def _condition_node(
         self, arrow: CompoundTerm, otherwise: Optional[Term], cut: Height, depth: int
     ) -> GoalNode:
-        inner_height = self.height()
+        inner_height = self._new_height()
         test = self.parse(arrow[1], inner_height, depth)
         then = self.parse(arrow[2], cut, depth)
         else_nodes: List[GoalNode] = (
@@ -436,7 +439,7 @@ def _if_needed(height: Height, nodes: List[GoalNode]) -> Optional[Height]:
     return height if height in needed_by(nodes) else None
 
 
-_STRUCTURES = {SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, ONCE, IGNORE}
+_COMPILED_CONSTRUCTS = {SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT, ONCE, IGNORE}
 _FORMS: Dict[Functor, str] = {
     EQUAL: "unify",
     DIFFERENT: "differ",

@@ -1,10 +1,10 @@
 """Source under construction: compilation units and function scopes.
 
-A `Unit` is the source that one ``exec`` defines: functions, and the constants that they name. A `Scope` is one Python
-function and the knowledge at the current point of it, the compile-time state of an abstract interpretation: which
-variables have a value and in which local, which are certainly unbound and unshared, which locals hold numbers. Both
-branches of a condition start from the same knowledge (`Scope.branch`, `Scope.restore`), and only what holds at the
-end of both may be assumed after it.
+A `CompilationUnit` is the source that one ``exec`` defines: functions, and the constants that they name. A `Scope` is
+one Python function and the knowledge at the current point of it, the compile-time state of an abstract
+interpretation: which variables have a value and in which local, which are certainly unbound and unshared, which
+locals hold numbers. Both branches of a condition start from the same knowledge (`Scope.snapshot`, `Scope.restore`),
+and only what holds at the end of both may be assumed after it.
 
 Terms never appear in the source as text: each constant is bound to a global name, and only small integers and finite
 floats become literals.
@@ -45,6 +45,11 @@ def fill(template: Term, old: Tuple[Var, ...], *new: Term) -> Term:
 def _compare_numbered(
     left: Term, right: Term, compare_variables: Callable[[Var, Var], int] = compare_by_serial
 ) -> int:
+    """Compare two terms without numbering variables.
+
+    Raises:
+        AttributeError: if two variables without numbers have to be compared; the function then gives up.
+    """
     return compare(left, right, compare_variables)
 
 
@@ -55,7 +60,7 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "Lazy": Lazy,
         "Atom": Atom,
         "String": String,
-        "PLAIN": ATOMIC,
+        "ATOMIC": ATOMIC,
         "M": machine,
         "BUDGET": machine.budget,
         "trail": machine.trail,
@@ -80,31 +85,31 @@ def base_namespace(machine: Machine) -> Dict[str, Any]:
         "MAX_INTEGER": MAX_INTEGER,
         "MIN_INTEGER": MIN_INTEGER,
         "LOOP": LOOP,
-        "ONE": (None,),
+        "ONE": (None,),  # iterable of a ``for`` statement that serves as a block, see `PredicateGenerator`
         "RESUME": RESUME,
         "DEAD": DEAD,
     }
 
 
-class Unit:
+class CompilationUnit:
     """Functions that are compiled together, and the constants that they name.
 
     Args:
         machine: runs the code.
         database: the predicates that the code may call.
-        repeats: whether the machine runs the goal again if the code gives up. The code must have no effect then, so
-            comparison of unbound variables, which numbers them, gives up instead.
+        is_repeatable: whether the machine runs the goal again if the code gives up. The code must have no effect
+            then, so comparison of unbound variables without numbers, which would number them, gives up instead.
 
     Attributes:
-        jobs: functions that write further functions; they run until none is left.
+        jobs: calls that write further functions; `complete_source` runs them until none is left.
     """
 
-    def __init__(self, machine: Machine, database: PredicateResolver, repeats: bool = False):
+    def __init__(self, machine: Machine, database: PredicateResolver, is_repeatable: bool = False):
         self.database = database
         self._names = codegen.BoundNames(base_namespace(machine))
         self.namespace = self._names.values
-        self.repeats = repeats
-        if repeats:
+        self.is_repeatable = is_repeatable
+        if is_repeatable:
             self.namespace["compare"] = _compare_numbered
         self._functions: List[str] = []
         self._codes: List[Tuple[Code, str]] = []
@@ -147,32 +152,32 @@ class Unit:
         """Return the name of the Python function of a built-in that is called inline."""
         function = self.database.predicate(key).function
         assert function is not None
-        if self.repeats and key is COMPARE:
+        if self.is_repeatable and key is COMPARE:
             function = self._builtins.setdefault(key, partial(function, variables=compare_by_serial))
         return self.constant(function)
 
-    def code(self, name: str, function: str) -> Code:
+    def make_code(self, name: str, function: str) -> Code:
         """Return a code object that runs the generated function of this name once the unit is finished."""
         code = Code(name, _not_generated)
         self._codes.append((code, function))
         return code
 
-    def unique(self, stem: str) -> str:
+    def unique_name(self, stem: str) -> str:
         """Return a new name for a function."""
         return f"{stem}{len(self._codes)}_{len(self._functions)}"
 
-    def add(self, lines: List[str]) -> None:
+    def add_function(self, lines: List[str]) -> None:
         """Add a finished function."""
         self._functions.append("\n".join(lines))
 
-    def source(self) -> str:
+    def complete_source(self) -> str:
         """Run all jobs and return the whole source."""
         # A job may add jobs: a continuation asks for the continuations within it.
         while self.jobs:
             self.jobs.pop()()
         return "\n\n\n".join(self._functions) + "\n"
 
-    def finish(self, source: str, title: str) -> Dict[str, Any]:
+    def define(self, source: str, title: str) -> Dict[str, Any]:
         """Execute the source and give each code object its function."""
         codegen.define(source, self.namespace, title)
         for code, function in self._codes:
@@ -217,19 +222,36 @@ class Loop(NamedTuple):
 
     Attributes:
         key: functor of the predicate.
-        locals: names of its arguments.
-        statement: statement that starts the next turn; "" if the end of the block does.
-        end: position of an argument and a constant for which another turn would only succeed; None if there is none.
+        argument_names: names of its arguments.
+        next_iteration: statement that starts the next iteration; "" if the end of the block does.
+        base_case: position of an argument and a constant for which another iteration would only succeed; None if
+            there is none.
     """
 
     key: Functor
-    locals: List[str]
-    statement: str
-    end: Optional[Tuple[int, str]]
+    argument_names: List[str]
+    next_iteration: str
+    base_case: Optional[Tuple[int, str]]
 
 
-ScopeState = Tuple[Dict[Needed, str], Set[Var], Dict[Var, Tuple[str, str]], str, Optional[str], str, bool]
-"""Knowledge at a point of a function; see `Scope.branch`."""
+Operand = Tuple[str, str]
+"""A Python expression without side effects, and its class: "int", "float", "num" (either of them), or "any".
+
+The value of class "any" is a number as well, but may carry the exact instant of a timestamp. Such values exist only
+within an evaluation and never become terms; see `arithmetic`.
+"""
+
+
+class ScopeState(NamedTuple):
+    """Knowledge at a point of a function; the attributes are those of `Scope`."""
+
+    names: Dict[Needed, str]
+    fresh: Set[Var]
+    numbers: Dict[Var, Operand]
+    fail: str
+    pending_choice: Optional[str]
+    continuation: str
+    is_entry: bool
 
 
 class Scope:
@@ -240,81 +262,82 @@ class Scope:
         depth: indentation of the next statement.
         names: Python names of the variables that have a value.
         fresh: variables that are certainly unbound and that no term refers to.
-        numbers: names that hold the numeric value of a variable, with its class (see `inline_goals.Operand`).
+        numbers: the operand that holds the numeric value of a variable.
         fail: the statement that fails.
-        cut: the statement that fails after a cut.
+        fail_after_cut: the statement that fails after a cut.
         give_up: the statement that leaves the goal to the machine, in predicates that are called as functions.
-        pending: the statement that pushes the choice point of the following clauses; None once it has been written.
-        after: expression for the frame that follows the clause.
-        entry: whether the code belongs to the entry function, whose arguments are most often bound.
+        pending_choice: the statement that pushes the choice point of the following clauses; None once it has been
+            written.
+        continuation: expression for the frame that follows the clause.
+        is_entry: whether the code belongs to the entry function, whose arguments are most often bound.
         unpacking_failed: whether the code is the fallback for a pattern whose unpacking as a whole has failed.
         loop: the loop around the clause, or None.
-        looped: whether a call has been written as a turn of that loop.
+        has_iteration: whether a call has been written as an iteration of that loop.
         direct_last_call: the predicate whose last call the function runs itself, returning the frame that it returns.
-        binds: whether the code may bind variables, so that failure has to undo the trail.
-        pushes: whether the code accesses the choice point stack.
-        later: variables and heights that the goals after the current one need.
+        may_bind: whether the code may bind variables, so that failure has to undo the trail.
+        uses_choices: whether the code accesses the choice point stack.
+        needed_later: variables and heights that the goals after the current one need.
     """
 
-    def __init__(self, unit: Unit, clause: ClauseVariables, fail: str = "return None"):
+    def __init__(self, unit: CompilationUnit, clause: ClauseVariables, fail: str = "return None"):
         self.unit = unit
         self.clause = clause
         self.lines: List[str] = []
         self.depth = 1
         self.names: Dict[Needed, str] = {}
         self.fresh: Set[Var] = set()
-        self.numbers: Dict[Var, Tuple[str, str]] = {}
+        self.numbers: Dict[Var, Operand] = {}
         self.fail = fail
-        self.cut = "return None"
+        self.fail_after_cut = "return None"
         self.give_up = "return None"
-        self.pending: Optional[str] = None
-        self.after = "after"
-        self.entry = True
+        self.pending_choice: Optional[str] = None
+        self.continuation = "after"
+        self.is_entry = True
         self.unpacking_failed = False
         self.loop: Optional[Loop] = None
-        self.looped = False
+        self.has_iteration = False
         self.direct_last_call: Optional[Functor] = None
-        self.binds = False
-        self.pushes = False
-        self.later: FrozenSet[Needed] = frozenset()
+        self.may_bind = False
+        self.uses_choices = False
+        self.needed_later: FrozenSet[Needed] = frozenset()
         self._temps = 0
 
-    def line(self, text: str) -> None:
+    def write(self, text: str) -> None:
         """Write a line."""
         self.lines.append("    " * self.depth + text)
 
-    def push(self, text: str) -> None:
+    def write_choice(self, text: str) -> None:
         """Write a line that accesses the choice point stack."""
-        self.line(text)
-        self.pushes = True
+        self.write(text)
+        self.uses_choices = True
 
     def temp(self, stem: str = "t") -> str:
         """Return a new local name."""
         self._temps += 1
         return f"{stem}{self._temps}"
 
-    def branch(self) -> ScopeState:
+    def snapshot(self) -> ScopeState:
         """Return the knowledge at this point, for `restore`."""
-        return (
+        return ScopeState(
             dict(self.names),
             set(self.fresh),
             dict(self.numbers),
             self.fail,
-            self.pending,
-            self.after,
-            self.entry,
+            self.pending_choice,
+            self.continuation,
+            self.is_entry,
         )
 
     def restore(self, state: ScopeState) -> None:
-        """Replace the knowledge by a state that `branch` returned."""
+        """Replace the knowledge by a state that `snapshot` returned."""
         # Copied again: both branches of a condition may be restored from one state.
-        names, fresh, numbers, self.fail, self.pending, self.after, self.entry = state
+        names, fresh, numbers, self.fail, self.pending_choice, self.continuation, self.is_entry = state
         self.names, self.fresh, self.numbers = dict(names), set(fresh), dict(numbers)
 
     def create(self, var: Var) -> str:
         """Write the creation of a variable that has no value yet."""
         name = self.clause.local(var)
-        self.line(f"{name} = Var()")
+        self.write(f"{name} = Var()")
         self.names[var] = name
         self.fresh.add(var)
         return name
@@ -329,13 +352,13 @@ class Scope:
 
         The loop is written inline, because a call of `deref` costs more than the rest of most unifications.
         """
-        self.line(f"k = {name}.__class__")
-        self.line("while k is Var:")
-        self.line(f"    r = {name}.ref")
-        self.line("    if r is None:")
-        self.line("        break")
-        self.line(f"    {name} = r")
-        self.line("    k = r.__class__")
+        self.write(f"k = {name}.__class__")
+        self.write("while k is Var:")
+        self.write(f"    r = {name}.ref")
+        self.write("    if r is None:")
+        self.write("        break")
+        self.write(f"    {name} = r")
+        self.write("    k = r.__class__")
 
     def build(self, term: Term) -> str:
         """Return an expression for a term, after writing the variables that it needs."""

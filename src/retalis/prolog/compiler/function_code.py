@@ -15,8 +15,17 @@ from typing import TYPE_CHECKING, Dict, Iterator, List, Optional, Sequence, Tupl
 from ..machine.machine import BAIL
 from ..terms.types import Functor, Term, Trail, functor
 from ..terms.unification import undo
-from .clause_nodes import BodyParser, CallNode, Cut, Finder, GoalNode, Height, IfThenElse, PredicateResolver
-from .code_scope import ClauseVariables, Scope, Unit
+from .clause_nodes import (
+    BodyParser,
+    CallNode,
+    Cut,
+    GoalNode,
+    Height,
+    IfThenElse,
+    PredicateFunction,
+    PredicateResolver,
+)
+from .code_scope import ClauseVariables, CompilationUnit, Scope
 from .inline_goals import write_sequence
 from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of
 
@@ -24,9 +33,11 @@ if TYPE_CHECKING:
     from ..database.predicate import Predicate
 
 _MAX_FUNCTION_CLAUSES = 8
+"""Clauses of a predicate that can be a function."""
 _MAX_CLAUSES_VISITED = 100
 """Clauses that a call may try, including those of the predicates that it calls."""
 _MAX_NESTED_CALLS = 6
+"""Nesting of calls of functions within functions."""
 
 _PURE = frozenset(
     functor(name, arity)
@@ -52,10 +63,10 @@ class FunctionCode:
         only: returns whether there is exactly one solution, and keeps its bindings; None if it cannot decide.
     """
 
-    __slots__ = ("first", "only", "_database", "_key", "_finds_facts", "_not_generated")
+    __slots__ = ("first", "only", "_database", "_key", "_finds_facts", "_pending_functions")
 
-    first: Finder
-    only: Finder
+    first: PredicateFunction
+    only: PredicateFunction
 
     def __init__(self, database: PredicateResolver, key: Functor):
         self._database = database
@@ -73,32 +84,34 @@ class FunctionCode:
         """
         if not self._finds_facts or predicate is None or not predicate.has_only_ground_facts:
             self._finds_facts = False
-            self._not_generated = {True, False}
+            self._pending_functions = {"first", "only"}
             # Generation is deferred to the first call: a predicate may change many times without being called.
             self.first = lambda *args: self._generate(True)(*args)
             self.only = lambda *args: self._generate(False)(*args)
 
-    def precompile(self, once: bool) -> None:
-        """Generate `first` (if ``once``) or `only` before it is called."""
-        if once in self._not_generated:
-            self._generate(once)
+    def precompile(self, first_is_enough: bool) -> None:
+        """Generate `first` (if ``first_is_enough``) or `only` before it is called."""
+        if ("first" if first_is_enough else "only") in self._pending_functions:
+            self._generate(first_is_enough)
 
-    def _generate(self, once: bool) -> Finder:
+    def _generate(self, first_is_enough: bool) -> PredicateFunction:
         database, key = self._database, self._key
         # Marked as generated first: a caller that is compiled meanwhile must not generate it again.
-        self._not_generated.discard(once)
+        self._pending_functions.discard("first" if first_is_enough else "only")
         predicate = database.predicate(key)
-        function: Finder
+        function: PredicateFunction
         if call_cost(database, key) is None:
             function = _cannot_decide
-        elif is_facts(predicate):
+        elif is_fact_table(predicate):
             self._finds_facts = True
             self.first, self.only = predicate.fact_finder(True), predicate.fact_finder(False)
-            self._not_generated.clear()
-            return self.first if once else self.only
+            self._pending_functions.clear()
+            return self.first if first_is_enough else self.only
         else:
-            function = Functions(database, key, clause_parts(predicate), predicate).function(once)
-        if once:
+            function = FunctionGenerator(database, key, clause_parts(predicate), predicate).generate_function(
+                first_is_enough
+            )
+        if first_is_enough:
             self.first = function
         else:
             self.only = function
@@ -109,7 +122,7 @@ def _cannot_decide(*args: Term) -> None:
     return None
 
 
-def is_facts(predicate: "Predicate") -> bool:
+def is_fact_table(predicate: "Predicate") -> bool:
     """Return whether a predicate is a table of ground facts, which is searched through its indexes."""
     return predicate.has_only_ground_facts and (predicate.dynamic or len(predicate) > _MAX_FUNCTION_CLAUSES)
 
@@ -141,7 +154,7 @@ def call_cost(database: PredicateResolver, key: Functor, path: Tuple[Functor, ..
     # A recursive function would recurse in Python, whose stack is limited, while frames are not.
     if key in path or len(path) >= _MAX_NESTED_CALLS:
         return None
-    if is_facts(predicate):
+    if is_fact_table(predicate):
         return 1
     if predicate.dynamic or not 0 < len(predicate) <= _MAX_FUNCTION_CLAUSES:
         return None
@@ -152,7 +165,7 @@ def call_cost(database: PredicateResolver, key: Functor, path: Tuple[Functor, ..
         entry = Height("height")
         nodes = function_parser(database, entry, (*path, key)).parse(clause.body)
         nested_cost = body_cost(database, nodes, (*path, key))
-        if nested_cost is None or any(not node.inline for node in nodes):
+        if nested_cost is None or any(not node.is_inline for node in nodes):
             return None
         cost += 1 + nested_cost
     return cost if cost <= _MAX_CLAUSES_VISITED else None
@@ -163,8 +176,8 @@ def body_cost(
 ) -> Optional[int]:
     """Return how many clauses the calls in a body may try; None if one of its goals cannot be in a function."""
     total = 0
-    for goal in goals_of(nodes):
-        if goal.form == "direct":
+    for goal in calls_in(nodes):
+        if goal.form == "function":
             cost = call_cost(database, goal.key, path)
             if cost is None:
                 return None
@@ -179,13 +192,13 @@ def is_pure(database: PredicateResolver, key: Functor) -> bool:
     return key in _PURE or database.predicate(key).functional_modes is not None
 
 
-def goals_of(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
+def calls_in(nodes: Sequence[GoalNode]) -> Iterator[CallNode]:
     """Yield all calls in a body, including those in conditions."""
     for node in nodes:
         if isinstance(node, CallNode):
             yield node
         elif isinstance(node, IfThenElse):
-            yield from goals_of([*node.test, *node.then, *node.otherwise])
+            yield from calls_in([*node.test, *node.then, *node.otherwise])
 
 
 def function_parser(database: PredicateResolver, entry: Height, path: Tuple[Functor, ...] = ()) -> BodyParser:
@@ -200,43 +213,46 @@ def function_parser(database: PredicateResolver, entry: Height, path: Tuple[Func
     return BodyParser(database, entry, can_be_function)
 
 
-def choose_functions(nodes: Sequence[GoalNode], once: bool) -> None:
+def mark_first_solution_calls(nodes: Sequence[GoalNode], first_is_enough: bool) -> None:
     """Mark the calls for which the first solution is enough.
 
-    These are calls directly before a cut, and the last call of a condition or, if ``once``, of the sequence.
+    These are calls directly before a cut, the last call of a condition, and if ``first_is_enough``, the last call of
+    the sequence.
 
     Args:
         nodes: the goals.
-        once: whether the first solution of the whole sequence is enough.
+        first_is_enough: whether the first solution of the whole sequence is enough.
     """
     for position, node in enumerate(nodes):
-        first_is_enough = once if position == len(nodes) - 1 else isinstance(nodes[position + 1], Cut)
+        first_is_enough = (
+            first_is_enough if position == len(nodes) - 1 else isinstance(nodes[position + 1], Cut)
+        )
         if isinstance(node, CallNode):
-            node.once = first_is_enough
+            node.first_is_enough = first_is_enough
         elif isinstance(node, IfThenElse):
-            choose_functions(node.test, True)
-            choose_functions(node.then, first_is_enough)
-            choose_functions(node.otherwise, first_is_enough)
+            mark_first_solution_calls(node.test, True)
+            mark_first_solution_calls(node.then, first_is_enough)
+            mark_first_solution_calls(node.otherwise, first_is_enough)
 
 
-class Functions(PredicateGenerator):
+class FunctionGenerator(PredicateGenerator):
     """Generator of the functions of one predicate."""
 
-    def function(self, once: bool) -> Finder:
-        """Return the function for the first solution (if ``once``), or for the only one."""
-        unit = Unit(self.database.machine, self.database, repeats=True)
+    def generate_function(self, first_is_enough: bool) -> PredicateFunction:
+        """Return the function for the first solution (if ``first_is_enough``), or for the only one."""
+        unit = CompilationUnit(self.database.machine, self.database, is_repeatable=True)
         unit.namespace["key_of"] = key_of
         lines = ["    mark = len(trail)"]
         # Keys are read at entry: the head of a clause binds arguments, which must not influence the test for others.
-        positions = [] if once else self._selective_positions()
+        positions = [] if first_is_enough else self._selective_positions()
         lines += [f"    x{position + 1} = key_of({self.locals[position]})" for position in positions]
         for index in range(len(self.clauses)):
-            lines += self._clause_block(unit, index, once, positions)
-        unit.add([f"def main({', '.join(self.locals)}):", *lines, "    return False"])
+            lines += self._clause_block(unit, index, first_is_enough, positions)
+        unit.add_function([f"def main({', '.join(self.locals)}):", *lines, "    return False"])
         place = next((clause.place for clause in self.clauses if clause.place is not None), None)
-        source = unit.source()
+        source = unit.complete_source()
         title = f"{self.key} as a function"
-        finder: Finder = unit.finish(source, title_of(place, title))["main"]
+        finder: PredicateFunction = unit.define(source, title_of(place, title))["main"]
         return finder
 
     def _selective_positions(self) -> List[int]:
@@ -248,39 +264,41 @@ class Functions(PredicateGenerator):
         ]
         return [position for position, position_keys in enumerate(keys) if len(set(position_keys)) > 1]
 
-    def _clause_block(self, unit: Unit, index: int, once: bool, positions: List[int]) -> List[str]:
+    def _clause_block(
+        self, unit: CompilationUnit, index: int, first_is_enough: bool, positions: List[int]
+    ) -> List[str]:
         """Return the code of a clause, a block that ``break`` leaves to try the next clause."""
         clause = self.clauses[index]
         following_clauses = self.clauses[index + 1 :]
         entry = Height("height")
         scope = Scope(unit, ClauseVariables((*clause.args, clause.body)), "break")
         scope.depth = 2
-        scope.cut = "return False"
+        scope.fail_after_cut = "return False"
         nodes = function_parser(self.database, entry, (self.key,)).parse(clause.body)
-        committed = any(isinstance(node, Cut) for node in nodes)
-        choose_functions(nodes, once)
+        has_cut = any(isinstance(node, Cut) for node in nodes)
+        mark_first_solution_calls(nodes, first_is_enough)
         self._write_head(
             scope,
             clause,
             None,
-            self._copied_locals(scope, clause, None) if following_clauses else self.locals,
+            self._copy_arguments(scope, clause, None) if following_clauses else self.locals,
         )
         write_sequence(scope, nodes, frozenset())
         # After a cut no other clause can have a solution, so the solution is the only one.
-        later_clauses = () if once or committed else following_clauses
+        later_clauses = () if first_is_enough or has_cut else following_clauses
         conditions = [self._may_match(unit, later_clause, positions) for later_clause in later_clauses]
         if conditions:
-            scope.line(f"return None if {' or '.join(conditions)} else True")
+            scope.write(f"return None if {' or '.join(conditions)} else True")
         else:
-            scope.line("return True")
+            scope.write("return True")
         lines = ["    while True:", *scope.lines]
         # Bindings of a failed head must be undone before the next clause is tried.
-        if following_clauses and scope.binds:
+        if following_clauses and scope.may_bind:
             lines += ["    while len(trail) > mark:", "        pop().ref = None"]
         return lines
 
     @staticmethod
-    def _may_match(unit: Unit, clause: ClauseParts, positions: List[int]) -> str:
+    def _may_match(unit: CompilationUnit, clause: ClauseParts, positions: List[int]) -> str:
         """Return the condition under which a clause may match the arguments at entry."""
         tests = []
         for position in positions:

@@ -6,7 +6,7 @@ parts are all inline become a Python ``if``.
 
 Two optimizations belong here. A unification with a variable that has no value yet writes no code: the variable
 becomes a name for the value. Consecutive built-ins whose intermediate values are used nowhere else become one call of
-a fused function (`join`), so that the intermediate values never become terms.
+a fused function (`join_goals`), so that the intermediate values never become terms.
 
 An arithmetic expression is compiled bottom-up: each operation becomes one assignment to a temporary, and its result
 is described by a class (`Operand`). A known class removes tests: the sum of two locals that hold integers needs no
@@ -36,7 +36,7 @@ from .clause_nodes import (
     PredicateResolver,
     needed_by,
 )
-from .code_scope import Scope, ScopeState
+from .code_scope import Operand, Scope, ScopeState
 from .unification_code import decoded_local, differs, forget_fresh, match, write_argument, write_functor
 
 if TYPE_CHECKING:
@@ -73,13 +73,7 @@ _INSTANT_FUNCTIONS = {
 }
 """Functions whose value may be a timestamp that carries its exact instant (see `arithmetic`)."""
 _MAX_EXPRESSION_DEPTH = 30
-
-Operand = Tuple[str, str]
-"""A Python expression without side effects, and its class: "int", "float", "num" (either of them), or "any".
-
-The value of class "any" is a number as well, but may carry the exact instant of a timestamp. Such values exist only
-within an evaluation and never become terms; see `arithmetic`.
-"""
+"""Nesting of arithmetic that is compiled; deeper operations are evaluated from their term."""
 
 
 class JoinedNode(CallNode):
@@ -97,7 +91,7 @@ class JoinedNode(CallNode):
         self.source = conjunction([goal.source for goal in goals if goal.source is not None])
 
 
-def join(
+def join_goals(
     database: PredicateResolver, counts: Mapping[Any, int], nodes: Sequence[GoalNode]
 ) -> Sequence[GoalNode]:
     """Return goals with consecutive ones fused to a `JoinedNode` if the first one's predicate offers that.
@@ -111,8 +105,8 @@ def join(
     remaining = list(nodes)
     while remaining:
         goals = _leading_functions(database, remaining)
-        functional = database.predicate(goals[0].key).functional_modes if goals else None
-        joins = None if functional is None else functional.joins
+        modes = database.predicate(goals[0].key).functional_modes if goals else None
+        joins = None if modes is None else modes.joins
         joined = None if joins is None else joins([(goal.key, *goal.args) for goal in goals], counts)
         if joined is None:
             fused.append(remaining.pop(0))
@@ -140,6 +134,7 @@ def write_call(scope: Scope, node: CallNode) -> None:
 
 
 def _write_unify(scope: Scope, node: CallNode) -> None:
+    """Write ``=/2``; for a variable without a value only its name is recorded."""
     left, right = deref(node.args[0]), deref(node.args[1])
     if left.__class__ is not Var:
         left, right = right, left
@@ -157,7 +152,7 @@ def _write_unify(scope: Scope, node: CallNode) -> None:
             # A compound is stored in a local, so that it is built once however often the variable is used.
             if right.__class__ is not Var:
                 name = scope.clause.local(left)
-                scope.line(f"{name} = {scope.names[left]}")
+                scope.write(f"{name} = {scope.names[left]}")
                 scope.names[left] = name
                 if right.__class__ in (int, float) and right - right == 0:
                     scope.numbers[left] = name, right.__class__.__name__
@@ -174,59 +169,62 @@ def _write_unify_terms(scope: Scope, left: Term, right: Term) -> None:
     """Write the unification of two terms that are not variables."""
     if left.__class__ is tuple and right.__class__ is tuple:
         if left[0] is not right[0]:
-            scope.line(scope.fail)
+            scope.write(scope.fail)
             return
-        scope.binds = True
-        scope.line(f"if not unify({scope.build(left)}, {scope.build(right)}, trail):")
-        scope.line(f"    {scope.fail}")
+        scope.may_bind = True
+        scope.write(f"if not unify({scope.build(left)}, {scope.build(right)}, trail):")
+        scope.write(f"    {scope.fail}")
         forget_fresh(scope, left)
         forget_fresh(scope, right)
     elif left.__class__ is not right.__class__ or not (left is right or left == right):
-        scope.line(scope.fail)
+        scope.write(scope.fail)
 
 
 def _write_is(scope: Scope, node: CallNode) -> None:
+    """Write ``is/2``: assignment to a variable without a value, otherwise unification with the value."""
     target = deref(node.args[0])
-    value, value_class = evaluate_to_term(scope, node.args[1])
+    value, operand_class = write_evaluation_to_term(scope, node.args[1])
     if target.__class__ is Var and target not in scope.names:
         if target in variables(node.args[1]):
             scope.create(target)
+        # A temporary (``t1``, ``n1``) is assigned only once, so it can serve as the local of the variable.
         elif value[0] in "tn":
             scope.names[target] = value
-            scope.numbers[target] = value, value_class
+            scope.numbers[target] = value, operand_class
             return
         else:
             name = scope.clause.local(target)
-            scope.line(f"{name} = {value}")
+            scope.write(f"{name} = {value}")
             scope.names[target] = name
-            scope.numbers[target] = name, value_class
+            scope.numbers[target] = name, operand_class
             return
     name = scope.temp("p")
-    scope.line(f"{name} = {scope.build(target)}")
-    scope.binds = True
+    scope.write(f"{name} = {scope.build(target)}")
+    scope.may_bind = True
     scope.dereference(name)
-    scope.line("if k is Var:")
-    scope.line(f"    {name}.ref = {value}")
-    scope.line(f"    push({name})")
-    scope.line(
+    scope.write("if k is Var:")
+    scope.write(f"    {name}.ref = {value}")
+    scope.write(f"    push({name})")
+    # A temporary is compared by its class at run time; the class of a literal is known here.
+    scope.write(
         f"elif k is not {value}.__class__ or not same({name}, {value}):"
         if value[0] in "tn"
         else f"elif {differs(deref(node.args[1]), name, value)}:"
     )
-    scope.line(f"    {scope.fail}")
+    scope.write(f"    {scope.fail}")
 
 
 def _write_builtin(scope: Scope, node: CallNode) -> None:
-    functional = scope.unit.database.predicate(node.key).functional_modes
-    if functional is not None:
-        _write_function(scope, node, functional)
+    modes = scope.unit.database.predicate(node.key).functional_modes
+    if modes is not None:
+        _write_function(scope, node, modes)
         return
-    scope.line(f"if not {_builtin_expression(scope, node)}:")
-    scope.line(f"    {scope.fail}")
+    scope.write(f"if not {_builtin_expression(scope, node)}:")
+    scope.write(f"    {scope.fail}")
 
 
 def _builtin_expression(scope: Scope, node: CallNode) -> str:
-    scope.binds = True
+    scope.may_bind = True
     args = "".join(f", {scope.build(arg)}" for arg in node.args)
     # The built-in may bind its arguments or store them, so nothing is known of their variables afterwards.
     for arg in node.args:
@@ -240,9 +238,9 @@ def _write_joined(scope: Scope, node: CallNode) -> None:
     *inputs, output = node.args
     result = scope.temp("p")
     call = scope.unit.constant(node.function)
-    scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
-    scope.line(f"if {result} is None:")
-    scope.line(f"    {scope.fail}")
+    scope.write(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
+    scope.write(f"if {result} is None:")
+    scope.write(f"    {scope.fail}")
     for arg in inputs:
         forget_fresh(scope, arg)
     output = deref(output)
@@ -252,26 +250,28 @@ def _write_joined(scope: Scope, node: CallNode) -> None:
         match(scope, result, output)
 
 
-def _write_function(scope: Scope, node: CallNode, functional: "FunctionalModes") -> None:
+def _write_function(scope: Scope, node: CallNode, modes: "FunctionalModes") -> None:
     """Write a call of a function and the unification of its outputs; outputs to void variables are skipped."""
-    inputs = [node.args[position] for position in functional.inputs]
+    inputs = [node.args[position] for position in modes.inputs]
     result = scope.temp()
-    call = scope.unit.constant(functional.function)
+    call = scope.unit.constant(modes.function)
     if node.key is KNOWN_ARG:
         write_argument(scope, result, call, *inputs)
     else:
-        scope.line(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
-        scope.line(f"if {result} is None:")
-        scope.line(f"    {scope.fail}")
+        scope.write(f"{result} = {call}({', '.join([scope.build(arg) for arg in inputs])})")
+        scope.write(f"if {result} is None:")
+        scope.write(f"    {scope.fail}")
     for arg in inputs:
         forget_fresh(scope, arg)
-    for index, (position, show) in enumerate(zip(functional.outputs, functional.to_term_functions)):
+    for index, (position, to_term) in enumerate(zip(modes.outputs, modes.to_term_functions)):
         arg = deref(node.args[position])
         if arg.__class__ is Var and scope.clause.is_void(arg):
             continue
-        value = result if functional.has_single_output else f"{result}[{index}]"
+        value = result if modes.has_single_output else f"{result}[{index}]"
         name = scope.temp("p")
-        scope.line(f"{name} = {value}" if show is None else f"{name} = {scope.unit.constant(show)}({value})")
+        scope.write(
+            f"{name} = {value}" if to_term is None else f"{name} = {scope.unit.constant(to_term)}({value})"
+        )
         # arg/3 most often fills variables of a term that was just created, so the unbound case comes first.
         if node.key is KNOWN_ARG and arg.__class__ is Var and arg in scope.names:
             _write_output(scope, arg, name)
@@ -282,37 +282,37 @@ def _write_function(scope: Scope, node: CallNode, functional: "FunctionalModes")
 def _write_output(scope: Scope, var: Var, value: str) -> None:
     """Write the unification of a value with a variable that has a name and is most likely unbound."""
     name = scope.names[var]
-    scope.binds = True
+    scope.may_bind = True
     scope.fresh.discard(var)
     scope.dereference(name)
-    scope.line(f"if k is Var and {value}.__class__ is not Var:")
-    scope.line(f"    {name}.ref = {value}")
-    scope.line(f"    push({name})")
-    scope.line(f"elif not unify({name}, {value}, trail):")
-    scope.line(f"    {scope.fail}")
+    scope.write(f"if k is Var and {value}.__class__ is not Var:")
+    scope.write(f"    {name}.ref = {value}")
+    scope.write(f"    push({name})")
+    scope.write(f"elif not unify({name}, {value}, trail):")
+    scope.write(f"    {scope.fail}")
 
 
 def _write_function_call(scope: Scope, node: CallNode) -> None:
     """Write a call of a predicate as a function; see `function_code`."""
     result = scope.temp()
-    scope.binds = True
+    scope.may_bind = True
     args = ", ".join([scope.build(arg) for arg in node.args])
     for arg in node.args:
         forget_fresh(scope, arg)
     functions = scope.unit.database.function_code(node.key)
     # The attribute is read at each call, because a change of the predicate replaces its functions.
-    functions.precompile(node.once)
+    functions.precompile(node.first_is_enough)
     function = scope.unit.constant(functions)
-    scope.line(f"{result} = {function}.{'first' if node.once else 'only'}({args})")
-    scope.line(f"if not {result}:")
-    scope.line(f"    if {result} is None:")
-    scope.line(f"        {scope.give_up}")
-    scope.line(f"    {scope.fail}")
+    scope.write(f"{result} = {function}.{'first' if node.first_is_enough else 'only'}({args})")
+    scope.write(f"if not {result}:")
+    scope.write(f"    if {result} is None:")
+    scope.write(f"        {scope.give_up}")
+    scope.write(f"    {scope.fail}")
 
 
 def _write_simple_test(scope: Scope, node: CallNode) -> None:
-    scope.line(f"if not ({simple_test(scope, node)}):")
-    scope.line(f"    {scope.fail}")
+    scope.write(f"if not ({simple_test(scope, node)}):")
+    scope.write(f"    {scope.fail}")
 
 
 def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
@@ -320,8 +320,8 @@ def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
     if not isinstance(node, CallNode):
         return None
     if node.form == "arithmetic":
-        left, _ = evaluate(scope, node.args[0])
-        right, _ = evaluate(scope, node.args[1])
+        left, _ = write_evaluation(scope, node.args[0])
+        right, _ = write_evaluation(scope, node.args[1])
         return f"{left} {COMPARISONS[node.key]} {right}"
     if node.form == "type":
         return TYPE_TESTS[node.key].format(decoded_local(scope, node.args[0]))
@@ -331,6 +331,7 @@ def simple_test(scope: Scope, node: GoalNode) -> Optional[str]:
 
 
 def _order_condition(scope: Scope, node: CallNode) -> str:
+    """Return the condition of a comparison in the standard order of terms."""
     left, right = deref(node.args[0]), deref(node.args[1])
     operator = ORDERS[node.key]
     if operator in ("== 0", "!= 0"):
@@ -350,13 +351,14 @@ def _order_condition(scope: Scope, node: CallNode) -> str:
 
 
 def _write_differ(scope: Scope, node: CallNode) -> None:
+    """Write the test that two terms do not unify."""
     # The bindings are undone in either case: only the result of the unification counts.
     mark = scope.temp("m")
-    scope.line(f"{mark} = len(trail)")
-    scope.line(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")
-    scope.line(f"    undo(trail, {mark})")
-    scope.line(f"    {scope.fail}")
-    scope.line(f"undo(trail, {mark})")
+    scope.write(f"{mark} = len(trail)")
+    scope.write(f"if unify({scope.build(node.args[0])}, {scope.build(node.args[1])}, trail):")
+    scope.write(f"    undo(trail, {mark})")
+    scope.write(f"    {scope.fail}")
+    scope.write(f"undo(trail, {mark})")
     for arg in node.args:
         forget_fresh(scope, arg)
 
@@ -370,12 +372,13 @@ _WRITERS = {
     "type": _write_simple_test,
     "builtin": _write_builtin,
     "functor": write_functor,
-    "direct": _write_function_call,
+    "function": _write_function_call,
     "joined": _write_joined,
 }
 
 
 UnsetVariables = Tuple[Set[Needed], Set[Var]]
+"""Variables without a local, and variables without a known number, after a test that has failed; see `forget`."""
 
 
 def write_inline(scope: Scope, node: GoalNode) -> None:
@@ -387,47 +390,47 @@ def write_inline(scope: Scope, node: GoalNode) -> None:
     elif isinstance(node, IfThenElse):
         _write_condition(scope, node)
     else:
-        scope.line(scope.fail)
+        scope.write(scope.fail)
 
 
 def _write_cut(scope: Scope, node: Cut) -> None:
-    # A soft cut keeps the solutions of the test. The entry is replaced, not deleted: heights above it stay valid.
-    if node.soft:
+    # A soft cut keeps the choice points of the test. The entry is replaced, not deleted: heights above it stay valid.
+    if node.is_soft:
         height = scope.names[node.height]
-        scope.line(f"choices[{height}] = (DEAD, choices[{height}][-1])")
+        scope.write(f"choices[{height}] = (DEAD, choices[{height}][-1])")
         return
     height_name = scope.names.get(node.height)
-    if height_name is None or (scope.pending is not None and node.cuts):
+    if height_name is None or (scope.pending_choice is not None and node.has_cut):
         # Nothing has been pushed since the clause was entered, so the cut only drops the pending choice point of the
         # following clauses, and no statement is needed.
-        scope.pending = None
-        scope.fail = scope.cut
+        scope.pending_choice = None
+        scope.fail = scope.fail_after_cut
         return
-    scope.line(f"del choices[{height_name}:]")
+    scope.write(f"del choices[{height_name}:]")
 
 
 def _write_condition(scope: Scope, node: IfThenElse) -> None:
     """Write an if-then-else whose parts are all inline as a Python ``if``."""
-    later = scope.later
-    scope.later = later | needed_by(node.then)
+    later = scope.needed_later
+    scope.needed_later = later | needed_by(node.then)
     unset = write_test(scope, node.test)
-    saved_scope = scope.branch()
+    saved_scope = scope.snapshot()
     scope.depth += 1
     start = len(scope.lines)
     write_sequence(scope, node.then, later)
-    middle, then_state = len(scope.lines), scope.branch()
+    middle, then_state = len(scope.lines), scope.snapshot()
     scope.restore(saved_scope)
     # The else branch starts without the values that the test would have computed.
     forget(scope, unset)
     scope.depth -= 1
-    scope.line("else:")
+    scope.write("else:")
     scope.depth += 1
     write_sequence(scope, node.otherwise, later)
     # If one branch always fails, the code after the condition is reached from the other one only, and its knowledge
     # holds. Otherwise the branches have to agree on names.
     if node.then and isinstance(node.then[-1], Fail):
         if len(scope.lines) == middle + 1:
-            scope.line("pass")
+            scope.write("pass")
     elif node.otherwise and isinstance(node.otherwise[-1], Fail):
         scope.restore(then_state)
         if start == middle:
@@ -439,15 +442,15 @@ def _write_condition(scope: Scope, node: IfThenElse) -> None:
 
 def write_sequence(scope: Scope, nodes: Sequence[GoalNode], later: FrozenSet[Needed]) -> None:
     """Write consecutive inline goals; ``later`` are the variables and heights needed after them."""
-    nodes = join(scope.unit.database, scope.clause.counts, nodes)
+    nodes = join_goals(scope.unit.database, scope.clause.counts, nodes)
     for position, node in enumerate(nodes):
-        scope.later = later | needed_by(nodes[position + 1 :])
+        scope.needed_later = later | needed_by(nodes[position + 1 :])
         write_inline(scope, node)
-    scope.later = later
+    scope.needed_later = later
 
 
 def forget(scope: Scope, unset: UnsetVariables) -> None:
-    """Remove the knowledge of values that a failed test may not have set."""
+    """Remove the knowledge of locals and numbers that a failed test may not have set."""
     names, numbers = unset
     for var in names:
         scope.names.pop(var, None)
@@ -472,7 +475,7 @@ def _merge_branches(
     """
     then_lines: List[str] = []
     indent = "    " * scope.depth
-    else_names, then_names = scope.names, then_state[0]
+    else_names, then_names = scope.names, then_state.names
     merged: Dict[Needed, str] = {}
     for var in {**then_names, **else_names}:
         left, right = then_names.get(var), else_names.get(var)
@@ -483,18 +486,18 @@ def _merge_branches(
             if left != name:
                 then_lines.append(f"{indent}{name} = {left or 'Var()'}")
             if right != name:
-                scope.line(f"{name} = {right or 'Var()'}")
+                scope.write(f"{name} = {right or 'Var()'}")
     if len(scope.lines) == middle + 1:
-        scope.line("pass")
+        scope.write("pass")
     if not then_lines and middle == start:
         then_lines.append(f"{indent}pass")
     scope.lines[middle:middle] = then_lines
     scope.names = merged
     # A variable is fresh, and a number known, only if that holds after both branches.
-    scope.fresh &= then_state[1]
-    numbers = then_state[2]
+    scope.fresh &= then_state.fresh
+    then_numbers = then_state.numbers
     scope.numbers = {
-        var: value for var, value in scope.numbers.items() if numbers.get(var) == value and var in merged
+        var: value for var, value in scope.numbers.items() if then_numbers.get(var) == value and var in merged
     }
 
 
@@ -510,12 +513,12 @@ def write_test(scope: Scope, test: List[GoalNode]) -> UnsetVariables:
     if len(test) == 1:
         condition = simple_test(scope, test[0])
         if condition is not None:
-            scope.line(f"if {condition}:")
+            scope.write(f"if {condition}:")
             return set(), set()
     # Python has no labelled exit: the test is the body of a loop that runs once, and ``break`` is its failure.
     flag, mark = scope.temp("ok"), scope.temp("m")
     outer_fail, scope.fail = scope.fail, "break"
-    scope.line(f"{flag} = False")
+    scope.write(f"{flag} = False")
     # The test works on copies of the locals: dereferencing replaces a local by its value, which must not outlive a
     # binding that the failed test undoes.
     outer_names = scope.names
@@ -523,30 +526,30 @@ def write_test(scope: Scope, test: List[GoalNode]) -> UnsetVariables:
     for var in sorted(needed_by(test), key=scope.clause.number):
         if var.__class__ is Var and var in outer_names:
             scope.names[var] = scope.temp("w")
-            scope.line(f"{scope.names[var]} = {outer_names[var]}")
+            scope.write(f"{scope.names[var]} = {outer_names[var]}")
     loop_start = len(scope.lines)
-    outer_binds, scope.binds = scope.binds, False
-    scope.line("while True:")
+    outer_binds, scope.may_bind = scope.may_bind, False
+    scope.write("while True:")
     scope.depth += 1
-    write_sequence(scope, test, scope.later)
-    scope.line(f"{flag} = True")
-    scope.line("break")
+    write_sequence(scope, test, scope.needed_later)
+    scope.write(f"{flag} = True")
+    scope.write("break")
     scope.depth -= 1
     # Only now is it known whether the test binds anything that needs a mark.
-    if scope.binds:
+    if scope.may_bind:
         scope.lines.insert(loop_start, "    " * scope.depth + f"{mark} = len(trail)")
-        scope.line(f"if not {flag}:")
-        scope.line(f"    undo(trail, {mark})")
-    scope.binds |= outer_binds
+        scope.write(f"if not {flag}:")
+        scope.write(f"    undo(trail, {mark})")
+    scope.may_bind |= outer_binds
     scope.fail = outer_fail
     scope.names.update(outer_names)
-    scope.line(f"if {flag}:")
+    scope.write(f"if {flag}:")
     return set(scope.names) - named_before, {
         var for var, value in scope.numbers.items() if numbers_before.get(var) != value
     }
 
 
-def evaluate(scope: Scope, expression: Term, depth: int = 0) -> Operand:
+def write_evaluation(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     """Write the evaluation of an arithmetic expression and return its operand."""
     expression = deref(expression)
     if expression.__class__ is int:
@@ -554,73 +557,73 @@ def evaluate(scope: Scope, expression: Term, depth: int = 0) -> Operand:
     if expression.__class__ is float and expression - expression == 0:
         return scope.unit.constant(expression), "float"
     if expression.__class__ is Var:
-        return _write_variable(scope, expression)
+        return _write_number_of_variable(scope, expression)
     if depth < _MAX_EXPRESSION_DEPTH:
         if expression.__class__ is tuple and expression[0] in EVALUABLE:
             return _write_operation(scope, expression, depth)
         if expression.__class__ is Atom and expression.functor in EVALUABLE:
             target = scope.temp()
-            scope.line(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
+            scope.write(f"{target} = {scope.unit.constant(EVALUABLE[expression.functor])}()")
             return target, "num"
     # Unknown functions and deep expressions are evaluated from their term, which raises the errors as well.
     target = scope.temp()
-    scope.line(f"{target} = evaluate_exact({scope.build(expression)})")
+    scope.write(f"{target} = evaluate_exact({scope.build(expression)})")
     return target, "any"
 
 
-def evaluate_to_term(scope: Scope, expression: Term) -> Operand:
+def write_evaluation_to_term(scope: Scope, expression: Term) -> Operand:
     """Write the evaluation of an expression whose value becomes a term, and return its operand."""
-    value, value_class = evaluate(scope, expression)
-    if value_class != "any":
-        return value, value_class
+    value, operand_class = write_evaluation(scope, expression)
+    if operand_class != "any":
+        return value, operand_class
     target = scope.temp()
-    scope.line(
+    scope.write(
         f"{target} = {value} if {value}.__class__ is int or {value}.__class__ is float else without_instant({value})"
     )
     return target, "num"
 
 
-def _write_variable(scope: Scope, var: Var) -> Operand:
-    number_type = scope.numbers.get(var)
-    if number_type is not None:
-        return number_type
+def _write_number_of_variable(scope: Scope, var: Var) -> Operand:
+    known_operand = scope.numbers.get(var)
+    if known_operand is not None:
+        return known_operand
     name = scope.local(var)
     target = scope.temp("n")
-    if scope.entry:
-        scope.line(f"if {name}.__class__ is int or {name}.__class__ is float:")
-        scope.line(f"    {target} = {name}")
-        scope.line("else:")
+    if scope.is_entry:
+        scope.write(f"if {name}.__class__ is int or {name}.__class__ is float:")
+        scope.write(f"    {target} = {name}")
+        scope.write("else:")
         scope.depth += 1
-        _write_bound(scope, name, target)
+        _write_number_of_bound_variable(scope, name, target)
         scope.depth -= 1
     else:
         # In a continuation the value is most often a variable that an earlier call has bound; at entry it is most
         # often the number itself. Testing the likely case first saves a dereference per operation.
-        _write_bound(scope, name, target)
+        _write_number_of_bound_variable(scope, name, target)
     scope.numbers[var] = target, "any"
     return target, "any"
 
 
-def _write_bound(scope: Scope, name: str, target: str) -> None:
+def _write_number_of_bound_variable(scope: Scope, name: str, target: str) -> None:
     """Write the evaluation of a local that is most likely a variable bound to a number."""
-    scope.line(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
-    scope.line(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
-    scope.line(f"    {target} = evaluate_exact({name})")
+    scope.write(f"{target} = {name}.ref if {name}.__class__ is Var else {name}")
+    scope.write(f"if {target}.__class__ is not int and {target}.__class__ is not float:")
+    scope.write(f"    {target} = evaluate_exact({name})")
 
 
 def _write_operation(scope: Scope, expression: CompoundTerm, depth: int) -> Operand:
     key: Functor = expression[0]
     if key in _BASIC_OPERATORS:
-        return _write_basic(scope, key, expression, depth)
+        return _write_basic_operation(scope, key, expression, depth)
     # Operands are evaluated from the last to the first, as the interpreter does: an expression with two errors must
     # raise the same one in both.
-    operands = [evaluate(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
+    operands = [write_evaluation(scope, arg, depth + 1) for arg in expression[:0:-1]][::-1]
     names = ", ".join(name for name, _ in operands)
     call = f"{scope.unit.constant(EVALUABLE[key])}({names})"
     target = scope.temp()
     symbol = "//" if key is _TRUNCATING_DIVISION else _BIT_SYMBOLS.get(key) or _FLOOR_SYMBOLS.get(key)
     if symbol is not None:
-        untyped = [name for name, number_type in operands if number_type != "int"]
+        untyped = [name for name, operand_class in operands if operand_class != "int"]
         test = " and ".join(f"{name}.__class__ is int" for name in untyped) or "True"
         if key in _FLOOR_SYMBOLS:
             test = f"{operands[1][0]} and {test}"
@@ -628,53 +631,53 @@ def _write_operation(scope: Scope, expression: CompoundTerm, depth: int) -> Oper
             # Python's // rounds down; for non-negative operands that equals the truncation of ISO Prolog. Division by
             # longer integers may take long and is left to the evaluator.
             test += f" and {operands[0][0]} >= 0 < {operands[1][0]} < {1 << 64}"
-        scope.line(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
+        scope.write(f"{target} = {operands[0][0]} {symbol} {operands[1][0]} if {test} else {call}")
     else:
-        scope.line(f"{target} = {call}")
+        scope.write(f"{target} = {call}")
     if key in _INSTANT_FUNCTIONS:
         return target, "any"
     return target, "int" if key in _INTEGER_FUNCTIONS or key in _ROUNDING_FUNCTIONS else "num"
 
 
-def _write_basic(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
-    symbol, slow = _BASIC_OPERATORS[key]
+def _write_basic_operation(scope: Scope, key: Functor, expression: CompoundTerm, depth: int) -> Operand:
+    symbol, general_function = _BASIC_OPERATORS[key]
     # A variable plus or minus an integer, the step of most loops, is one conditional expression without a temporary.
     left_term, right_term = deref(expression[1]), deref(expression[2])
     target = scope.temp()
     untyped = _untyped_local(scope, left_term), _untyped_local(scope, right_term)
     if untyped[0] is not None and right_term.__class__ is int:
         left, right = untyped[0], scope.unit.constant(right_term)
-        scope.line(
-            f"{target} = {left} {symbol} {right} if {left}.__class__ is int else {slow}({left}, {right})"
+        scope.write(
+            f"{target} = {left} {symbol} {right} if {left}.__class__ is int else {general_function}({left}, {right})"
         )
         return target, "num"
     if untyped[1] is not None and left_term.__class__ is int:
         left, right = scope.unit.constant(left_term), untyped[1]
-        scope.line(
-            f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {slow}({left}, {right})"
+        scope.write(
+            f"{target} = {left} {symbol} {right} if {right}.__class__ is int else {general_function}({left}, {right})"
         )
         return target, "num"
-    right, right_class = evaluate(scope, right_term, depth + 1)
-    left, left_class = evaluate(scope, left_term, depth + 1)
-    scope.line(f"{target} = {left} {symbol} {right}")
+    right, right_class = write_evaluation(scope, right_term, depth + 1)
+    left, left_class = write_evaluation(scope, left_term, depth + 1)
+    scope.write(f"{target} = {left} {symbol} {right}")
     if key is _TIMES:
         # Repeated multiplication grows integers exponentially, so each product is checked against the bounds at once.
         # The comparison is false for inf and nan as well, which `checked` then rejects.
-        scope.line(f"if not MIN_INTEGER < {target} < MAX_INTEGER:")
-        scope.line(f"    check_result({target})")
+        scope.write(f"if not MIN_INTEGER < {target} < MAX_INTEGER:")
+        scope.write(f"    check_result({target})")
         classes = {left_class, right_class}
         return target, "int" if classes == {"int"} else "float" if "float" in classes else "num"
     # A sum is at most one bit longer than its operands, so sums of integers need no check of their size.
     if left_class == right_class == "int":
         return target, "int"
     # x - x is 0 for finite numbers and nan (true) for inf and nan: one test for both.
-    scope.line(f"if {target} - {target}:")
-    scope.line(f"    check_result({target})")
+    scope.write(f"if {target} - {target}:")
+    scope.write(f"    check_result({target})")
     return target, "float" if "float" in (left_class, right_class) else "num"
 
 
 def _untyped_local(scope: Scope, term: Term) -> "str | None":
     """Return the local of a variable whose numeric value is not known yet; None for other terms."""
-    if term.__class__ is not Var or term in scope.numbers or not scope.entry:
+    if term.__class__ is not Var or term in scope.numbers or not scope.is_entry:
         return None
     return scope.local(term)

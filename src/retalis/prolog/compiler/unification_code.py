@@ -34,7 +34,7 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
         if known_name is None:
             scope.names[pattern] = name
         elif known_name != name:
-            scope.binds = True
+            scope.may_bind = True
             scope.fresh.discard(pattern)
             _unify_locals(scope, known_name, name)
     elif pattern.__class__ is tuple and len(pattern) > 1:
@@ -48,15 +48,15 @@ def match(scope: Scope, name: str, pattern: Term, depth: int = 0) -> None:
 
 def _unify_locals(scope: Scope, bound: str, name: str) -> None:
     """Write the unification of two locals; one is most likely an unbound variable."""
-    scope.line(f"if {bound} is not {name}:")
-    scope.line(f"    if {name}.__class__ is Var and {name}.ref is None and {bound}.__class__ is not Var:")
-    scope.line(f"        {name}.ref = {bound}")
-    scope.line(f"        push({name})")
-    scope.line(f"    elif {bound}.__class__ is Var and {bound}.ref is None and {name}.__class__ is not Var:")
-    scope.line(f"        {bound}.ref = {name}")
-    scope.line(f"        push({bound})")
-    scope.line(f"    elif not unify({bound}, {name}, trail):")
-    scope.line(f"        {scope.fail}")
+    scope.write(f"if {bound} is not {name}:")
+    scope.write(f"    if {name}.__class__ is Var and {name}.ref is None and {bound}.__class__ is not Var:")
+    scope.write(f"        {name}.ref = {bound}")
+    scope.write(f"        push({name})")
+    scope.write(f"    elif {bound}.__class__ is Var and {bound}.ref is None and {name}.__class__ is not Var:")
+    scope.write(f"        {bound}.ref = {name}")
+    scope.write(f"        push({bound})")
+    scope.write(f"    elif not unify({bound}, {name}, trail):")
+    scope.write(f"        {scope.fail}")
 
 
 def _unify_compound(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
@@ -107,14 +107,14 @@ def _unpack_whole(scope: Scope, name: str, pattern: CompoundTerm, depth: int) ->
     is_general = scope.temp("q")
     # A variable or a lazy term within the term, or another arity, raises TypeError or ValueError; another functor or
     # atom fails the tests. In all these cases the general code decides.
-    scope.line(f"{is_general} = True")
-    scope.line(f"if {name}.__class__ is tuple and {name}[0] is {scope.unit.constant(pattern[0])}:")
-    scope.line("    try:")
-    scope.line(f"        {unpacked} = {name}")
-    scope.line(f"        {is_general} = not ({' and '.join(tests[1:])})")
-    scope.line("    except (TypeError, ValueError):")
-    scope.line("        pass")
-    scope.line(f"if {is_general}:")
+    scope.write(f"{is_general} = True")
+    scope.write(f"if {name}.__class__ is tuple and {name}[0] is {scope.unit.constant(pattern[0])}:")
+    scope.write("    try:")
+    scope.write(f"        {unpacked} = {name}")
+    scope.write(f"        {is_general} = not ({' and '.join(tests[1:])})")
+    scope.write("    except (TypeError, ValueError):")
+    scope.write("        pass")
+    scope.write(f"if {is_general}:")
     scope.depth += 1
     scope.unpacking_failed = True
     _unify_compound(scope, name, pattern, depth)
@@ -123,31 +123,31 @@ def _unpack_whole(scope: Scope, name: str, pattern: CompoundTerm, depth: int) ->
 
 
 def _call_unify(scope: Scope, name: str, pattern: Term) -> None:
-    scope.binds = True
-    scope.line(f"if not unify({name}, {scope.build(pattern)}, trail):")
-    scope.line(f"    {scope.fail}")
+    scope.may_bind = True
+    scope.write(f"if not unify({name}, {scope.build(pattern)}, trail):")
+    scope.write(f"    {scope.fail}")
     forget_fresh(scope, pattern)
 
 
 def _unify_constant(scope: Scope, name: str, value: Term) -> None:
-    scope.binds = True
+    scope.may_bind = True
     const = scope.unit.constant(value)
     if value.__class__ is Atom:
-        scope.line(f"if {name} is not {const}:")
+        scope.write(f"if {name} is not {const}:")
         scope.depth += 1
         scope.dereference(name)
-        scope.line("if k is Var:")
+        scope.write("if k is Var:")
         _write_binding(scope, name, const)
         # A lazy term may turn out to be an atom.
-        scope.line(f"elif {name} is not {const} and (k is not Lazy or {name}.term() is not {const}):")
-        scope.line(f"    {scope.fail}")
+        scope.write(f"elif {name} is not {const} and (k is not Lazy or {name}.term() is not {const}):")
+        scope.write(f"    {scope.fail}")
         scope.depth -= 1
         return
     scope.dereference(name)
-    scope.line("if k is Var:")
+    scope.write("if k is Var:")
     _write_binding(scope, name, const)
-    scope.line(f"elif {differs(value, name, const)}:")
-    scope.line(f"    {scope.fail}")
+    scope.write(f"elif {differs(value, name, const)}:")
+    scope.write(f"    {scope.fail}")
 
 
 def differs(value: Term, name: str, const: str) -> str:
@@ -166,38 +166,38 @@ def differs(value: Term, name: str, const: str) -> str:
 
 
 def _write_binding(scope: Scope, name: str, value: str) -> None:
-    scope.line(f"    {name}.ref = {value}")
-    scope.line(f"    push({name})")
+    scope.write(f"    {name}.ref = {value}")
+    scope.write(f"    push({name})")
 
 
 def _write_both_modes(scope: Scope, name: str, pattern: CompoundTerm, depth: int) -> None:
     """Write both modes: binding of an unbound variable to a new term, and taking a compound term apart."""
     scope.dereference(name)
-    scope.line("if k is Var:")
-    saved_scope = scope.branch()
+    scope.write("if k is Var:")
+    saved_scope = scope.snapshot()
     scope.depth += 1
     new_term = scope.build(pattern)
-    scope.line(f"{name}.ref = {new_term}")
-    scope.line(f"push({name})")
+    scope.write(f"{name}.ref = {new_term}")
+    scope.write(f"push({name})")
     scope.depth -= 1
     written_names = scope.names
     scope.restore(saved_scope)
-    scope.line("else:")
+    scope.write("else:")
     scope.depth += 1
     # A lazy term knows its functor without being decoded, so a mismatch costs nothing.
-    scope.line("if k is not tuple:")
-    scope.line(f"    if k is not Lazy or {name}.functor is not {scope.unit.constant(pattern[0])}:")
-    scope.line(f"        {scope.fail}")
-    scope.line(f"    {name} = {name}.term()")
+    scope.write("if k is not tuple:")
+    scope.write(f"    if k is not Lazy or {name}.functor is not {scope.unit.constant(pattern[0])}:")
+    scope.write(f"        {scope.fail}")
+    scope.write(f"    {name} = {name}.term()")
     write_read_mode(scope, name, pattern, depth)
     # Variables that got a value in both modes must have the same name afterwards.
     for var, read_name in list(scope.names.items()):
         written_name = written_names.get(var)
         if written_name is not None and written_name != read_name:
-            scope.line(f"{written_name} = {read_name}")
+            scope.write(f"{written_name} = {read_name}")
             scope.names[var] = written_name
     scope.depth -= 1
-    scope.binds = True
+    scope.may_bind = True
     for var in set(written_names) - set(scope.names):
         scope.names[var] = written_names[var]
     forget_fresh(scope, pattern)
@@ -206,8 +206,8 @@ def _write_both_modes(scope: Scope, name: str, pattern: CompoundTerm, depth: int
 def write_read_mode(scope: Scope, name: str, pattern: CompoundTerm, depth: int, check: bool = True) -> None:
     """Write the read mode: ``name`` holds a compound term, whose functor is tested if ``check``."""
     if check:
-        scope.line(f"if {name}[0] is not {scope.unit.constant(pattern[0])}:")
-        scope.line(f"    {scope.fail}")
+        scope.write(f"if {name}[0] is not {scope.unit.constant(pattern[0])}:")
+        scope.write(f"    {scope.fail}")
     targets = []
     pending: List[Tuple[str, Term]] = []
     for item in pattern[1:]:
@@ -229,9 +229,9 @@ def write_read_mode(scope: Scope, name: str, pattern: CompoundTerm, depth: int, 
     # Unpacking is faster than indexing unless few of many parts are used.
     if len(used) == 1 or len(used) * 3 < len(targets):
         for position, target in used:
-            scope.line(f"{target} = {name}[{position}]")
+            scope.write(f"{target} = {name}[{position}]")
     elif used:
-        scope.line(f"_, {', '.join(targets)} = {name}")
+        scope.write(f"_, {', '.join(targets)} = {name}")
     # Cheap tests first, so that a mismatch is found early: constants, then known variables, then nested patterns.
     for target, item in sorted(pending, key=_match_cost):
         match(scope, target, item, depth + 1)
@@ -261,13 +261,13 @@ def decoded_local(scope: Scope, term: Term) -> str:
     term = deref(term)
     if term.__class__ is not Var:
         name = scope.temp("p")
-        scope.line(f"{name} = {scope.build(term)}")
+        scope.write(f"{name} = {scope.build(term)}")
         return name
     name = scope.local(term)
     if term not in scope.fresh:
         scope.dereference(name)
-        scope.line("if k is Lazy:")
-        scope.line(f"    {name} = {name}.term()")
+        scope.write("if k is Lazy:")
+        scope.write(f"    {name} = {name}.term()")
     return name
 
 
@@ -285,12 +285,12 @@ def write_argument(scope: Scope, result: str, otherwise: str, number: Term, comp
     tests = [f"{term}.__class__ is tuple", f"0 < {position} < len({term})"]
     if deref(number).__class__ is not int:
         tests.insert(1, f"{position}.__class__ is int")
-    scope.line(f"if {' and '.join(tests)}:")
-    scope.line(f"    {result} = {term}[{position}]")
-    scope.line("else:")
-    scope.line(f"    {result} = {otherwise}({position}, {term})")
-    scope.line(f"    if {result} is None:")
-    scope.line(f"        {scope.fail}")
+    scope.write(f"if {' and '.join(tests)}:")
+    scope.write(f"    {result} = {term}[{position}]")
+    scope.write("else:")
+    scope.write(f"    {result} = {otherwise}({position}, {term})")
+    scope.write(f"    if {result} is None:")
+    scope.write(f"        {scope.fail}")
 
 
 def write_functor(scope: Scope, node: CallNode) -> None:
@@ -305,23 +305,23 @@ def write_functor(scope: Scope, node: CallNode) -> None:
         and compound not in variables((node.key, name, arity))
     ):
         new_term = scope.temp("p")
-        scope.line(f"{new_term} = {blank}({scope.build(name)}, {scope.build(arity)})")
+        scope.write(f"{new_term} = {blank}({scope.build(name)}, {scope.build(arity)})")
         match(scope, new_term, compound)
     else:
         term, name_local, arity_local = decoded_local(scope, compound), scope.temp("p"), scope.temp("p")
         # An unbound variable is bound to a new term first; then name and arity are read in either case.
-        scope.line(f"if {term}.__class__ is Var:")
-        scope.line(
+        scope.write(f"if {term}.__class__ is Var:")
+        scope.write(
             f"    {name_local} = {blank}({_argument_value(scope, name)}, {_argument_value(scope, arity)})"
         )
-        scope.line(f"    {term}.ref = {name_local}")
-        scope.line(f"    push({term})")
-        scope.line(f"    {term} = {name_local}")
-        scope.line(f"if {term}.__class__ is tuple:")
-        scope.line(f"    {name_local}, {arity_local} = {term}[0].atom, len({term}) - 1")
-        scope.line("else:")
-        scope.line(f"    {name_local}, {arity_local} = {term}, 0")
-        scope.binds = True
+        scope.write(f"    {term}.ref = {name_local}")
+        scope.write(f"    push({term})")
+        scope.write(f"    {term} = {name_local}")
+        scope.write(f"if {term}.__class__ is tuple:")
+        scope.write(f"    {name_local}, {arity_local} = {term}[0].atom, len({term}) - 1")
+        scope.write("else:")
+        scope.write(f"    {name_local}, {arity_local} = {term}, 0")
+        scope.may_bind = True
         match(scope, name_local, name)
         match(scope, arity_local, arity)
     for arg in node.args:

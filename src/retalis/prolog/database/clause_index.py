@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, NamedTupl
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
-from ..compiler.clause_nodes import Joins
+from ..compiler.clause_nodes import GoalJoiner
 from ..compiler.predicate_code import key_of
 from ..machine.machine import Machine
 from ..terms.term_traversal import copy, is_ground, is_larger
@@ -363,7 +363,7 @@ class FunctionalModes(NamedTuple):
     outputs: Tuple[int, ...]
     to_term_functions: Tuple[Optional[Callable[..., Term]], ...]
     has_single_output: bool
-    joins: Optional[Joins] = None
+    joins: Optional[GoalJoiner] = None
 
     def predicate(self) -> Callable[..., bool]:
         """Return the predicate as a function for `PredicateTable.define`."""

@@ -14,8 +14,8 @@ from ...foundation.codegen import MAX_TERM_ARGUMENTS
 from ...foundation.errors import Place
 from ..compiler.body_code import BodyGenerator
 from ..compiler.clause_nodes import BodyParser, CallNode, GoalNode, Height, needed_by
-from ..compiler.code_scope import ClauseVariables, Scope, Unit
-from ..compiler.function_code import body_cost, choose_functions, function_parser, give_up, goals_of
+from ..compiler.code_scope import ClauseVariables, CompilationUnit, Scope
+from ..compiler.function_code import body_cost, calls_in, function_parser, give_up, mark_first_solution_calls
 from ..compiler.inline_goals import write_sequence
 from ..compiler.predicate_code import title_of
 from ..machine.errors import PrologError, from_python
@@ -42,6 +42,7 @@ class OutputsNode(CallNode):
 
 
 def _deliver_outputs(frame: Frame) -> Optional[Frame]:
+    """Pass the outputs in a frame to the collector that follows it."""
     # Outputs are resolved: the bindings are undone before Python reads them.
     collector: Tuple[OutputCollector, ...] = frame[-1]
     return collector[0].collect(collector, tuple([resolve(value) for value in frame[1:-1]]))
@@ -98,21 +99,21 @@ class GoalGenerator:
         if len(self._nodes) != 1:
             return None
         node = self._nodes[0]
-        if not isinstance(node, CallNode) or node.inline or tuple(map(deref, node.args)) != self._inputs:
+        if not isinstance(node, CallNode) or node.is_inline or tuple(map(deref, node.args)) != self._inputs:
             return None
         predicate = self._database.predicate(node.key)
         return None if predicate.is_library_predicate and predicate.is_protected else predicate
 
-    def _scope(self, unit: Unit) -> Scope:
+    def _scope(self, unit: CompilationUnit) -> Scope:
         # Inputs are counted twice: a variable that occurs once is void, and its value would be dropped.
         scope = Scope(unit, ClauseVariables((*self._inputs, self._term, *self._outputs, *self._inputs)))
         for position, var in enumerate(self._inputs):
             scope.names[var] = f"a{position}"
         return scope
 
-    def _compile(self, unit: Unit) -> Callable[..., Any]:
-        source = unit.source()
-        function: Callable[..., Any] = unit.finish(source, title_of(self._place, self._name))["main"]
+    def _compile(self, unit: CompilationUnit) -> Callable[..., Any]:
+        source = unit.complete_source()
+        function: Callable[..., Any] = unit.define(source, title_of(self._place, self._name))["main"]
         return function
 
     def generate_function(self) -> Optional[Callable[..., Any]]:
@@ -125,16 +126,16 @@ class GoalGenerator:
             return None
         entry = Height("height")
         nodes = function_parser(self._database, entry).parse(self._term)
-        calls_functions = any(goal.form == "direct" for goal in goals_of(nodes))
-        if any(not node.inline for node in nodes) or (
+        calls_functions = any(goal.form == "function" for goal in calls_in(nodes))
+        if any(not node.is_inline for node in nodes) or (
             calls_functions and body_cost(self._database, nodes) is None
         ):
             return None
-        choose_functions(nodes, True)
+        mark_first_solution_calls(nodes, True)
         # Without calls the function always decides; only with calls must it be repeatable.
-        unit = Unit(self._database.machine, self._database, repeats=calls_functions)
+        unit = CompilationUnit(self._database.machine, self._database, is_repeatable=calls_functions)
         scope = self._scope(unit)
-        scope.fail = scope.cut = _UNDO_AND_FAIL
+        scope.fail = scope.fail_after_cut = _UNDO_AND_FAIL
         if calls_functions:
             unit.namespace.update(give_up=give_up, LimitError=LimitError)
             scope.give_up = _GIVE_UP
@@ -142,7 +143,7 @@ class GoalGenerator:
         values = [_resolved_output(scope, output) for output in self._outputs]
         result = f"({', '.join(values)}{',' if len(values) == 1 else ''})"
         lines = scope.lines
-        if scope.binds:
+        if scope.may_bind:
             lines = ["    mark = len(trail)", *lines, f"    result = {result}", "    undo(trail, mark)"]
             # A limit is exceeded only once: running the goal again would use the same time or memory a second time.
             # Any other exception is left to the machine, which adds the caller to it.
@@ -160,7 +161,7 @@ class GoalGenerator:
             # Without bindings there is no mark to undo to.
             lines = [line.replace(_UNDO_AND_FAIL, "return None") for line in lines]
         parameters = ", ".join(f"a{position}" for position in range(len(self._inputs)))
-        unit.add([f"def main({parameters}):", *lines, f"    return {result}"])
+        unit.add_function([f"def main({parameters}):", *lines, f"    return {result}"])
         return self._compile(unit)
 
     def generate_frame_code(self, delivers_outputs: bool) -> Tuple[Step, bool]:
@@ -172,21 +173,23 @@ class GoalGenerator:
         """
         if self._interprets:
             return self._make_interpreter(delivers_outputs), False
-        unit = Unit(self._database.machine, self._database)
+        unit = CompilationUnit(self._database.machine, self._database)
         scope = self._scope(unit)
         input_names = [scope.names[var] for var in self._inputs]
         nodes: Sequence[GoalNode] = self._nodes
         if delivers_outputs:
             nodes = [*nodes, OutputsNode("call", _OUTPUTS, self._outputs, False)]
         if self._entry in needed_by(nodes):
-            scope.push("height = len(choices)")
+            scope.write_choice("height = len(choices)")
             scope.names[self._entry] = "height"
         bodies = BodyGenerator(
             unit, scope.clause, self._entry, self._database.interpret, self._name, None, OUTPUTS_CODE
         )
         bodies.write(scope, nodes)
-        unit.add(["def main(frame):", f"    {', '.join(['_', *input_names, 'after'])} = frame", *scope.lines])
-        return self._compile(unit), not scope.pushes
+        unit.add_function(
+            ["def main(frame):", f"    {', '.join(['_', *input_names, 'after'])} = frame", *scope.lines]
+        )
+        return self._compile(unit), not scope.uses_choices
 
     def _make_interpreter(self, delivers_outputs: bool) -> Step:
         """Return a function of the frame that interprets the goal."""
@@ -204,13 +207,15 @@ class GoalGenerator:
 
 
 def _resolved_output(scope: Scope, output: Term) -> str:
+    """Return an expression for an output without bound variables."""
     output = deref(output)
     if output.__class__ is not Var:
         return f"resolve({scope.build(output)})"
     operand = scope.numbers.get(output)
-    if operand is not None and scope.names.get(output) == operand[0]:
-        return operand[0]
     name = scope.local(output)
+    # A local that holds the number itself is no variable.
+    if operand is not None and name == operand[0]:
+        return name
     return name if output in scope.fresh else f"resolve({name})"
 
 

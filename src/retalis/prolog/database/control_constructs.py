@@ -104,7 +104,9 @@ class JustInTimeBodies:
                 return None
             key = functor("$body", len(copies))
             clause = ClauseParts(tuple(copies.values()), source)
-            step = PredicateGenerator(self._database, key, [clause], Code("body", _never_called)).single(0)
+            step = PredicateGenerator(
+                self._database, key, [clause], Code("body", _never_called)
+            ).generate_clause(0)
         except (PrologError, RecursionError):
             # The interpreter raises the error when it reaches the goal, or never if it does not.
             return None

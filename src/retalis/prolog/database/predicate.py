@@ -466,7 +466,7 @@ class Predicate:
             return self._call_through_indexes()
         parts = [ClauseParts(_arguments_of(clause.head), clause.body, clause.place) for clause in clauses]
         generator = PredicateGenerator(self._resolver(), self.functor, parts, self)
-        self._set_run(generator.main())
+        self._set_run(generator.generate())
         self.keeps_choice_points = generator.keeps_choice_points
         self.is_compiled = True
         return True
@@ -494,7 +494,7 @@ class Predicate:
             clause.call_count = -NEVER_COMPILE
             return None
         parts = ClauseParts(_arguments_of(clause.head), clause.body, clause.place)
-        clause.code = PredicateGenerator(self._resolver(), self.functor, [parts], self).single(0)
+        clause.code = PredicateGenerator(self._resolver(), self.functor, [parts], self).generate_clause(0)
         return clause.code
 
     def _resolver(self) -> PredicateResolver:
