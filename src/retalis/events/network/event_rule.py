@@ -634,7 +634,7 @@ class EventRule:
         event_filter = dispatcher.event_filter(key)
 
         def on_failure(error: UsageError, frame: Frame) -> Frame:
-            self.network.rule_failed(self, RuleError(error.message))
+            self.network.report_rule_error(self, RuleError(error.message))
             return frame
 
         complete = firing_action(head, self.root.vars, self, event_filter, on_failure)
@@ -674,7 +674,7 @@ class EventRule:
                     return frame
             return dispatcher.dispatch(head, start, end, frame, token)
         except UsageError as error:
-            network.rule_failed(self, RuleError(error.message))
+            network.report_rule_error(self, RuleError(error.message))
             return frame
 
 

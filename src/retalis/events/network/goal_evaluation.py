@@ -267,7 +267,7 @@ class RuleGoal:
 
     def report_error(self, error: PrologError) -> None:
         """Report an error that the goal raised."""
-        self.rule.network.goal_failed(self.rule, self.goal, error)
+        self.rule.network.report_goal_error(self.rule, self.goal, error)
 
 
 def compile_condition_test(

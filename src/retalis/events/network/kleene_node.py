@@ -539,7 +539,7 @@ class KleeneNode(KleeneValues):
             try:
                 state = self.aggregate.add(state, step_values)
             except RuleError as error:
-                self.rule.network.rule_failed(self.rule, error)
+                self.rule.network.report_rule_error(self.rule, error)
                 return False, None
         # All tests have passed. From here on, an interrupt must not leave the run half extended, see `Run.commit`.
         run.commit(last, fixed_values, items, values, state)

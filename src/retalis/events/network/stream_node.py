@@ -518,7 +518,7 @@ class StreamNode(NetworkNode):
                 element = StreamElement(match, start, end, *key_and_values(values))
                 outputs = stream.process(element, now, channel)
             except RuleError as error:
-                network.rule_failed(self.rule, error)
+                network.report_rule_error(self.rule, error)
                 return []
             if self.replay is not None:
                 self._record_element(channel, element, now)
@@ -604,7 +604,7 @@ class StreamNode(NetworkNode):
     def _match_of(self, output: StreamOutput, arrival_number: int) -> Optional[PartialMatch]:
         """Return the match of an output; None if its results do not unify with the terms of the rule."""
         if output.error is not None:
-            self.rule.network.rule_failed(self.rule, output.error)
+            self.rule.network.report_rule_error(self.rule, output.error)
             return None
         last = output.elements[-1]
         result = self.spec.match_values

@@ -3,7 +3,7 @@
 The terms of a file are checked before anything takes effect. Each becomes a `FileEntry` or a `RuleDefinition`;
 problems are collected, so that all errors of a file are reported together. Terms that look like misspelled rules get
 advice (``->`` in place of ``<-``). A fact such as ``subscribe(...)`` without ``:-`` would redefine a built-in
-predicate; it is rejected, unless the file clearly defines that predicate itself (see `defined_in`).
+predicate; it is rejected, unless the file clearly defines that predicate itself (see `predicates_defined_in`).
 """
 
 from enum import Enum
@@ -63,12 +63,14 @@ DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 PROPERTY_FACT = functor("event_rule_property", 3)
 _LESS_THAN = functor("<", 2)
 _MINUS = functor("-", 1)
-_RENAMED = {
+_ETALIS_NAMES: Dict[Functor, Functor] = {
     functor("print_trigger", 1): functor("external_trigger", 1),
     functor("persistent_rule", 1): functor("persistent_event", 1),
     functor("module", 2): functor("etalis_module", 2),
 }
-_UNWRAPPED = frozenset(functor(name, 1) for name in ("db", "prolog", "static"))
+"""Predicates of ETALIS programs, with the predicates for which they are another name."""
+
+_CLAUSE_WRAPPERS = frozenset(functor(name, 1) for name in ("db", "prolog", "static"))
 
 
 class EntryKind(Enum):
@@ -100,7 +102,7 @@ _NOW, _AFTER_LOAD, _MAIN = atom("now"), atom("after_load"), atom("main")
 _AFTER_LOAD_TIMES = (_AFTER_LOAD, atom("restore"), atom("restore_state"), atom("program"))
 _REV = functor("rev", 1)
 _INSERT = functor("ins_event_rule", 2)
-_DASH = functor("-", 2)
+_SUBTRACTION = functor("-", 2)
 TOO_DEEP = "the pattern is nested too deeply"
 
 
@@ -142,17 +144,17 @@ class FileChecker:
         self.interval_calls: List[PredicateCall] = []
         self._names: Dict[Var, str] = {}
 
-    def check_read_term(self, read: ReadTerm, place: Optional[Place] = None) -> None:
+    def check_read_term(self, read_term: ReadTerm, place: Optional[Place] = None) -> None:
         """Check a term that was read from a text; ``place`` is its position if known."""
-        self._names = {var: name for name, var in read.names.items()}
-        self.check_term(read.term, read.place_of, place or read.place)
+        self._names = {var: name for name, var in read_term.names.items()}
+        self.check_term(read_term.term, read_term.place_of, place or read_term.place)
         self._names = {}
 
     def check_term(self, term: Term, place_of: PlaceLookup, place: Optional[Place]) -> None:
         """Check a term; ``place_of`` returns the position of a part, ``place`` is the position of the term."""
         term = deref(term)
-        # The numbers of problems before the check identify those of this term.
-        counts = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
+        # Problems beyond these counts are those of this term.
+        previous_counts = [(problems, len(problems)) for problems in (self.errors, self.warnings)]
         try:
             self._classify(term, place_of, place)
         except RetalisError as error:
@@ -162,7 +164,7 @@ class FileChecker:
             self.errors.append(RuleError(TOO_DEEP, place))
         # Without a position, only the text of the term identifies it.
         if place is None and self._show is not None:
-            for problems, previous_count in counts:
+            for problems, previous_count in previous_counts:
                 for position in range(previous_count, len(problems)):
                     problems[position] = RuleError(f"{self._show(term)}: {problems[position].message}")
 
@@ -180,10 +182,10 @@ class FileChecker:
             )
             self.entries.append(FileEntry(EntryKind.CLAUSE, term, place))
         else:
-            # ETALIS programs use these names; the clause is added under both names, since goals may call either.
-            if head in _RENAMED:
-                self.entries.append(FileEntry(EntryKind.CLAUSE, (_RENAMED[head], *term[1:]), place))
-            elif head in _UNWRAPPED:
+            # Goals may call either name, so the clause is added under both.
+            if head in _ETALIS_NAMES:
+                self.entries.append(FileEntry(EntryKind.CLAUSE, (_ETALIS_NAMES[head], *term[1:]), place))
+            elif head in _CLAUSE_WRAPPERS:
                 self.entries.append(FileEntry(EntryKind.CLAUSE, deref(term[1]), place))
             self._warn_of_likely_rule(term, place_of, place)
             if head is _CLAUSE:
@@ -193,7 +195,7 @@ class FileChecker:
             self.entries.append(FileEntry(EntryKind.CLAUSE, term, place))
 
     def _add_directive(self, term: CompoundTerm, place_of: PlaceLookup, place: Optional[Place]) -> None:
-        # Such a rule would be a goal that is called once, which is never intended.
+        # A rule after ``:-`` would be a goal that is called once, which is never intended.
         goal, goal_place = deref(term[1]), place_of(term, 1) or place
         if is_rule(goal):
             raise RuleError("an event rule is written without :- before it", goal_place)
@@ -250,7 +252,7 @@ class FileChecker:
             self._warn(
                 "this is a fact; an event rule has <- between head and pattern", place_of(term) or place
             )
-        elif head is _DASH and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
+        elif head is _SUBTRACTION and all(deref(side).__class__ in (Atom, tuple) for side in term[1:]):
             self._warn(
                 "this is a fact of -/2; an event rule has <- between head and pattern, a clause :- before its body",
                 place_of(term) or place,
@@ -341,15 +343,17 @@ class FileChecker:
             definition = RuleDefinition(rule, head, pattern, label, place, self._names)
             self._check_head_variables(head, pattern, head_place or place)
         self._check_goals(reader.goals, pattern, place_of, place)
-        # Predicates of `check` have no time, so their use elsewhere is an error unless the program defines them
-        # itself.
+        # ``t1/1`` and ``t2/1`` are defined in ``check`` only, so their use elsewhere is an error unless the program
+        # defines them itself.
         for call in reader.interval_calls:
             assert call.term.__class__ is tuple
             self.interval_calls.append(PredicateCall(call.term[0], place_of(call.term) or place))
         self._warn_of_parts(reader, pattern, place_of, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
-        emitted = events_raised_by_goals((*reader.goals, *calls_in_query(definition.head or TRUE)))
-        self._declared.check_events(chain(heads, reader.events, emitted), rule, self._names, place_of, place)
+        raised_events = events_raised_by_goals((*reader.goals, *calls_in_query(definition.head or TRUE)))
+        self._declared.check_events(
+            chain(heads, reader.events, raised_events), rule, self._names, place_of, place
+        )
         for window, part in reader.windows:
             check_window(window, part, rule, self._names, reader.place, self.warnings.append)
         for nested in reader.nested_rules:
@@ -365,19 +369,28 @@ class FileChecker:
                 aggregate, aggregate_term, pattern, self._names, reader.place, self.warnings.append
             )
         for absence in reader.absences:
-            doubted = uncovered_gap_warning(absence, place_of, self._names)
-            if doubted is not None:
-                self._warn(doubted, place_of(absence) or place)
+            warning = uncovered_gap_warning(absence, place_of, self._names)
+            if warning is not None:
+                self._warn(warning, place_of(absence) or place)
 
     def _warn_of_pattern(self, rule: CompoundTerm, place_of: PlaceLookup) -> None:
         """Warn about an unbracketed rule inside a pattern (two arrows in a row), and about a variable as pattern."""
-        inner, begin = deref(rule[2]), place_of(rule, 2)
-        if inner.__class__ is Var:
-            name = self._names.get(inner, "_")
+        pattern_term, pattern_place = deref(rule[2]), place_of(rule, 2)
+        if pattern_term.__class__ is Var:
+            name = self._names.get(pattern_term, "_")
             # The variable matches the rule's own events, so the rule triggers itself without end.
-            self._warn(f"{name} is any event, those of this rule included: it fires for itself", begin)
-        if inner.__class__ is tuple and inner[0] in ARROWS and begin is not None and begin.character != "(":
-            self._warn("this rule is inside the pattern of another; put it in brackets", place_of(inner))
+            self._warn(
+                f"{name} is any event, those of this rule included: it fires for itself", pattern_place
+            )
+        if (
+            pattern_term.__class__ is tuple
+            and pattern_term[0] in ARROWS
+            and pattern_place is not None
+            and pattern_place.character != "("
+        ):
+            self._warn(
+                "this rule is inside the pattern of another; put it in brackets", place_of(pattern_term)
+            )
 
     def _check_goals(
         self, goals: List[Subgoal], pattern: Pattern, place_of: PlaceLookup, place: Optional[Place]
@@ -505,7 +518,6 @@ def included_file_name(term: Term) -> Optional[Term]:
     return deref(goal[1]) if goal.__class__ is tuple and goal[0] is _INCLUDE else None
 
 
-_SINGLE_SIDED = functor("=>", 2)
 _REPLACEABLE_PREDICATES: Dict[Functor, Callable[[Term], bool]] = {
     TIMER: sets_timer,
     functor("timers", 1): lambda term: False,
@@ -513,9 +525,9 @@ _REPLACEABLE_PREDICATES: Dict[Functor, Callable[[Term], bool]] = {
     **dict.fromkeys(STATE, declares_state),
     **dict.fromkeys(HOLDS, lambda term: False),
 }
-"""Predicates whose names programs use for their own facts, with a test whether a fact was meant as a goal."""
+"""Predicates whose names programs use for their own facts, with a test whether a fact was intended as a goal."""
 
-_DECLARES = frozenset(
+_DECLARING_PREDICATES = frozenset(
     (
         *[functor(name, 1) for name in ("dynamic", "discontiguous", "multifile", "table")],
         functor("dynamic", 2),
@@ -524,7 +536,7 @@ _DECLARES = frozenset(
 _AS = functor("as", 2)
 
 
-def defined_in(entries: Sequence[FileEntry]) -> Set[Functor]:
+def predicates_defined_in(entries: Sequence[FileEntry]) -> Set[Functor]:
     """Return the predicates that a file clearly defines: by clauses with a body, several facts, or a declaration.
 
     Several facts count only for predicates that a program may replace: not for ISO predicates and event goals.
@@ -572,7 +584,7 @@ def fact_error(
 
 
 def _has_body(term: Term) -> bool:
-    return term.__class__ is tuple and term[0] in (_CLAUSE, _GRAMMAR, _SINGLE_SIDED)
+    return term.__class__ is tuple and term[0] in (_CLAUSE, _GRAMMAR, SINGLE_SIDED)
 
 
 def _predicate_of(term: Term) -> Optional[Functor]:
@@ -585,7 +597,7 @@ def _predicate_of(term: Term) -> Optional[Functor]:
 def _predicates_declared_by(goal: Term) -> Set[Functor]:
     """Return the predicates that a directive declares."""
     goal = deref(goal)
-    if goal.__class__ is not tuple or goal[0] not in _DECLARES:
+    if goal.__class__ is not tuple or goal[0] not in _DECLARING_PREDICATES:
         return set()
     declared: Set[Functor] = set()
     stack = [deref(goal[1])]

@@ -50,9 +50,9 @@ from .event_file_checker import (
     FileChecker,
     FileEntry,
     clause_error,
-    defined_in,
     fact_error,
     included_file_name,
+    predicates_defined_in,
 )
 from .file_directives import Directives
 from .prolog_file_loader import PrologFileLoader, PrologSource
@@ -343,7 +343,7 @@ class EventFileLoader:
         errors.extend(checker.errors)
         logic = self._rules.logic
         entries: List[Union[FileEntry, PrologSource, CheckedProgram]] = []
-        defined_predicates = defined_in(checker.entries)
+        defined_predicates = predicates_defined_in(checker.entries)
         for entry in checker.entries:
             if entry.kind is EntryKind.CLAUSE:
                 problem = clause_error(logic, entry.term) or fact_error(logic, entry.term, defined_predicates)

@@ -38,7 +38,7 @@ def _switch_flag(default: str = "off") -> Flag:
 
 _SECONDS = Flag(-1, (), "a number of seconds from 0, or -1 for none", 0)
 
-# Flags without effect here exist in ETALIS, and programs written for it set them.
+# Programs that were written for ETALIS set its flags, so those without an effect here are accepted, too.
 FLAGS: Dict[str, Flag] = {
     "event_consumption_policy": Flag(atom("recent"), tuple(policy.value for policy in ConsumptionPolicy)),
     "out_of_order": _switch_flag(),
@@ -108,7 +108,7 @@ class Flags:
         ):
             raise UsageError(f"{name} takes {flag.description}")
         if value != self._values[name]:
-            # An interrupt may come before the listeners have been called; `repair` calls them then.
+            # If an interrupt comes before the callbacks have been called, `repair` calls them.
             self._changing = name
             self._values[name] = value
             self._notify(name)
@@ -133,7 +133,7 @@ class Flags:
             self._callbacks[name](self.number(name))
 
     def repair(self) -> None:
-        """Call the listeners of a flag that was being changed when an interrupt came."""
+        """Call the callbacks of a flag that was being changed when an interrupt came."""
         if self._changing is not None:
             self._notify(self._changing)
             self._changing = None
@@ -173,7 +173,7 @@ class Flags:
         return KeyBounds(None, from_seconds(ttl) if ttl > 0 else None, int(self.number("max_keys")))
 
     def garbage_control(self, properties: Dict[str, List[int]]) -> Optional[Tuple[int, int]]:
-        """Return window and step of the garbage control for a rule with the given properties, or None.
+        """Return window and step in ns of the garbage control for a rule with the given properties, or None.
 
         A time to live acts as garbage control with that window and step 0: each event removes everything older.
         """

@@ -1,7 +1,7 @@
 """Event input as goals: ``event/1,2``, ``new_event/2,3,5``, and the goals that fire lists and files of events.
 
 `InputReader` parses the same goals from text, as other nodes send them. Most texts are ``event(E,[T,T])`` with two
-equal timestamps; they are read by a shorter way that caches the seconds and parses only the event as a term.
+equal timestamps; for these, only the event is parsed as a term, and the conversion of dates is cached.
 `define_new_event` defines the goals that emit events with given timestamps, `define_event_predicates` those of the
 event language.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 EVENT2 = functor("event", 2)
 
 
-def path_of(term: Term) -> str:
+def file_name_of(term: Term) -> str:
     """Return the name of a file that a term denotes.
 
     Raises:
@@ -46,7 +46,7 @@ def path_of(term: Term) -> str:
     return str(term.name if term.__class__ is Atom else term.text)
 
 
-def items_of(term: Term) -> List[Term]:
+def require_list(term: Term) -> List[Term]:
     """Return the items of a list.
 
     Raises:
@@ -155,7 +155,7 @@ class InputReader:
             return None
         try:
             goal = self._reader.read(text[:position] + ")")
-        # The general way reports the error with its position in the whole text.
+        # The general parser reports the error with its position in the whole text.
         except SyntaxFault:
             return None
         if goal.__class__ is not tuple or goal[0] is not EVENT1:
@@ -184,47 +184,47 @@ def event_of(goal: Term) -> Optional[InputEvent]:
     goal = deref(goal)
     if goal.__class__ is not tuple:
         return None
-    reader = READERS.get(goal[0])
+    reader = _PARSERS.get(goal[0])
     return None if reader is None else reader(goal[1:])
 
 
-def _without_interval(arguments: Sequence[Term]) -> InputEvent:
+def _parse_without_interval(arguments: Sequence[Term]) -> InputEvent:
     term = callable_of(arguments[0])
     # event(event(E,[T1,T2])) is the same as event(E,[T1,T2]).
     if term.__class__ is tuple and term[0] is EVENT2:
-        return _with_interval(term[1:])
+        return _parse_with_interval(term[1:])
     return InputEvent(term, None, None)
 
 
-def _with_interval(arguments: Sequence[Term]) -> InputEvent:
+def _parse_with_interval(arguments: Sequence[Term]) -> InputEvent:
     stamps = list_items(arguments[1])
     if stamps is None or len(stamps) != 2:
         raise type_error("interval", arguments[1])
-    return _check_interval(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
+    return _create_input_event(arguments, instant_of(stamps[0]), instant_of(stamps[1]))
 
 
-def _with_instant(arguments: Sequence[Term]) -> InputEvent:
+def _parse_with_instant(arguments: Sequence[Term]) -> InputEvent:
     instant = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
-    return _check_interval(arguments, instant, instant)
+    return _create_input_event(arguments, instant, instant)
 
 
-def _with_instants(arguments: Sequence[Term]) -> InputEvent:
+def _parse_with_instants(arguments: Sequence[Term]) -> InputEvent:
     start = timestamps.from_parts(integer(arguments[1]), integer(arguments[2]))
     end = timestamps.from_parts(integer(arguments[3]), integer(arguments[4]))
-    return _check_interval(arguments, start, end)
+    return _create_input_event(arguments, start, end)
 
 
 EVENT1 = functor("event", 1)
-READERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
-    EVENT1: _without_interval,
-    EVENT2: _with_interval,
-    functor("new_event", 2): _with_interval,
-    functor("new_event", 3): _with_instant,
-    functor("new_event", 5): _with_instants,
+_PARSERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
+    EVENT1: _parse_without_interval,
+    EVENT2: _parse_with_interval,
+    functor("new_event", 2): _parse_with_interval,
+    functor("new_event", 3): _parse_with_instant,
+    functor("new_event", 5): _parse_with_instants,
 }
 
 
-def _check_interval(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
+def _create_input_event(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
     if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
         raise type_error("interval", arguments[1])
     return InputEvent(callable_of(arguments[0]), start, end)
@@ -244,16 +244,16 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
             if FIRST <= instant < LAST:
                 instant = FloatSeconds(instant)
                 return dispatch(event, instant, instant, frame, None, is_ground or None, is_ground)
-        return dispatch_general(machine, arguments, frame)
+        return dispatch_with_conversion(machine, arguments, frame)
 
-    def dispatch_general(machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
+    def dispatch_with_conversion(machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
         # `is_owned=False`: the event is dispatched as if it came from outside, not as derived from the current event.
-        event = READERS[functor("new_event", len(arguments))](arguments)
+        event = _PARSERS[functor("new_event", len(arguments))](arguments)
         return dispatch(event.term, event.start, event.end, frame, is_owned=False)
 
-    logic.define_control("new_event", 2, dispatch_general, at_once=True)
+    logic.define_control("new_event", 2, dispatch_with_conversion, at_once=True)
     logic.define_control("new_event", 3, dispatch_at_instant, at_once=True, gate=dispatcher.event_filter)
-    logic.define_control("new_event", 5, dispatch_general, at_once=True)
+    logic.define_control("new_event", 5, dispatch_with_conversion, at_once=True)
 
 
 def define_event_predicates(rules: "RuleBase") -> None:
@@ -303,20 +303,20 @@ class _EventPredicates:
     def fire_and_return_events(
         self, machine: Machine, arguments: Sequence[Term], frame: Frame
     ) -> Optional[Frame]:
-        goals = [(EVENT1, copy(item)) for item in items_of(arguments[0])]
+        goals = [(EVENT1, copy(item)) for item in require_list(arguments[0])]
         if not machine.unify(arguments[1], make_list([])):
             return None
         return self._run_goals(goals, frame)
 
     def exists_file(self, machine: Machine, name: Term) -> bool:
         files = self.rules.files
-        return bool(files.is_file(files.resolve(path_of(name))))
+        return bool(files.is_file(files.resolve(file_name_of(name))))
 
     def execute_stream_file(
         self, machine: Machine, arguments: Sequence[Term], frame: Frame
     ) -> Optional[Frame]:
         files = self.rules.files
-        path = files.resolve(path_of(arguments[0]))
+        path = files.resolve(file_name_of(arguments[0]))
         text = files.text(path)
         goals: List[Term] = []
         errors = Errors()
@@ -351,31 +351,32 @@ class _GoalStream:
             next_frame: Optional[Frame] = self.machine.attempt(
                 self.call,
                 (goal,),
-                self._solution_handler(frame),
-                (_FAILED, self, goal, frame),
-                self._error_handler(goal),
+                self._create_solution_handler(frame),
+                (_FAILURE_HANDLER, self, goal, frame),
+                self._create_error_handler(goal),
             )
             return next_frame
         continuation: Frame = frame[1]
         return continuation
 
-    def _solution_handler(self, frame: Frame) -> Callable[[Values], Frame]:
+    def _create_solution_handler(self, frame: Frame) -> Callable[[Values], Frame]:
         return lambda outputs: frame
 
-    def _error_handler(self, goal: Term) -> Callable[[PrologError], None]:
+    def _create_error_handler(self, goal: Term) -> Callable[[PrologError], None]:
         def report_error(error: PrologError) -> None:
-            # A goal that raises also fails; the mark tells `_Failed` that it has been reported.
-            self.goals = iter([_RAISED, *self.goals])
+            # The machine then also lets the goal fail; the mark prevents a second report by `_FailureHandler`.
+            self.goals = iter([_ERROR_REPORTED, *self.goals])
             text = self.rules.logic.show(goal)
             self.rules.on_error(UsageError(f"{text} in an event stream: {error.message}"))
 
         return report_error
 
 
-_RAISED: Any = object()
+_ERROR_REPORTED: Any = object()
+"""Mark at the beginning of the remaining goals of a stream: the error of the last goal was reported."""
 
 
-class _Failed:
+class _FailureHandler:
     """Code of the frame for a goal of a stream that has failed or raised."""
 
     @staticmethod
@@ -383,7 +384,7 @@ class _Failed:
         next_frame: Frame
         _, stream, goal, next_frame = frame
         remaining = list(stream.goals)
-        if remaining and remaining[0] is _RAISED:
+        if remaining and remaining[0] is _ERROR_REPORTED:
             stream.goals = iter(remaining[1:])
         else:
             stream.goals = iter(remaining)
@@ -392,4 +393,4 @@ class _Failed:
         return next_frame
 
 
-_FAILED = _Failed()
+_FAILURE_HANDLER = _FailureHandler()

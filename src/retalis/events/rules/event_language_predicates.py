@@ -19,7 +19,7 @@ from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, funct
 from ...prolog.terms.unification import undo
 from ..provenance.event_log import enumerate_stored_events
 from .event_flags import FLAGS
-from .event_input_predicates import EVENT2, define_event_predicates, items_of, path_of
+from .event_input_predicates import EVENT2, define_event_predicates, file_name_of, require_list
 from .timer_service import define_timers
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def define_load_predicates(rules: "RuleBase") -> None:
 
     def load(machine: Machine, names: Term, options: Term = NIL) -> bool:
         option_terms = [deref(option) for option in list_items(options) or ()]
-        once = any(
+        loads_once = any(
             option.__class__ is tuple
             and option[0] is _IF_OPTION
             and getattr(deref(option[1]), "name", "") in _LOAD_IF_CHANGED
@@ -44,12 +44,12 @@ def define_load_predicates(rules: "RuleBase") -> None:
         )
         items = list_items(names)
         for name in [names] if items is None else items:
-            loader.use_file(name, once)
+            loader.use_file(name, loads_once)
         return True
 
     def load_context(machine: Machine, key: Term, value: Term) -> Iterator[bool]:
         path = rules.files.innermost_file
-        for entry in () if path is None else _load_context_of(path):
+        for entry in () if path is None else _create_load_context(path):
             # Bindings are undone before the next solution, because the machine expects none from a previous one.
             mark = len(machine.trail)
             if machine.unify_all((key, entry[0]), (value, entry[1])):
@@ -69,7 +69,7 @@ def define_load_predicates(rules: "RuleBase") -> None:
     logic.define_nondeterministic("prolog_load_context", 2, load_context)
 
 
-def _load_context_of(path: Path) -> Tuple[Tuple[Term, Term], ...]:
+def _create_load_context(path: Path) -> Tuple[Tuple[Term, Term], ...]:
     """Return the properties of the file that is being loaded, as ``prolog_load_context/2`` reports them."""
     return (
         (atom("directory"), atom(str(path.parent))),
@@ -91,7 +91,7 @@ def define_predicates(rules: "RuleBase") -> None:
     _QueryPredicates(rules).define(logic)
 
 
-def _unify_each(
+def _unify_each_solution(
     machine: Machine, terms: Sequence[Term], results: Iterator[Tuple[Term, ...]]
 ) -> Iterator[bool]:
     """Unify terms with one solution after another."""
@@ -139,7 +139,7 @@ class _RulePredicates:
         return True
 
     def load_file(self, machine: Machine, path: Term) -> bool:
-        self.rules.loader.load_file(path_of(path))
+        self.rules.loader.load_file(file_name_of(path))
         return True
 
     def consult(self, machine: Machine, names: Term) -> bool:
@@ -157,7 +157,7 @@ class _RulePredicates:
         return True
 
     def load_terms(self, machine: Machine, terms: Term) -> bool:
-        self.rules.load_terms([(term, None) for term in items_of(terms)])
+        self.rules.load_terms([(term, None) for term in require_list(terms)])
         return True
 
     def reset_db(self, machine: Machine) -> bool:
@@ -292,16 +292,16 @@ class _QueryPredicates:
     def enumerate_stored_events(self, machine: Machine, event: Term) -> Iterator[bool]:
         events = self.rules.event_log.stored_events()
         solutions = [((EVENT2, term, interval_term(start, end)),) for term, start, end in events]
-        return _unify_each(machine, (event,), iter(solutions))
+        return _unify_each_solution(machine, (event,), iter(solutions))
 
     def enumerate_explanations(
-        self, machine: Machine, event: Term, interval: Term, why: Term
+        self, machine: Machine, event: Term, interval: Term, explanation: Term
     ) -> Iterator[bool]:
         explanations = self.rules.justifier.explanations(resolve(event), resolve(interval))
-        return _unify_each(machine, (event, interval, why), explanations)
+        return _unify_each_solution(machine, (event, interval, explanation), explanations)
 
     def enumerate_edges(self, machine: Machine, head: Term, body: Term) -> Iterator[bool]:
-        return _unify_each(machine, (head, body), self.rules.justifier.edges())
+        return _unify_each_solution(machine, (head, body), self.rules.justifier.edges())
 
     def print_partial_matches(self, machine: Machine) -> bool:
         logic = self.rules.logic

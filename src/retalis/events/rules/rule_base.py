@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 _UNLABELED = atom("unlabeled")
 
-_Groups = Dict[Hashable, Dict[EventRule, None]]
+_RuleGroups = Dict[Hashable, Dict[EventRule, None]]
+"""Rules by a key; the rules of a key are in order."""
 
 
 class RuleIndex:
@@ -51,8 +52,8 @@ class RuleIndex:
 
     def __init__(self) -> None:
         self._all: Dict[EventRule, None] = {}
-        self._by_label: _Groups = {}
-        self._by_key: _Groups = {}
+        self._by_label: _RuleGroups = {}
+        self._by_key: _RuleGroups = {}
 
     def __iter__(self) -> Iterator[EventRule]:
         return iter(self._all)
@@ -70,11 +71,11 @@ class RuleIndex:
         _remove_from_group(self._by_key, rule.definition.key, rule)
         return True
 
-    def with_label(self, label: Term) -> List[EventRule]:
+    def find_by_label(self, label: Term) -> List[EventRule]:
         """Return the rules with a label."""
         return list(self._by_label.get(term_key(label), ()))
 
-    def equal_to(self, key: Hashable) -> List[EventRule]:
+    def find_equal(self, key: Hashable) -> List[EventRule]:
         """Return the rules with an equal definition; see `RuleDefinition.key`."""
         return list(self._by_key.get(key, ()))
 
@@ -94,7 +95,7 @@ def label_of(rule: EventRule) -> Term:
     return _UNLABELED if rule.label is None else rule.label
 
 
-def _remove_from_group(groups: _Groups, key: Hashable, rule: EventRule) -> None:
+def _remove_from_group(groups: _RuleGroups, key: Hashable, rule: EventRule) -> None:
     """Remove a rule from the group of a key, and an empty group from the index."""
     del groups[key][rule]
     if not groups[key]:
@@ -107,6 +108,7 @@ _NETWORK_FLAGS = frozenset(
     ("event_consumption_policy", "out_of_order", "revision_flag", "etalis_justification", "garbage_control")
     + ("garbage_window", "garbage_window_step", "state_ttl", "max_keys")
 )
+"""Flags that change the options of network nodes."""
 
 
 class RuleBase:
@@ -121,7 +123,7 @@ class RuleBase:
         future: maximum time in ns by which a timestamp may be ahead of the clock and still advance windows.
         on_error: called with each error of a rule or goal while events are processed; by default it is logged.
         on_warning: called with each warning; by default it is logged.
-        on_reset: called if a goal drops partial matches; the argument tells whether stored events are dropped, too.
+        on_reset: called if a goal drops partial matches, with True if stored events are dropped, too.
         is_external_event: returns whether events of a functor come from outside the program without a declaration.
 
     Attributes:
@@ -130,7 +132,10 @@ class RuleBase:
         declared: declared events.
         options: network options derived from the flags.
         key_bounds: limits for keyed state derived from the flags.
+        tracker: the lineage of events, if a flag requires it.
+        serial: serial number of the newest rule; rules fire in the order of their serial numbers.
         fired_by_deleted_rules: number of complete matches of deleted rules.
+        failed_retraction_count: number of events ``rev(E)`` without an event E.
     """
 
     def __init__(
@@ -157,7 +162,7 @@ class RuleBase:
         self.on_reset = on_reset
         self.on_warning = on_warning
         self.condition_state = ConditionState()
-        self._table = RuleIndex()
+        self._rule_index = RuleIndex()
         self.flags = Flags(self._apply_flag)
         self.declared = DeclaredEvents(logic, self.flags, is_external_event)
         self.options: NetworkOptions = self.flags.network_options()
@@ -209,7 +214,7 @@ class RuleBase:
     @property
     def rules(self) -> List[EventRule]:
         """The active rules, oldest first."""
-        return list(self._table)
+        return list(self._rule_index)
 
     def add(self, definition: RuleDefinition) -> EventRule:
         """Add a rule at the end; it receives later events only."""
@@ -228,7 +233,7 @@ class RuleBase:
 
     def activate(self, rule: EventRule) -> None:
         """Activate a rule, so that it receives events."""
-        self._table.add(rule)
+        self._rule_index.add(rule)
         self._configure(rule)
 
     def insert(self, term: Term) -> bool:
@@ -237,7 +242,7 @@ class RuleBase:
         Raises:
             ProgramErrors: if the rule is invalid.
         """
-        # The goal's term is copied, because its bindings are undone when the goal is left.
+        # The term is copied, because backtracking over the goal that inserts it undoes its bindings.
         term = copy(term)
         self.loader.load_terms([(term, None)])
         return is_rule(term)
@@ -252,7 +257,7 @@ class RuleBase:
         if is_rule(term):
             rules = self._rules_equal_to(term)[:1]
         else:
-            rules = self._table.with_label(term)
+            rules = self._rule_index.find_by_label(term)
         for rule in rules:
             self.remove(rule)
         return bool(rules)
@@ -271,7 +276,7 @@ class RuleBase:
 
     def remove(self, rule: EventRule) -> None:
         """Remove a rule and its partial matches."""
-        was_active = self._table.discard(rule)
+        was_active = self._rule_index.discard(rule)
         rule.unlisten()
         rule.clear()
         if was_active:
@@ -279,7 +284,7 @@ class RuleBase:
 
     def detach(self, rule: EventRule) -> None:
         """Deactivate a rule and keep its partial matches."""
-        self._table.discard(rule)
+        self._rule_index.discard(rule)
         rule.unlisten()
 
     def activate_exactly(self, rules: Sequence[EventRule], deleted: Sequence[EventRule] = ()) -> None:
@@ -289,13 +294,13 @@ class RuleBase:
             rules: new, active or deactivated rules.
             deleted: deactivated rules to be deleted.
         """
-        # `remove` below counts their matches in `fired_by_deleted_rules` only if they are in the table.
+        # `remove` below counts the matches in `fired_by_deleted_rules` only for rules that are in the index.
         for rule in deleted:
-            self._table.add(rule)
-        kept_rules = set(rules)
+            self._rule_index.add(rule)
+        retained_rules = set(rules)
         for rule in self.rules:
-            if rule in kept_rules:
-                self._table.discard(rule)
+            if rule in retained_rules:
+                self._rule_index.discard(rule)
             else:
                 self.remove(rule)
         for rule in rules:
@@ -305,11 +310,11 @@ class RuleBase:
             self.activate(rule)
 
     def repair(self) -> None:
-        """Restore consistency after an interrupt: each rule is in all indexes and listens, or neither."""
-        # The loader rolls an interrupted load back, which uses the table and changes it; so it is repaired twice.
-        self._table.repair()
+        """Restore consistency after an interrupt: each rule is in all indexes and listens, or does neither."""
+        # The rollback of an interrupted load uses and changes the index, so the index is repaired before and after.
+        self._rule_index.repair()
         self.loader.repair()
-        self._table.repair()
+        self._rule_index.repair()
         self.flags.repair()
         # All listeners that no rule owns are removed: an interrupt may have left those of a half-removed rule.
         owned_listeners = set(self.tracker.listeners)
@@ -331,7 +336,7 @@ class RuleBase:
             return []
         # The label is part of the identity only if the given term has one.
         definition = checker.rules[0]
-        candidates = self._table.equal_to(definition.key)
+        candidates = self._rule_index.find_equal(definition.key)
         return [rule for rule in candidates if definition.label is None or label_of(rule) is definition.label]
 
     def warn_unknown_calls(self, conditions: Term, caller: str) -> None:
@@ -366,13 +371,12 @@ class RuleBase:
     def set_property(self, prop: Property) -> None:
         """Set a property of a label; it is applied at once to the rules with the label."""
         properties = self._properties.setdefault(term_key(prop.label), [])
-        # A property with a word has one value, so it replaces the previous one. Numbers of a window accumulate; the
-        # smallest applies.
+        # A word replaces the previous value of the property. Numbers accumulate, and the smallest one applies.
         if prop.word_value is not None:
             properties[:] = [other for other in properties if other.name != prop.name]
         if prop not in properties:
             properties.append(prop)
-        for rule in self._table.with_label(prop.label):
+        for rule in self._rule_index.find_by_label(prop.label):
             self._configure(rule)
 
     def all_properties(self) -> Dict[Hashable, List[Property]]:
@@ -391,6 +395,7 @@ class RuleBase:
         return self._properties.get(term_key(label), [])
 
     def _configure(self, rule: EventRule) -> None:
+        """Apply the flags and the properties of its label to a rule."""
         times: Dict[str, List[int]] = {}
         options = self.options
         for prop in self.properties(label_of(rule)):
@@ -416,9 +421,9 @@ class RuleBase:
             self.declared.in_use = True
 
     def compute_max_timestamp(self) -> int:
-        """Return the latest timestamp that may advance the clock of a rule: `future` after the time of due alarms.
+        """Return the latest timestamp that may advance the windows of a rule: ``future`` ns after the present time.
 
-        A pinned clock always returns the same time, while the time of its stream advances, so the later one applies.
+        The time of a pinned clock is constant while the time of its alarms advances, so the later one of both counts.
         """
         return max(self.clock.now(), self.clock.reached()) + self.future
 
@@ -468,18 +473,18 @@ class RuleBase:
         self.clock.call_at(instant, RuleAlarm(self, rule, term, start, instant, token))
 
     def alarm_time(self) -> int:
-        """Return the present time for alarms; in a goal of an alarm, its instant."""
-        ringing = self.clock.ringing
-        return self.clock.reached() if ringing is None else ringing
+        """Return the present time for alarms; while an alarm is processed, its instant."""
+        alarm_instant = self.clock.ringing
+        return self.clock.reached() if alarm_instant is None else alarm_instant
 
     def set_node_alarm(self, node: TimedNode, instant: int) -> None:
-        """Wake a node when the clock reaches an instant."""
+        """Call ``on_alarm`` of a node when the clock reaches an instant."""
         self.node_timers.add(node, instant)
 
-    def report_late(self, rule: EventRule, what: str) -> None:
+    def report_late(self, rule: EventRule, reason: str) -> None:
         """Report that a match was too late to be used."""
         rule.late_count += 1
-        self._warn_rarely(rule, rule.late_count, f": {what}; {rule.late_count} so far")
+        self._warn_rarely(rule, rule.late_count, f": {reason}; {rule.late_count} so far")
 
     def report_past_alarm(self, rule: EventRule, head: Term, alarm: Optional[Tuple[Term, int, int]]) -> None:
         """Report an alarm for a past instant; ``alarm`` is None if the instant precedes the event's own start."""
@@ -502,19 +507,19 @@ class RuleBase:
             place = None if rule is None else rule.place
             self.on_warning(RuleError(f"{text}; {occurrence_count} so far", place))
 
-    def rule_failed(self, rule: EventRule, error: RuleError) -> None:
+    def report_rule_error(self, rule: EventRule, error: RuleError) -> None:
         """Report an error that prevented a rule from firing."""
         rule.metrics.error_count += 1
         context = self.dispatcher.current
         context_text = "" if context is None else f", at event {self.logic.brief(context[TERM])}"
         self.on_error(RuleError(f"{rule.name}{context_text}: {error.message}", rule.place))
 
-    def goal_failed(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
+    def report_goal_error(self, rule: EventRule, goal: Term, error: RetalisError) -> None:
         """Report an error of a goal of a rule."""
         # Only the first goals over a limit are reported one by one; the others are counted, see `Budget`.
         if record_caught_error(error):
             goal_text = self.logic.brief(goal, names=rule.definition.names)
-            self.rule_failed(rule, RuleError(f"goal {goal_text}: {error.message}"))
+            self.report_rule_error(rule, RuleError(f"goal {goal_text}: {error.message}"))
 
     def report_dropped(self, rule: EventRule, max_runs: int = 0) -> None:
         """Report that partial matches of a rule were dropped, or more than ``max_runs`` runs from one start."""

@@ -47,20 +47,21 @@ if TYPE_CHECKING:
     from .rule_base import RuleBase
 
 
-# Heaps up to this size are never rebuilt.
-_SMALL_QUEUE = 64
+_MAX_NEVER_REBUILT = 64
+"""Size up to which a heap with stale entries is never rebuilt."""
+
 _FIRST_ORDER = -1
 """Order of the node alarm: before all other alarms of the same instant."""
 
 _TimerEntry = Tuple[int, int, int, int, TimedNode]
-"""Instant, serial number of the rule, place of the node in it, order of the request, and the node."""
+"""Instant, serial number of the rule, position of the node in it, order of the request, and the node."""
 
 
 class NodeTimers:
     """Timeouts of network nodes.
 
     At one instant, nodes of older rules come first, and within a rule nodes further right or below. Each node has its
-    own limits and error handling, so a failure of one does not affect the others.
+    own limits and error handling, so an error in one does not affect the others.
 
     Args:
         rules: the rules of the program.
@@ -70,7 +71,7 @@ class NodeTimers:
         self._rules = rules
         self._heap: List[_TimerEntry] = []
         self._next_number = count()
-        self._rebuild_size = _SMALL_QUEUE
+        self._rebuild_size = _MAX_NEVER_REBUILT
         self._alarm_instants: List[int] = []
 
     def clear(self) -> None:
@@ -115,12 +116,12 @@ class NodeTimers:
         current_entries = {id(entry[-1]): entry for entry in self._heap if _is_current(entry)}
         self._heap = list(current_entries.values())
         heapq.heapify(self._heap)
-        self._rebuild_size = 2 * len(self._heap) + _SMALL_QUEUE
+        self._rebuild_size = 2 * len(self._heap) + _MAX_NEVER_REBUILT
 
     def _on_alarm(self, instant: int) -> None:
         """Run the alarm of the first node that is due, and set the next alarm.
 
-        Only one node per call: events at the same instant may have to come between two nodes.
+        Each call processes one node only, because other alarms of the same instant may have to run between two nodes.
         """
         # Alarms up to this instant have been called, so they are not in the clock any more.
         while self._alarm_instants and self._alarm_instants[0] <= instant:
@@ -199,8 +200,8 @@ MAX_FIRINGS_PER_JUMP = 10_000
 FIRST_INSTANT = 1
 """Instant of an alarm that waits for the clock's first time."""
 
-# Stale alarms are removed from the clock if they outnumber the others by this.
 _STALE_MARGIN = 16
+"""Stale alarms are removed from the clock if they outnumber the others by this number."""
 
 TimerRow = Tuple[Term, Term, Optional[int], int, int]
 """Event, schedule, next instant, and instant and order of the alarm in the clock."""
@@ -261,13 +262,13 @@ class TimerTable:
             del self._by_event_key[timer.event_key]
         return timer
 
-    def unifying(self, event: Term) -> List[ProgramTimer]:
+    def find_unifying(self, event: Term) -> List[ProgramTimer]:
         """Return the timers whose events unify with a term; ground events are found by their key."""
-        name = _event_key(event)
-        if name is None:
+        key = _event_key(event)
+        if key is None:
             return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
         timers_of_variable_events = self._by_event_key.get(None, {}).values()
-        timers = list(self._by_event_key.get(name, {}).values())
+        timers = list(self._by_event_key.get(key, {}).values())
         return timers + [timer for timer in timers_of_variable_events if may_unify(timer.event, event)]
 
 
@@ -282,8 +283,8 @@ class Timers:
         omitted_count: number of events omitted because of jumps of time.
     """
 
-    def __init__(self, program: "RuleBase"):
-        self._program = program
+    def __init__(self, rules: "RuleBase"):
+        self._rules = rules
         self._active = TimerTable()
         self._inactive: Dict[Hashable, ProgramTimer] = {}
         self._jump_count = 0
@@ -300,16 +301,16 @@ class Timers:
 
     # ---- goals ---------------------------------------------------------------------------------------
 
-    def set(self, event: Term, when: Term) -> None:
+    def set(self, event: Term, schedule_term: Term) -> None:
         """Set a timer; an existing timer with the same event and schedule starts again.
 
         Raises:
             UsageError: if the schedule is invalid.
             PrologError: if there are too many timers.
         """
-        timer = ProgramTimer(copy(event), parse_schedule(copy(when)))
+        timer = ProgramTimer(copy(event), parse_schedule(copy(schedule_term)))
         timer_to_set = self._active.by_key.get(timer.key) or self._inactive.pop(timer.key, None)
-        now = self._goal_time()
+        now = self._time_for_goal()
         if timer_to_set is None:
             if len(self) >= MAX_TIMERS:
                 raise resource_error("timers", reason=f"more than {MAX_TIMERS} timers are set")
@@ -317,7 +318,7 @@ class Timers:
                 self._warn_past(timer)
                 return
             timer_to_set = timer
-        # During a reload an unchanged timer is reactivated with its alarm, so its period does not start again.
+        # After a reload an unchanged timer continues with its alarm, so its period does not start again.
         elif timer_to_set.key not in self._active.by_key and timer_to_set.alarm_instant is not None:
             self._active.add(timer_to_set)
             return
@@ -326,32 +327,36 @@ class Timers:
 
     def cancel(self, event: Term) -> int:
         """Remove the timers whose events unify with a term; return their number."""
-        timers = self._active.unifying(event)
+        timers = self._active.find_unifying(event)
         for timer in timers:
             self._active.remove(timer.key)
             self._invalidate_alarm(timer)
         return len(timers)
 
-    def find(self, event: Term, when: Term) -> Optional[ProgramTimer]:
+    def find(self, event: Term, schedule_term: Term) -> Optional[ProgramTimer]:
         """Return the timer of an event and a schedule, or None."""
-        return self._active.by_key.get(term_key((TIMER, event, when)))
+        return self._active.by_key.get(term_key((TIMER, event, schedule_term)))
 
     # ---- alarms --------------------------------------------------------------------------------------
 
-    def _goal_time(self) -> int:
+    def _time_for_goal(self) -> int:
         """Return the present time for a goal that sets a timer.
 
         In a goal of an alarm this is the alarm's instant, even if the clock has jumped further, so that a chain of
         timers runs through all instants of the jump. After `MAX_FIRINGS_PER_JUMP` goals it is the clock's time: a
         timer that sets itself again would otherwise run through the whole jump, step by step.
         """
-        clock = self._program.clock
-        reached, ringing = clock.reached(), clock.ringing
-        if ringing is None or reached - ringing <= SECOND:
+        clock = self._rules.clock
+        reached, alarm_instant = clock.reached(), clock.ringing
+        if alarm_instant is None or reached - alarm_instant <= SECOND:
             self._delayed_goal_count = 0
         else:
             self._delayed_goal_count += 1
-        return reached if ringing is None or self._delayed_goal_count > MAX_FIRINGS_PER_JUMP else ringing
+        return (
+            reached
+            if alarm_instant is None or self._delayed_goal_count > MAX_FIRINGS_PER_JUMP
+            else alarm_instant
+        )
 
     def _schedule_next(self, timer: ProgramTimer, now: int) -> None:
         """Compute the next instant of a timer, from the given time or from the clock's first time."""
@@ -371,7 +376,7 @@ class Timers:
                 return
             self._stale_alarm_count += 1
         timer.alarm_instant = instant
-        self._program.clock.call_at(instant, TimerAlarm(self, timer, instant))
+        self._rules.clock.call_at(instant, TimerAlarm(self, timer, instant))
 
     def _invalidate_alarm(self, timer: ProgramTimer) -> None:
         """Invalidate the alarm of a removed timer."""
@@ -380,7 +385,7 @@ class Timers:
         timer.alarm_instant = None
         self._stale_alarm_count += 1
         # Lazy deletion as in `NodeTimers`: amortized constant cost per removal.
-        clock = self._program.clock
+        clock = self._rules.clock
         if 2 * self._stale_alarm_count > len(clock.alarms) + _STALE_MARGIN:
             clock.drop(lambda alarm: isinstance(alarm, TimerAlarm) and not self.is_valid_alarm(alarm))
             self._stale_alarm_count = 0
@@ -401,7 +406,7 @@ class Timers:
         instant = timer.instant
         if instant is None:
             # The clock has got its first time: now the schedule can be computed.
-            self._schedule_next(timer, self._program.clock.reached())
+            self._schedule_next(timer, self._rules.clock.reached())
         elif instant > alarm.alarm_instant or self._skip_missed(timer, instant):
             self._set_alarm(timer)
         else:
@@ -418,7 +423,7 @@ class Timers:
         schedule = timer.schedule
         if not schedule.repeats:
             return False
-        missed_count = (self._program.clock.coming() - instant) // schedule.period
+        missed_count = (self._rules.clock.coming() - instant) // schedule.period
         if missed_count < MAX_FIRINGS_PER_JUMP:
             return False
         timer.instant = instant + missed_count * schedule.period
@@ -426,9 +431,9 @@ class Timers:
         self.omitted_count += missed_count
         # Warned at jump 1, 2, 4, 8 and so on.
         if self._jump_count & (self._jump_count - 1) == 0:
-            show = self._program.logic.brief
+            show = self._rules.logic.brief
             seconds = missed_count * schedule.period // SECOND
-            self._program.on_warning(
+            self._rules.on_warning(
                 UsageError(
                     f"time has jumped by {seconds} s: {counted(missed_count, 'event')} of timer "
                     f"{show(timer.event)}, {show(schedule.term)} left out; {self.omitted_count} of all timers so far"
@@ -437,14 +442,14 @@ class Timers:
         return True
 
     def _dispatch(self, event: Term, instant: int) -> None:
-        dispatcher, machine = self._program.dispatcher, self._program.logic.machine
+        dispatcher, machine = self._rules.dispatcher, self._rules.logic.machine
         dispatcher.run_without_context(
             lambda: machine.run(dispatcher.dispatch(event, instant, instant, machine.done, is_owned=False))
         )
 
     def _warn_past(self, timer: ProgramTimer) -> None:
-        show = self._program.logic.brief
-        self._program.on_warning(
+        show = self._rules.logic.brief
+        self._rules.on_warning(
             UsageError(f"timer {show(timer.event)}, {show(timer.schedule.term)}: that instant has passed")
         )
 
@@ -467,7 +472,7 @@ class Timers:
             if timer.schedule.is_relative:
                 self._active.remove(timer.key)
             else:
-                self._schedule_next(timer, self._program.clock.reached())
+                self._schedule_next(timer, self._rules.clock.reached())
 
     def repair(self) -> None:
         """Make each timer have its alarm again, after an interrupt."""
@@ -476,7 +481,7 @@ class Timers:
         self._active = TimerTable(self)
         alarms = {
             alarm.timer: alarm
-            for _, _, alarm in self._program.clock.alarms
+            for _, _, alarm in self._rules.clock.alarms
             if isinstance(alarm, TimerAlarm) and self.is_valid_alarm(alarm)
         }
         for timer in self:
@@ -511,7 +516,7 @@ class Timers:
         """Return all timers as data; see `restore`."""
         return [
             (alarm.timer.event, alarm.timer.schedule.term, alarm.timer.instant, alarm.alarm_instant, order)
-            for _, order, alarm in sorted(self._program.clock.alarms, key=lambda entry: entry[:2])
+            for _, order, alarm in sorted(self._rules.clock.alarms, key=lambda entry: entry[:2])
             if isinstance(alarm, TimerAlarm) and self.is_valid_alarm(alarm)
         ]
 
@@ -522,7 +527,7 @@ class Timers:
             timer = ProgramTimer(event, parse_schedule(schedule_term))
             timer.instant, timer.alarm_instant = instant, alarm_instant
             self._active.add(timer)
-            self._program.clock.put_back(alarm_instant, order, TimerAlarm(self, timer, alarm_instant))
+            self._rules.clock.put_back(alarm_instant, order, TimerAlarm(self, timer, alarm_instant))
 
 
 class TimerAlarm:
@@ -550,17 +555,23 @@ _TIMER_ROW = functor("timer", 3)
 _WAITING = atom("waits")
 
 
-def define_timers(logic: PrologSystem, timers: Timers, require: Callable[[Term], None]) -> None:
-    """Define the timer goals; ``require`` raises an error for an event that does not match its declaration."""
-    _TimerPredicates(timers, require).define(logic)
+def define_timers(logic: PrologSystem, timers: Timers, require_declared: Callable[[Term], None]) -> None:
+    """Define the timer goals.
+
+    Args:
+        logic: the system in which they are defined.
+        timers: the timers of the program.
+        require_declared: raises an error for an event that does not match its declaration.
+    """
+    _TimerPredicates(timers, require_declared).define(logic)
 
 
 class _TimerPredicates:
     """The goals ``timer/2``, ``cancel_timer/1,2`` and ``timers/1``."""
 
-    def __init__(self, timers: Timers, require: Callable[[Term], None]):
+    def __init__(self, timers: Timers, require_declared: Callable[[Term], None]):
         self.timers = timers
-        self.require = require
+        self.require_declared = require_declared
 
     def define(self, logic: PrologSystem) -> None:
         logic.define("timer", 2, self.set)
@@ -568,15 +579,15 @@ class _TimerPredicates:
         logic.define("cancel_timer", 2, self.cancel_and_count)
         logic.define("timers", 1, self.list_timers)
 
-    def set(self, machine: Machine, event: Term, when: Term) -> bool:
-        event, when = callable_of(event), deref(when)
-        if when.__class__ is Var:
+    def set(self, machine: Machine, event: Term, schedule_term: Term) -> bool:
+        event, schedule_term = callable_of(event), deref(schedule_term)
+        if schedule_term.__class__ is Var:
             raise instantiation_error()
-        self.require(event)
+        self.require_declared(event)
         try:
-            self.timers.set(event, when)
+            self.timers.set(event, schedule_term)
         except UsageError as error:
-            raise domain_error("timer", when, error.message) from None
+            raise domain_error("timer", schedule_term, error.message) from None
         return True
 
     def cancel(self, machine: Machine, event: Term) -> bool:
@@ -586,9 +597,9 @@ class _TimerPredicates:
     def cancel_and_count(self, machine: Machine, event: Term, number: Term) -> bool:
         return bool(machine.unify(number, self.timers.cancel(deref(event))))
 
-    def list_timers(self, machine: Machine, listed: Term) -> bool:
+    def list_timers(self, machine: Machine, timer_list: Term) -> bool:
         rows: List[Any] = []
         for timer in self.timers:
             instant = _WAITING if timer.instant is None else shown(int(timer.instant))
             rows.append((_TIMER_ROW, copy(timer.event), copy(timer.schedule.term), instant))
-        return bool(machine.unify(listed, make_list(rows)))
+        return bool(machine.unify(timer_list, make_list(rows)))
