@@ -67,7 +67,7 @@ def main():
         playback = Playback("application_source", report=print)
         record_origins(playback.engine)
         dashboard = Dashboard(
-            DashboardSource(playback.engine, "/retalis", lambda: TOPICS, queries=True), options.port
+            DashboardSource(playback.engine, "/retalis", lambda: TOPICS, allows_queries=True), options.port
         )
         print(dashboard.url, flush=True)
         player = threading.Thread(target=play_in_real_time, args=(playback, bag), daemon=True)

@@ -73,7 +73,7 @@ def no_ros(name):
 
 def test_the_script_is_printed(capsys):
     assert main(["complete"]) == 0
-    assert capsys.readouterr().out == completion.SCRIPT.read_text(encoding="utf-8")
+    assert capsys.readouterr().out == completion.BASH_SCRIPT.read_text(encoding="utf-8")
     for words in (["words"], ["words", "x"], ["words", "9", "retalis"]):
         assert main(["complete", *words]) == 1
         assert "complete words: expected the number of a word" in capsys.readouterr().err

@@ -26,7 +26,7 @@ def program():
 
 @pytest.fixture(scope="module")
 def page(program):
-    with serving(program, topics=lambda: TOPICS, queries=True) as served:
+    with serving(program, topics=lambda: TOPICS, allows_queries=True) as served:
         yield served
 
 

@@ -229,7 +229,7 @@ def test_why_an_event_happened(program, visitor):
 def test_queries_are_answered_only_where_they_are_allowed(program, visitor):
     program.call("assertz(room(hall))")
     assert "dashboard_queries" in visitor.post("/query", {"goal": "room(X)"})["error"]
-    with serving(program, queries=True) as allowed:
+    with serving(program, allows_queries=True) as allowed:
         ask = Visitor(allowed)
         assert ask.post("/query", {"goal": "room(X)"}) == {"solutions": [[["X", "hall"]]], "complete": True}
         assert len(ask.post("/query", {"goal": "repeat"})["solutions"]) == 100
@@ -245,7 +245,7 @@ def test_a_busy_engine_holds_up_no_page(program):
         begun.set()
         free.wait(PATIENCE)
 
-    with serving(program, queries=True) as page:
+    with serving(program, allows_queries=True) as page:
         visitor = Visitor(page)
         worker = threading.Thread(target=program.do, args=(work,), daemon=True)
         asking = [

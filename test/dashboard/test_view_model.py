@@ -36,7 +36,7 @@ def test_events_are_kept_while_that_is_wanted(engine, recent):
     engine.event("heat(hall)", 3)
     (found,) = recent.take_latest()
     assert (found.text, found.whole, found.start, found.end) == ("smoke(hall)", True, 10**9, 2 * 10**9)
-    assert recent.counts() == {"smoke/1": (1, 2 * 10**9)}
+    assert recent.get_counts() == {"smoke/1": (1, 2 * 10**9)}
 
 
 def test_rare_events_stay_beside_many(engine, recent):
@@ -46,15 +46,15 @@ def test_rare_events_stay_beside_many(engine, recent):
     found = recent.take_latest()
     assert len(found) == 1 + MAX_WRITTEN_PER_SNAPSHOT
     assert found[-1].text == "smoke(hall)"
-    assert recent.counts()["tick/0"].number == 998
+    assert recent.get_counts()["tick/0"].number_of_events == 998
 
 
 def test_all_is_bounded(engine, recent):
     for number in range(3 * MAX_FUNCTORS):
         engine.event(f"e{number}(1)", number + 1)
     assert len(recent.take_latest()) == MAX_SHOWN_EVENTS
-    assert len(recent.counts()) == MAX_FUNCTORS + 1
-    assert recent.counts()["others"].number == 2 * MAX_FUNCTORS
+    assert len(recent.get_counts()) == MAX_FUNCTORS + 1
+    assert recent.get_counts()["others"].number_of_events == 2 * MAX_FUNCTORS
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from rospy.impl import tcpros_base  # noqa: E402
 from retalis.ros import connection_limits  # noqa: E402
 from retalis.ros.connection_limits import (  # noqa: E402
     MAX_HEADER_BYTES,
-    ClosedConnections,
+    ClosedConnectionCounter,
     ConnectionTable,
     EstablishedConnections,
     HandshakeServer,
@@ -86,7 +86,7 @@ class Seconds:
 
 
 def counter():
-    return ClosedConnections("a port", lambda line: None, Seconds())
+    return ClosedConnectionCounter("a port", lambda line: None, Seconds())
 
 
 # Headers
@@ -186,10 +186,10 @@ def test_finished_connections_do_not_count(pairs):
 
 def test_a_table_makes_room_when_files_run_out(pairs):
     table = ConnectionTable(5, 9, 9, counter(), Seconds())
-    table.make_room()
+    table.free_descriptor()
     ((end, peer),) = pairs(1)
     table.add(end, HOST)
-    table.make_room()
+    table.free_descriptor()
     assert is_closed(peer)
 
 
@@ -208,7 +208,7 @@ def test_established_connections_have_limits_of_an_address_and_in_all(pairs):
 
 def test_one_line_tells_of_all_connections_of_an_interval():
     lines, seconds = [], Seconds()
-    closed = ClosedConnections("TCPROS port 1", lines.append, seconds)
+    closed = ClosedConnectionCounter("TCPROS port 1", lines.append, seconds)
     closed.report()
     for _ in range(500):
         closed.count("idle", HOST)
@@ -224,7 +224,7 @@ def test_one_line_tells_of_all_connections_of_an_interval():
 
 def test_a_line_shows_few_reasons_and_no_control_characters():
     lines, seconds = [], Seconds()
-    closed = ClosedConnections("a port", lines.append, seconds)
+    closed = ClosedConnectionCounter("a port", lines.append, seconds)
     for number in range(100):
         closed.count(f"\x1b[2J{number}" + 1000 * "x", HOST)
     seconds.time = 10
@@ -340,7 +340,7 @@ def test_wrong_headers_are_counted_and_others_are_served(tcpros, data):
     handshake(server, data)
     assert handshake(server) == b"answer"
     assert len(behind.answered) == 1
-    assert server.closed.total == 1
+    assert server.closed_counter.total == 1
 
 
 def test_the_node_goes_on_when_files_run_out(tcpros):
@@ -387,7 +387,7 @@ def test_service_clients_that_end_without_a_request_are_counted_and_not_logged_e
     finally:
         log.removeHandler(handler)
     assert [record.msg for record in records] == ["another error"]
-    assert server.closed.total == 3
+    assert server.closed_counter.total == 3
 
 
 # The XML-RPC server
@@ -434,7 +434,9 @@ def test_a_request_that_never_ends_is_closed_at_its_deadline(requests, monkeypat
         assert renewed.wait(PATIENCE)  # a later renewal would be given a deadline after the time set here
         seconds.time = 1e9
         assert sock.recv(1) == b""
-    assert requests.closed.total == 0  # a connection that a client keeps for later ends in the same way
+    assert (
+        requests.closed_counter.total == 0
+    )  # a connection that a client keeps for later ends in the same way
 
 
 @pytest.mark.parametrize("length", [None, "-1", "x", str(1 << 40)])

@@ -512,7 +512,7 @@ _NOT_FOR_ONE_BAG = (
     "format",
     "command",
     "run",
-    "whole",
+    "root_parser",
 )
 """Options that do not apply to the run of a single bag, and entries of the parser."""
 

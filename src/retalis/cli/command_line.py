@@ -61,7 +61,7 @@ COMMANDS = {
     "docs": "demo_and_docs_commands.add_docs_parser",
     "events": "event_stream_command.add_parser",
     "graph": "drawing_commands.add_graph_parser",
-    "help": "help_command.add_parser",
+    "help": "situation_help.add_parser",
     "query": "node_commands.add_parsers",
     "explain": "node_commands.add_parsers",
     "list": "node_commands.add_parsers",
@@ -92,7 +92,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         "errors, 2 for wrong usage, 130 after ctrl-C.",
     )
     parser.add_argument("--version", action=ShowVersion, help="print the version and exit")
-    parser.set_defaults(whole=parser)
+    parser.set_defaults(root_parser=parser)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     try:
         # argparse lists the subcommands in the order of their registration.

@@ -11,10 +11,10 @@ from typing import Callable, Dict, Iterable, List, Optional, Sequence
 from ..foundation.errors import UsageError
 from .ros_access import import_ros_module
 
-SCRIPT = Path(__file__).with_name("retalis.bash")
+BASH_SCRIPT = Path(__file__).with_name("retalis.bash")
 
-NAME_KINDS = {"node": "nodes", "wait_for": "memories"}
-"""Kind of the names that an option takes, by the option's destination."""
+NAME_CATEGORIES = {"node": "nodes", "wait_for": "memories"}
+"""Category of the names that are values of an option, by the option's destination in the parsed options."""
 
 
 def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
@@ -38,22 +38,28 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command: print the script, or for ``words NUMBER WORD...`` the candidates for the word NUMBER."""
+    """Run the command: print the script, or for ``words NUMBER WORD...`` the candidates for the word NUMBER.
+
+    The script calls the second form. The first WORD is the name of the program.
+
+    Raises:
+        UsageError: if the arguments of ``words`` are malformed.
+    """
     if options.shell == "bash":
-        print(SCRIPT.read_text(encoding="utf-8"), end="")
+        print(BASH_SCRIPT.read_text(encoding="utf-8"), end="")
         return 0
     number, *words = options.words or ["none"]
     if not number.isdecimal() or not 0 < int(number) <= len(words):
         raise UsageError("complete words: expected the number of a word, then the words of a command line")
-    for word in list_candidates(options.whole, [*words, ""][1 : int(number) + 1], list_names):
+    for word in list_candidates(options.root_parser, [*words, ""][1 : int(number) + 1], list_names):
         print(word)
     return 0
 
 
-def list_names(kind: str, node: Optional[str]) -> List[str]:
+def list_names(category: str, node: Optional[str]) -> List[str]:
     """Return the names of nodes, or of a node's memories; none without ROS or without an answer."""
     try:
-        node_names: List[str] = import_ros_module("live_commands").completion_names(kind, node)
+        node_names: List[str] = import_ros_module("live_commands").list_completions(category, node)
     except UsageError:
         return []
     return node_names
@@ -62,9 +68,15 @@ def list_names(kind: str, node: Optional[str]) -> List[str]:
 def list_candidates(
     parser: argparse.ArgumentParser,
     words: Sequence[str],
-    names: Callable[[str, Optional[str]], Iterable[str]],
+    list_names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> List[str]:
-    """Return the candidates for the last of the words, by the parser and the words before it."""
+    """Return the candidates for the last of the words, by the parser and the words before it.
+
+    Args:
+        parser: parser of the whole command line.
+        words: words after the name of the program; the last one is completed.
+        list_names: returns names in running nodes; see the function of this name.
+    """
     *previous, current = _remove_equals_signs(words)
     option_values: Dict[str, str] = {}
     open_option: Optional[argparse.Action] = None
@@ -86,7 +98,9 @@ def list_candidates(
         completions: Iterable[str] = _list_options(parser)
     else:
         action = open_option or _find_positional(parser, position)
-        completions = _list_options(parser) if action is None else _list_values(action, option_values, names)
+        completions = (
+            _list_options(parser) if action is None else _list_values(action, option_values, list_names)
+        )
     return [word for word in completions if word.startswith(current)]
 
 
@@ -97,7 +111,7 @@ def _remove_equals_signs(words: Sequence[str]) -> List[str]:
 
 
 def _find_option(parser: argparse.ArgumentParser, word: str) -> Optional[argparse.Action]:
-    """Return the option with a name if it takes a value."""
+    """Return the option that a word names; None if there is none, or if it takes no value."""
     for action in parser._actions:
         if word in action.option_strings and action.nargs != 0:
             return action
@@ -131,9 +145,9 @@ def _list_values(
     list_names: Callable[[str, Optional[str]], Iterable[str]],
 ) -> Iterable[str]:
     if action.choices is not None:
-        # `words` is called by the script only, not by users.
+        # The choice `words` is for the script only, not for users.
         return [str(choice) for choice in action.choices if choice != "words"]
     # Names in running nodes, if ROS is installed and a master answers.
-    if action.dest in NAME_KINDS:
-        return list_names(NAME_KINDS[action.dest], option_values.get("node"))
+    if action.dest in NAME_CATEGORIES:
+        return list_names(NAME_CATEGORIES[action.dest], option_values.get("node"))
     return []

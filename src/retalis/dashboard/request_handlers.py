@@ -65,7 +65,7 @@ class AnswerService:
 
     def __init__(self, source: DashboardSource, snapshots: Snapshots):
         self._engine = source.engine
-        self._queries = source.queries
+        self._allows_queries = source.allows_queries
         self._events = snapshots.events
         self._answer_slots = threading.BoundedSemaphore(MAX_CONCURRENT_ANSWERS)
 
@@ -118,7 +118,7 @@ class AnswerService:
 
     def query(self, request: Json) -> Json:
         """Return the first solutions of a goal as text."""
-        if not self._queries:
+        if not self._allows_queries:
             return {"error": QUERIES_NOT_ALLOWED}
         goal = request.get("goal")
         if not isinstance(goal, str) or len(goal) > MAX_GOAL_CHARACTERS:

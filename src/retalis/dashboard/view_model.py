@@ -50,11 +50,13 @@ MAX_SHOWN_EVENTS = 60
 """Limit for the events in a snapshot."""
 
 _ELLIPSIS = atom("...")
+"""Written in place of subterms beyond the limits."""
 _MEMORY_UPDATED_FUNCTOR = functor("memory_updated", 2)
 """Functor of events that report changes of a memory; only counted, because the stored events are shown themselves."""
 _NO_EVENT = atom("null_event")
 """Head of rules that only execute an action."""
 _EVENT_FUNCTOR = functor("event", 2)
+"""Functor of a term that names an event by its term and interval."""
 
 
 class RecentEvent(NamedTuple):
@@ -63,7 +65,7 @@ class RecentEvent(NamedTuple):
     Attributes:
         serial: unique number.
         text: text of the event, possibly cut.
-        whole: whether the text is complete.
+        whole: whether the text is the complete event.
         start: start of the interval in nanoseconds.
         end: end of the interval in nanoseconds.
     """
@@ -78,17 +80,24 @@ class RecentEvent(NamedTuple):
 class EventCount(NamedTuple):
     """Number of events of a functor while events were observed, and the end of the last one in nanoseconds."""
 
-    number: int
+    number_of_events: int
     end: int
 
 
 class _FunctorEvents:
-    """Count and last events of one functor."""
+    """Events of one functor.
 
-    __slots__ = ("number", "end", "written_count", "last_events")
+    Attributes:
+        event_count: number of events.
+        end: end of the last event in nanoseconds.
+        written_count: number of events that were written as text since the last snapshot.
+        last_events: the last written events.
+    """
+
+    __slots__ = ("event_count", "end", "written_count", "last_events")
 
     def __init__(self) -> None:
-        self.number = self.end = self.written_count = 0
+        self.event_count = self.end = self.written_count = 0
         self.last_events: Deque[RecentEvent] = deque(maxlen=EVENTS_PER_FUNCTOR)
 
 
@@ -105,7 +114,8 @@ class RecentEvents:
 
     def __init__(self, engine: Engine):
         self._engine = engine
-        self._dispatcher, self._executor, self._show = engine.dispatcher, engine.executor, engine.logic.show
+        self._dispatcher, self._executor = engine.dispatcher, engine.executor
+        self._format_term = engine.logic.show
         self._listener: Optional[Listener] = None
         self._is_requested = False
         self._serial = count(1)
@@ -137,7 +147,7 @@ class RecentEvents:
         """Count an event, and store its text unless its functor has reached `MAX_WRITTEN_PER_SNAPSHOT`."""
         if term is _NO_EVENT:
             return frame
-        # This runs for every event: only a dictionary access and two assignments, unless the text is wanted.
+        # This runs for every event: only a dictionary access and two assignments, unless the text is written.
         key = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
         functor_events = self._events_by_functor.get(key)
         if functor_events is None:
@@ -145,11 +155,11 @@ class RecentEvents:
                 # Further functors are counted together, under the key None.
                 key = None
             functor_events = self._events_by_functor.setdefault(key, _FunctorEvents())
-        functor_events.number += 1
+        functor_events.event_count += 1
         functor_events.end = end
         if functor_events.written_count < MAX_WRITTEN_PER_SNAPSHOT and key is not _MEMORY_UPDATED_FUNCTOR:
             functor_events.written_count += 1
-            text, whole = format_event_beginning(self._show, term)
+            text, whole = format_event_beginning(self._format_term, term)
             functor_events.last_events.append(
                 RecentEvent(next(self._serial), text, whole, int(start), int(end))
             )
@@ -164,10 +174,12 @@ class RecentEvents:
         events.sort(reverse=True)
         return events[:MAX_SHOWN_EVENTS]
 
-    def counts(self) -> Dict[str, EventCount]:
+    def get_counts(self) -> Dict[str, EventCount]:
         """Return the counts by functor; the key ``others`` has those beyond `MAX_FUNCTORS`."""
         return {
-            "others" if key is None else str(key): EventCount(functor_events.number, int(functor_events.end))
+            "others" if key is None else str(key): EventCount(
+                functor_events.event_count, int(functor_events.end)
+            )
             for key, functor_events in list(self._events_by_functor.items())
         }
 
@@ -184,38 +196,51 @@ class RecentEvents:
         return None
 
 
-def format_event_beginning(show: Any, term: Term) -> Tuple[str, bool]:
+class _SubtermBudget:
+    """Number of further subterms that may be written; 0 after a subterm was replaced by dots."""
+
+    __slots__ = ("remaining",)
+
+    def __init__(self) -> None:
+        self.remaining = MAX_EVENT_PARTS
+
+    def exhaust(self) -> Term:
+        """Return dots in place of a subterm; no further compound term is written."""
+        self.remaining = 0
+        return _ELLIPSIS
+
+
+def format_event_beginning(format_term: Callable[[Term], str], term: Term) -> Tuple[str, bool]:
     """Return the beginning of an event's text, and whether it is complete.
 
     The term is cut before it is written: an image or a point cloud would take milliseconds.
     """
-    budget = [MAX_EVENT_PARTS]
-    text = show(_truncate(term, budget, MAX_EVENT_DEPTH))
-    return beginning(text, MAX_EVENT_CHARACTERS), budget[0] > 0 and len(text) <= MAX_EVENT_CHARACTERS
+    budget = _SubtermBudget()
+    text = format_term(_truncate(term, budget, MAX_EVENT_DEPTH))
+    return beginning(text, MAX_EVENT_CHARACTERS), budget.remaining > 0 and len(text) <= MAX_EVENT_CHARACTERS
 
 
-def _truncate(term: Term, budget: List[int], depth: int) -> Term:
+def _truncate(term: Term, budget: _SubtermBudget, depth: int) -> Term:
     """Return a term in which subterms beyond the limits are replaced by dots.
 
     Args:
         term: the term.
-        budget: one number, how many further subterms may be written; 0 after something was replaced.
-        depth: how many further levels may be written.
+        budget: the subterms that may be written, in the whole event.
+        depth: number of further levels that may be written.
     """
     if term.__class__ is Lazy and term.decoded_term is None and term.functor is CONS:
         # An array of numbers that has not been decoded: reading its elements would decode it.
-        budget[0] = 0
-        return _ELLIPSIS
+        return budget.exhaust()
     term = deref(term)
     if term is NOT_READ:
-        return _exhaust_budget(budget)
+        return budget.exhaust()
     if term.__class__ is not tuple:
-        return term if _is_short(term) else _exhaust_budget(budget)
-    if budget[0] <= 0 or depth == 0 or len(term) > MAX_EVENT_PARTS:
-        return _exhaust_budget(budget)
+        return term if _is_short(term) else budget.exhaust()
+    if budget.remaining <= 0 or depth == 0 or len(term) > MAX_EVENT_PARTS:
+        return budget.exhaust()
     if term[0] is CONS:
         return _truncate_list(term, budget, depth)
-    budget[0] -= 1
+    budget.remaining -= 1
     return (term[0], *[_truncate(part, budget, depth - 1) for part in term[1:]])
 
 
@@ -229,10 +254,10 @@ def _is_short(term: Any) -> bool:
     )
 
 
-def _truncate_list(term: Any, budget: List[int], depth: int) -> Term:
+def _truncate_list(term: Any, budget: _SubtermBudget, depth: int) -> Term:
     items: List[Term] = []
-    while term.__class__ is tuple and term[0] is CONS and budget[0] > 0:
-        budget[0] -= 1
+    while term.__class__ is tuple and term[0] is CONS and budget.remaining > 0:
+        budget.remaining -= 1
         items.append(_truncate(term[1], budget, depth - 1))
         term = deref(term[2])
     if term.__class__ is tuple and term[0] is CONS:
@@ -241,11 +266,6 @@ def _truncate_list(term: Any, budget: List[int], depth: int) -> Term:
     for item in reversed(items):
         result = (CONS, item, result)
     return result
-
-
-def _exhaust_budget(budget: List[int]) -> Term:
-    budget[0] = 0
-    return _ELLIPSIS
 
 
 RATE_SNAPSHOTS = 5
@@ -293,13 +313,13 @@ class DashboardSource(NamedTuple):
         engine: engine of the program.
         title: title of the page.
         topics: returns the subscribed topics.
-        queries: whether users of the page may ask goals.
+        allows_queries: whether users of the page may ask goals.
     """
 
     engine: Engine
     title: str
     topics: Callable[[], Sequence[TopicRow]] = tuple
-    queries: bool = False
+    allows_queries: bool = False
 
 
 class Snapshots:
@@ -331,21 +351,22 @@ class Snapshots:
     def take(self) -> Json:
         """Return a snapshot."""
         status = self._engine.status()
-        # No lock of the engine is held: the parts may be a few events apart, and the engine is not slowed down.
+        # The engine is not locked, so that it is not slowed down: status, topics and counts may differ by a few
+        # events.
         topics = list(self._source.topics())[:MAX_SHOWN_TOPICS]
-        counts = self.events.counts()
+        event_counts = self.events.get_counts()
         counters = {"taken": status.taken, "fired": status.fired}
         counters.update({f"rule:{index}": rule.fired for index, rule in enumerate(status.rules)})
         counters.update({f"memory:{memory.id}": memory.added for memory in status.memories})
         for subscription in status.subscriptions:
             name = f"output:{beginning(subscription.topic)}"
             counters[name] = counters.get(name, 0) + subscription.sent
-        counters.update({f"event:{key}": event_count.number for key, event_count in counts.items()})
-        rows = [self._create_topic_row(topic, counts, status.now, counters) for topic in topics]
+        counters.update({f"event:{key}": count.number_of_events for key, count in event_counts.items()})
+        rows = [self._create_topic_row(topic, event_counts, status.now, counters) for topic in topics]
         self._update_graph([GraphTopic(topic.name, topic.event_name) for topic in topics])
         return {
             "title": self._source.title,
-            "queries": self._source.queries,
+            "queries": self._source.allows_queries,
             "explains": records_origins(self._engine),
             "watching": self.events.is_observing,
             "memory": resident_bytes(),
@@ -358,18 +379,24 @@ class Snapshots:
             **_status_to_json(status),
         }
 
-    def _create_topic_row(self, topic: TopicRow, counts: Any, now: int, counters: Dict[str, int]) -> Json:
-        """Return the row of a topic; if the counters of its receiver are unknown, its events are counted instead."""
+    def _create_topic_row(
+        self, topic: TopicRow, event_counts: Dict[str, EventCount], now: int, counters: Dict[str, int]
+    ) -> Json:
+        """Return the row of a topic, and add its counter to ``counters``.
+
+        If the counters of its receiver are unknown, for example in another node, its events are counted instead.
+        """
         row = topic._asdict()
         name = topic.event_name
-        matching = [count for key, count in counts.items() if key.rpartition("/")[0] == name]
-        number = topic.messages
-        if number is None and matching:
-            number = sum(count.number for count in matching)
-            row["age"] = (now - max(count.end for count in matching)) / SECOND
-        if number is not None:
-            counters[f"topic:{topic.name}"] = number
-        row["messages"] = number
+        # The keys are functors as text, name/arity. The arity of a topic's events is not known here.
+        counts = [count for key, count in event_counts.items() if key.rpartition("/")[0] == name]
+        message_count = topic.messages
+        if message_count is None and counts:
+            message_count = sum(count.number_of_events for count in counts)
+            row["age"] = (now - max(count.end for count in counts)) / SECOND
+        if message_count is not None:
+            counters[f"topic:{topic.name}"] = message_count
+        row["messages"] = message_count
         return row
 
     def _compute_rates(self, counters: Dict[str, int]) -> Dict[str, float]:
@@ -381,8 +408,8 @@ class Snapshots:
         if now <= oldest_time:
             return {}
         return {
-            name: max(0.0, round((number - oldest_counters[name]) / (now - oldest_time), 2))
-            for name, number in counters.items()
+            name: max(0.0, round((value - oldest_counters[name]) / (now - oldest_time), 2))
+            for name, value in counters.items()
             if name in oldest_counters
         }
 
@@ -405,22 +432,23 @@ def _graph_to_json(graph: Graph) -> Json:
 _TIME_FIELDS = frozenset(
     ("now", "next_alarm", "last_fired", "oldest", "newest", "since", "instant", "behind")
 )
+"""Fields of a status that are instants or durations in nanoseconds."""
 
 
 def _status_to_json(status: Status) -> Json:
     """Return a status in seconds instead of nanoseconds, which exceed the integer range of JavaScript's numbers."""
 
-    def seconds(value: Any, name: str = "") -> Any:
+    def convert_times(value: Any, field: str = "") -> Any:
         if isinstance(value, dict):
-            return {key: seconds(part, key) for key, part in value.items()}
+            return {name: convert_times(part, name) for name, part in value.items()}
         if isinstance(value, list):
-            return [seconds(part) for part in value]
-        return value / SECOND if name in _TIME_FIELDS and value is not None else value
+            return [convert_times(part) for part in value]
+        return value / SECOND if field in _TIME_FIELDS and value is not None else value
 
-    return {"status": seconds(status.json())}
+    return {"status": convert_times(status.json())}
 
 
-log = logging.getLogger("retalis")
+_logger = logging.getLogger("retalis")
 
 MAX_OPEN_PAGES = 8
 """Limit for open pages."""
@@ -433,12 +461,12 @@ class PageConnection:
     """An open page, with room for one snapshot: a newer one replaces it if the page has not read it.
 
     Attributes:
-        events: whether the page shows recent events.
+        shows_events: whether the page shows recent events.
         graph: the graph that the page has received last.
     """
 
-    def __init__(self, events: bool) -> None:
-        self.events = events
+    def __init__(self, shows_events: bool) -> None:
+        self.shows_events = shows_events
         self.graph: Any = None
         self._graph_data = self._snapshot = b""
         self._ready = asyncio.Event()
@@ -479,15 +507,15 @@ class LiveUpdates:
         self._sending_task: Optional[asyncio.Task[None]] = None
         self._last_logged_error = ""
 
-    def add_page(self, events: bool) -> Optional[PageConnection]:
+    def add_page(self, shows_events: bool) -> Optional[PageConnection]:
         """Add and return a page; return None if there are too many.
 
         Args:
-            events: whether the page shows recent events, for which a listener is registered in the engine.
+            shows_events: whether the page shows recent events, for which a listener is registered in the engine.
         """
         if len(self._connections) >= MAX_OPEN_PAGES:
             return None
-        connection = PageConnection(events)
+        connection = PageConnection(shows_events)
         self._connections.append(connection)
         self._update_observation()
         if self._sending_task is None:
@@ -509,7 +537,7 @@ class LiveUpdates:
         self._update_observation()
 
     def _update_observation(self) -> None:
-        self._snapshots.events.set_observing(any(connection.events for connection in self._connections))
+        self._snapshots.events.set_observing(any(connection.shows_events for connection in self._connections))
 
     async def _run(self) -> None:
         """Send a snapshot to all pages periodically, until none is open."""
@@ -521,7 +549,7 @@ class LiveUpdates:
             except Exception as error:
                 if repr(error) != self._last_logged_error:
                     self._last_logged_error = repr(error)
-                    log.exception("internal error: the dashboard cannot read the status of the program")
+                    _logger.exception("internal error: the dashboard cannot read the status of the program")
             await asyncio.sleep(self._period)
         self._sending_task = None
 
@@ -540,5 +568,5 @@ class LiveUpdates:
 
 
 def _format_server_event(event: str, data: Dict[str, Any]) -> bytes:
-    """Return data as a server-sent event."""
+    """Return data in the format of server-sent events, with the name of the event."""
     return f"event: {event}\ndata: {printable_json(data)}\n\n".encode()

@@ -36,17 +36,24 @@ Further connections are not answered; the client's system tries again after 1, 3
 """
 
 HANDSHAKE_TIMEOUT_SECONDS = 5.0
+"""Seconds from accepting a TCPROS connection until it is closed if its handshake has not been completed."""
+
 MAX_HANDSHAKES = 256
 MAX_HANDSHAKES_PER_ADDRESS = 192
+"""Limits for concurrent handshakes. The second is lower, so that one address cannot exclude the others."""
+
 MAX_HEADER_BYTES = 1 << 18
-"""Limit for a connection's header, which may contain the definition of a message type."""
+"""Limit for the size of a connection's header, which may contain the definition of a message type."""
 
 REQUEST_TIMEOUT_SECONDS = 30.0
 """Seconds from waiting for a request until its XML-RPC connection is closed, including the time to answer it."""
 
 MAX_REQUEST_CONNECTIONS = 128
 MAX_REQUEST_CONNECTIONS_PER_ADDRESS = 96
+"""Limits for open XML-RPC connections, in total and of one address. Each connection has a thread."""
+
 MAX_REQUEST_BYTES = 1 << 18
+"""Limit for the size of an XML-RPC request."""
 
 REPORT_DELAY_SECONDS = 10.0
 """Seconds after the first closed connection until one line reports all of them."""
@@ -59,6 +66,7 @@ DEADLINE_CHECK_SECONDS = 1.0
 """Longest interval in seconds between two checks of deadlines and of the node's shutdown."""
 
 _NO_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+"""Errors of ``accept`` that occur again until a connection has been closed."""
 
 OWNER_CLOSE_PAUSE_SECONDS = 0.001
 NO_DESCRIPTORS_PAUSE_SECONDS = 0.1
@@ -67,13 +75,15 @@ NO_DESCRIPTORS_PAUSE_SECONDS = 0.1
 The first applies if a connection could be closed, the second otherwise.
 """
 
-Now = Callable[[], float]
+MonotonicClock = Callable[[], float]
+"""Returns a monotonic time in seconds."""
+
 Address = Tuple[Any, ...]
 """Host and port; further parts for IPv6."""
 
 
-class ClosedConnections:
-    """Counts connections that were closed by a limit, and logs one line per interval.
+class ClosedConnectionCounter:
+    """Counter of the connections that were closed by a limit, which logs one line per interval.
 
     Args:
         server: name of the server in the log.
@@ -85,7 +95,10 @@ class ClosedConnections:
     """
 
     def __init__(
-        self, server: str, log_warning: Callable[[str], object] = rospy.logwarn, now: Now = time.monotonic
+        self,
+        server: str,
+        log_warning: Callable[[str], object] = rospy.logwarn,
+        now: MonotonicClock = time.monotonic,
     ):
         self._server = server
         self._log_warning = log_warning
@@ -126,6 +139,8 @@ class ClosedConnections:
 
 
 class _OpenConnection(NamedTuple):
+    """Address of the client of an open connection, and the time at which the connection will be closed."""
+
     address: str
     deadline: float
 
@@ -137,9 +152,9 @@ class ConnectionTable:
         timeout: seconds until the deadline of a connection.
         max_connections: limit for all connections.
         max_per_address: limit for the connections of one address.
-        closed: counts the closed connections.
+        closed_counter: counts the closed connections.
         now: clock in seconds.
-        may_idle: whether a connection may be idle, so that its end at the deadline is not counted.
+        allows_idle: whether a connection may be idle, so that its end at the deadline is not counted.
     """
 
     def __init__(
@@ -147,19 +162,19 @@ class ConnectionTable:
         timeout: float,
         max_connections: int,
         max_per_address: int,
-        closed: ClosedConnections,
-        now: Now = time.monotonic,
-        may_idle: bool = False,
+        closed_counter: ClosedConnectionCounter,
+        now: MonotonicClock = time.monotonic,
+        allows_idle: bool = False,
     ):
         self._timeout = timeout
         self._max_connections = max_connections
         self._max_per_address = max_per_address
-        self._closed = closed
+        self._closed_counter = closed_counter
         self._now = now
-        self._may_idle = may_idle
+        self._allows_idle = allows_idle
         self._lock = threading.Lock()
         self._entries: OrderedDict[socket.socket, _OpenConnection] = OrderedDict()
-        self._by_address: Dict[str, int] = Counter()
+        self._counts_by_address: Dict[str, int] = Counter()
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -167,7 +182,7 @@ class ConnectionTable:
     def add(self, sock: socket.socket, address: str) -> None:
         """Add a connection; beyond a limit, close the oldest one of its address or of all."""
         with self._lock:
-            if self._by_address[address] >= self._max_per_address:
+            if self._counts_by_address[address] >= self._max_per_address:
                 oldest = next(
                     candidate for candidate, entry in self._entries.items() if entry.address == address
                 )
@@ -176,7 +191,7 @@ class ConnectionTable:
                 self._close_oldest(f"more than {self._max_connections} unfinished ones")
             # All deadlines are equally far away, so insertion order is the order of the deadlines.
             self._entries[sock] = _OpenConnection(address, self._now() + self._timeout)
-            self._by_address[address] += 1
+            self._counts_by_address[address] += 1
 
     def renew(self, sock: socket.socket) -> None:
         """Set a new deadline for a connection that is still in the table."""
@@ -195,15 +210,19 @@ class ConnectionTable:
         with self._lock:
             now = self._now()
             while self._entries and next(iter(self._entries.values())).deadline <= now:
-                self._close_oldest("" if self._may_idle else f"not finished within {self._timeout:g} s")
+                self._close_oldest("" if self._allows_idle else f"not finished within {self._timeout:g} s")
 
-    def make_room(self) -> None:
-        """Close the oldest connection because the process has no free file descriptor, and wait for its owner."""
+    def free_descriptor(self) -> None:
+        """Close the oldest connection because the process has no free file descriptor, and wait for its owner.
+
+        Without a connection to close, wait until another part of the process may have closed a file.
+        """
         with self._lock:
             pause = OWNER_CLOSE_PAUSE_SECONDS if self._entries else NO_DESCRIPTORS_PAUSE_SECONDS
             if self._entries:
                 self._close_oldest("no more files can be opened")
-        # The descriptor becomes free when the owner closes the socket. Without a pause, the accept loop would spin.
+        # The descriptor becomes free when the owner closes the socket. Without a pause, the accept loop would retry
+        # continuously.
         time.sleep(pause)
 
     def _close_oldest(self, reason: str) -> None:
@@ -211,7 +230,7 @@ class ConnectionTable:
 
     def _close(self, sock: socket.socket, reason: str) -> None:
         if reason:
-            self._closed.count(reason, self._entries[sock].address)
+            self._closed_counter.count(reason, self._entries[sock].address)
         self._remove(sock)
         _shut_down(sock)
 
@@ -219,10 +238,11 @@ class ConnectionTable:
         entry = self._entries.pop(sock, None)
         if entry is None:
             return
-        # The count of an address is removed with its last connection, because the number of addresses is unbounded.
-        self._by_address[entry.address] -= 1
-        if not self._by_address[entry.address]:
-            del self._by_address[entry.address]
+        # The count of an address is removed with its last connection: otherwise the table would grow with each new
+        # address.
+        self._counts_by_address[entry.address] -= 1
+        if not self._counts_by_address[entry.address]:
+            del self._counts_by_address[entry.address]
 
 
 def _shut_down(sock: socket.socket) -> None:
@@ -280,12 +300,13 @@ class EstablishedConnections:
 
     def __init__(self, max_connections: Optional[int] = None):
         if max_connections is None:
-            soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-            max_connections = 3 * (min(soft, 2048) if soft >= 0 else 2048) // 8
+            # RLIM_INFINITY is -1. Three eighths of the files leave the others to outgoing connections and to goals.
+            file_limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+            max_connections = 3 * (min(file_limit, 2048) if file_limit >= 0 else 2048) // 8
         self._max_connections = max_connections
         self._max_per_address = 3 * max_connections // 4
         self._lock = threading.Lock()
-        self._by_address: Dict[str, WeakSet[socket.socket]] = {}
+        self._sockets_by_address: Dict[str, WeakSet[socket.socket]] = {}
 
     @property
     def limits(self) -> str:
@@ -295,19 +316,19 @@ class EstablishedConnections:
     def add(self, sock: socket.socket, address: str) -> bool:
         """Add a connection; return False if a limit is reached."""
         with self._lock:
-            # rospy does not report the end of a connection, so closed sockets are found by their descriptor. The
-            # weak set forgets sockets that were garbage collected.
+            # rospy does not report the end of a connection. The descriptor of a closed socket is -1, and a socket
+            # that was garbage collected has left its weak set.
             counts = {}
-            for known_address, sockets in list(self._by_address.items()):
+            for known_address, sockets in list(self._sockets_by_address.items()):
                 counts[known_address] = sum(1 for established in list(sockets) if established.fileno() >= 0)
                 if not counts[known_address]:
-                    del self._by_address[known_address]
+                    del self._sockets_by_address[known_address]
             if (
                 sum(counts.values()) >= self._max_connections
                 or counts.get(address, 0) >= self._max_per_address
             ):
                 return False
-            self._by_address.setdefault(address, WeakSet()).add(sock)
+            self._sockets_by_address.setdefault(address, WeakSet()).add(sock)
             return True
 
 
@@ -327,15 +348,16 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
 
     def run(self) -> None:
         """Serve until rospy shuts the server down; use rospy's loop if its internals are not the expected ones."""
+        # The handler is a method of the `TCPROSServer` that has created this server.
         self._rospy_server: Any = getattr(self.inbound_handler, "__self__", None)
         if not all(hasattr(self._rospy_server, name) for name in _ROSPY_HANDLERS):
             _log_unexpected_internals()
             super().run()
             return
         self.is_shutdown = False
-        self.closed = ClosedConnections(f"TCPROS port {self.port}")
+        self.closed_counter = ClosedConnectionCounter(f"TCPROS port {self.port}")
         self._handshakes = ConnectionTable(
-            HANDSHAKE_TIMEOUT_SECONDS, MAX_HANDSHAKES, MAX_HANDSHAKES_PER_ADDRESS, self.closed
+            HANDSHAKE_TIMEOUT_SECONDS, MAX_HANDSHAKES, MAX_HANDSHAKES_PER_ADDRESS, self.closed_counter
         )
         self._established = EstablishedConnections()
         log = logging.getLogger("rosout")
@@ -350,18 +372,19 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         listening_socket.setblocking(False)
         self._selector.register(listening_socket, selectors.EVENT_READ)
         while not self.is_shutdown:
-            is_new = False
+            has_new_connection = False
             # Headers that have arrived are read before the next connection is accepted. Otherwise a connection could
             # be closed in favour of a newer one although its header waits in the kernel's buffer.
             for key, _ in self._selector.select(DEADLINE_CHECK_SECONDS):
+                # Only the listening socket is registered without data.
                 if key.data is None:
-                    is_new = True
+                    has_new_connection = True
                 else:
                     self._read(key.fileobj, *key.data)
-            if is_new:
+            if has_new_connection:
                 self._accept(listening_socket)
             self._handshakes.expire()
-            self.closed.report()
+            self.closed_counter.report()
 
     def _is_logged(self, record: logging.LogRecord) -> bool:
         """Return whether a record is logged.
@@ -370,7 +393,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         """
         if not str(record.msg).startswith("incoming connection failed"):
             return True
-        self.closed.count("ended before the request of a service", "a service's client")
+        self.closed_counter.count("ended before the request of a service", "a service's client")
         return False
 
     def _accept(self, listening_socket: socket.socket) -> None:
@@ -378,8 +401,8 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             sock, address = listening_socket.accept()
         except OSError as error:
             if error.errno in _NO_RESOURCES:
-                self._handshakes.make_room()
-            # The client has closed the connection, or the server is being shut down.
+                self._handshakes.free_descriptor()
+            # In the other cases the client has closed the connection, or the server is being shut down.
             return
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -387,7 +410,7 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         self._selector.register(sock, selectors.EVENT_READ, (address, HeaderReader(sock)))
 
     def _read(self, sock: Any, address: Address, reader: HeaderReader) -> None:
-        """Read available bytes of a header; start a thread that answers it when it is complete."""
+        """Read available bytes of a header; if it is complete, start a thread that answers it."""
         try:
             header = reader.read()
             if header is None:
@@ -400,9 +423,9 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
             ).start()
         except (OSError, ValueError, RuntimeError) as error:
             if isinstance(error, ValueError):
-                self.closed.count(str(error), address[0])
+                self.closed_counter.count(str(error), address[0])
             elif isinstance(error, RuntimeError):
-                self.closed.count("no more threads can be started", address[0])
+                self.closed_counter.count("no more threads can be started", address[0])
             if sock in self._selector.get_map():
                 self._selector.unregister(sock)
             self._handshakes.remove(sock)
@@ -417,19 +440,19 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         except Exception as error:
             # rospy raises arbitrary exceptions for unexpected headers.
             refusal = f"handshake failed: {error}"
-            self.closed.count(refusal, address[0])
+            self.closed_counter.count(refusal, address[0])
         finally:
             self._handshakes.remove(sock)
         if refusal:
             sock.close()
 
     def _pass_to_rospy(self, sock: socket.socket, address: Address, header: Dict[str, str]) -> str:
-        """Pass a connection to rospy's handler; return the reason if rospy or a limit refuses it, else ""."""
+        """Pass a connection to rospy's handler; return the reason if rospy or a limit refuses it, otherwise ""."""
         if rospy.core.is_shutdown_requested():
             return "node shutting down"
         if not self._established.add(sock, address[0]):
             refusal = f"too many connections: expected at most {self._established.limits}"
-            self.closed.count(refusal, address[0])
+            self.closed_counter.count(refusal, address[0])
             return refusal
         if "topic" in header:
             refusal = self._rospy_server.topic_connection_handler(sock, address, header)
@@ -438,12 +461,12 @@ class HandshakeServer(getattr(tcpros_base, "TCPServer", object)):  # type: ignor
         else:
             refusal = "no topic or service name detected"
         if refusal:
-            self.closed.count(refusal, address[0])
+            self.closed_counter.count(refusal, address[0])
         return refusal or ""
 
 
 class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler", object)):  # type: ignore[misc]
-    """Handler of a connection to the XML-RPC server, with a deadline and a size limit for each request."""
+    """Handler of the requests on one XML-RPC connection, with a deadline and a size limit for each request."""
 
     def handle_one_request(self) -> None:
         """Wait for a request and answer it."""
@@ -459,7 +482,7 @@ class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler",
         if 0 <= length <= MAX_REQUEST_BYTES:
             super().do_POST()
             return
-        self.server.closed.count(
+        self.server.closed_counter.count(
             f"requests without a length, or longer than {MAX_REQUEST_BYTES} bytes", self.client_address[0]
         )
         self.close_connection = True
@@ -474,9 +497,11 @@ class RequestHandler(getattr(rosgraph.xmlrpc, "SilenceableXMLRPCRequestHandler",
         if decoded is None:
             # Refused already because of its encoding.
             return None
-        # Without zero bytes, text in UTF-16 and UTF-32 contains the word, too.
+        # Without its zero bytes, text in UTF-16 or UTF-32 contains the word in ASCII.
         if b"<!DOCTYPE" in decoded.replace(b"\0", b"") or len(decoded) > MAX_REQUEST_BYTES:
-            self.server.closed.count("requests with a document type, or too large", self.client_address[0])
+            self.server.closed_counter.count(
+                "requests with a document type, or too large", self.client_address[0]
+            )
             self.close_connection = True
             self.send_error(400)
             return None
@@ -490,14 +515,14 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
         super().__init__(*args, **keywords)
         self.socket.listen(MAX_LISTEN_BACKLOG)
         self.RequestHandlerClass = RequestHandler
-        self.closed = ClosedConnections(f"XML-RPC port {self.server_address[1]}")
+        self.closed_counter = ClosedConnectionCounter(f"XML-RPC port {self.server_address[1]}")
         # The master and other nodes keep a connection open for their next request; they reconnect when it was closed.
         self.connections = ConnectionTable(
             REQUEST_TIMEOUT_SECONDS,
             MAX_REQUEST_CONNECTIONS,
             MAX_REQUEST_CONNECTIONS_PER_ADDRESS,
-            self.closed,
-            may_idle=True,
+            self.closed_counter,
+            allows_idle=True,
         )
 
     def get_request(self) -> Any:
@@ -506,8 +531,8 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
             return super().get_request()
         except OSError as error:
             if error.errno in _NO_RESOURCES:
-                self.connections.make_room()
-            # The server's loop ignores it and continues.
+                self.connections.free_descriptor()
+            # The server's loop ignores the error and continues.
             raise
 
     def process_request(self, request: socket.socket, client_address: Address) -> None:
@@ -524,7 +549,7 @@ class RequestServer(getattr(rosgraph.xmlrpc, "ThreadingXMLRPCServer", object)): 
         """Close the connections whose deadline has passed; the server's loop calls this twice a second."""
         super().service_actions()
         self.connections.expire()
-        self.closed.report()
+        self.closed_counter.report()
 
 
 _ROSPY_HANDLERS = ("topic_connection_handler", "service_connection_handler")

@@ -15,7 +15,7 @@ from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from queue import Queue
 from time import monotonic, sleep
-from typing import IO, Any, Callable, Container, Dict, Iterator, List, Optional, Set, Tuple, Union
+from typing import IO, Any, Callable, Container, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple, Union
 
 import genpy
 import rosgraph
@@ -23,7 +23,7 @@ import rospy
 from std_msgs.msg import String
 
 from .. import srv
-from ..cli import text_tables, toplevel_io
+from ..cli import node_status_tables, toplevel_io
 from ..foundation.errors import RetalisError, SyntaxFault, UsageError, printable
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_term
@@ -43,11 +43,15 @@ INTERFACE_SERVICE_SUFFIX = "/add_input_subscription"
 MASTER_TIMEOUT_SECONDS = 5.0
 """Timeout in seconds for calls of the master."""
 
-MasterState = Tuple[Dict[str, Set[str]], Dict[str, Set[str]]]
-"""The publishers of each topic, and the nodes that offer each service."""
+
+class MasterState(NamedTuple):
+    """The publishers of each topic, and the nodes that offer each service."""
+
+    publishers: Dict[str, Set[str]]
+    services: Dict[str, Set[str]]
 
 
-def master_state() -> MasterState:
+def get_master_state() -> MasterState:
     """Return the publishers and services that the master knows.
 
     Raises:
@@ -65,14 +69,14 @@ def master_state() -> MasterState:
         raise UsageError(f"no master answers at {uri}: start one (roscore), or set ROS_MASTER_URI") from error
     finally:
         socket.setdefaulttimeout(default_timeout)
-    return _nodes_by_name(published), _nodes_by_name(services)
+    return MasterState(_nodes_by_name(published), _nodes_by_name(services))
 
 
 def _nodes_by_name(pairs: List[Tuple[str, List[str]]]) -> Dict[str, Set[str]]:
     return {name: set(nodes) for name, nodes in pairs}
 
 
-def engine_nodes(services: Dict[str, Set[str]], include_interfaces: bool = False) -> List[str]:
+def find_engine_nodes(services: Dict[str, Set[str]], include_interfaces: bool = False) -> List[str]:
     """Return the running nodes with an engine.
 
     Args:
@@ -103,17 +107,17 @@ class NodeClient:
     """
 
     def __init__(self, requested_name: Optional[str] = None, include_interfaces: bool = False):
-        topics, self._services = master_state()
+        publishers, self._services = get_master_state()
         # A node is identified by its services, not by its name, which launch files may change.
-        nodes_with_engine = engine_nodes(self._services)
+        engine_nodes = find_engine_nodes(self._services)
         if requested_name is None:
-            self.name = _only_node(nodes_with_engine)
+            self.name = _select_only_node(engine_nodes)
         else:
             self.name = _resolve_node(
-                requested_name, engine_nodes(self._services, include_interfaces), self._services
+                requested_name, find_engine_nodes(self._services, include_interfaces), self._services
             )
-        self.has_engine = self.name in nodes_with_engine
-        self.published_topics = sorted(topic for topic, nodes in topics.items() if self.name in nodes)
+        self.has_engine = self.name in engine_nodes
+        self.published_topics = sorted(topic for topic, nodes in publishers.items() if self.name in nodes)
 
     def call(self, service: str, service_class: Any, **fields: Any) -> Any:
         """Call a service of the node; return the response.
@@ -134,7 +138,11 @@ class NodeClient:
         return self._call(name, service_class, fields)
 
     def call_relative_service(self, service: str, service_class: Any, **fields: Any) -> Any:
-        """Call a service of the node with a relative name, which is found by the end of its full name."""
+        """Call a service of the node that is not private; see `call`.
+
+        Its name is relative to the namespace of the node, and may be remapped. The service is therefore found by the
+        end of its full name.
+        """
         for name, nodes in self._services.items():
             if name.endswith(f"/{service}") and self.name in nodes:
                 return self._call(name, service_class, fields)
@@ -148,34 +156,42 @@ class NodeClient:
 
 
 def _resolve_node(requested_name: str, nodes: List[str], services: Container[str]) -> str:
-    """Return the full name of a node that a user has named."""
+    """Return the full name of a node that a user has named.
+
+    Raises:
+        UsageError: if there is no such node of this package.
+    """
     name = str(
         rosgraph.names.resolve_name(
             requested_name, f"{rosgraph.names.get_ros_namespace()}retalis_command_line"
         )
     )
     if name not in nodes and f"{name}/list" not in services:
-        # The ROS interface offers `list`, too.
-        raise UsageError(f"there is no node {name}; {_running_nodes_text(nodes)}")
+        # Each node of this package offers `list`, an interface node, too.
+        raise UsageError(f"there is no node {name}; {_name_running_nodes(nodes)}")
     return name
 
 
-def _only_node(nodes: List[str]) -> str:
-    """Return the only node that runs in the namespace of ``ROS_NAMESPACE``."""
+def _select_only_node(nodes: List[str]) -> str:
+    """Return the only node in the namespace of ``ROS_NAMESPACE``.
+
+    Raises:
+        UsageError: if there are none or several.
+    """
     namespace = rosgraph.names.get_ros_namespace()
     in_namespace = [name for name in nodes if name.startswith(namespace)]
     if len(in_namespace) == 1:
         return in_namespace[0]
     if in_namespace:
-        raise UsageError(f"which node? {_running_nodes_text(in_namespace)}; choose one by --node")
+        raise UsageError(f"which node? {_name_running_nodes(in_namespace)}; choose one by --node")
     if nodes:
         raise UsageError(
-            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_running_nodes_text(nodes)}"
+            f"no node retalis runs in namespace {namespace[:-1]} (ROS_NAMESPACE); {_name_running_nodes(nodes)}"
         )
-    raise UsageError(_running_nodes_text(nodes))
+    raise UsageError(_name_running_nodes(nodes))
 
 
-def _running_nodes_text(nodes: List[str]) -> str:
+def _name_running_nodes(nodes: List[str]) -> str:
     return f"those that run are {', '.join(nodes)}" if nodes else "no node retalis runs"
 
 
@@ -192,7 +208,7 @@ def to_plain(message: Any) -> Any:
     return message
 
 
-def check_result(response: Any) -> Any:
+def require_ok(response: Any) -> Any:
     """Return a response if its result is ``ok``.
 
     Raises:
@@ -206,6 +222,9 @@ def check_result(response: Any) -> Any:
 _CLEAR = "\x1b[H\x1b[J"
 """Control sequence that moves the cursor to the top of the terminal and clears the screen."""
 
+
+_MAX_QUEUED_TEXTS = 10_000
+"""Limit for received texts that wait to be printed by ``watch``."""
 
 _MAX_STATUS_INTERVAL_SECONDS = 86_400
 """Limit in seconds for the interval of ``status``."""
@@ -222,20 +241,20 @@ def run(options: argparse.Namespace) -> int:
         rospy.signal_shutdown("done")
 
 
-def solutions(response: Any) -> Iterator[Dict[str, Any]]:
+def decode_solutions(response: Any) -> Iterator[Dict[str, Any]]:
     """Yield the solutions of a response as dictionaries from variable names to plain values."""
     for solution in response.solutions:
         yield {binding.name: json.loads(binding.json) for binding in solution.bindings}
 
 
-def solution_lines(response: Any) -> Iterator[str]:
+def format_solutions(response: Any) -> Iterator[str]:
     """Yield the solutions of a response in the form of a Prolog top level."""
     for solution in response.solutions:
         yield ", ".join(f"{binding.name} = {binding.text}" for binding in solution.bindings) or "true"
 
 
 def _query(options: argparse.Namespace) -> int:
-    response = check_result(
+    response = require_ok(
         NodeClient(options.node).call(
             "query",
             srv.Query,
@@ -244,14 +263,14 @@ def _query(options: argparse.Namespace) -> int:
             seconds=options.seconds,
             inferences=options.inferences,
             wait_for=options.wait_for,
-            stamp=_time(options.stamp),
+            stamp=_to_ros_time(options.stamp),
             timeout=options.timeout,
         )
     )
     if options.json:
-        _print_all(map(json.dumps, solutions(response)))
+        _print_all(map(json.dumps, decode_solutions(response)))
     else:
-        _print_all(map(printable, solution_lines(response)))
+        _print_all(map(printable, format_solutions(response)))
         if not response.solutions:
             print("false")
     if not response.complete:
@@ -264,7 +283,7 @@ def _query(options: argparse.Namespace) -> int:
     return 0 if response.solutions else 1
 
 
-def _time(seconds: float) -> genpy.Time:
+def _to_ros_time(seconds: float) -> genpy.Time:
     if not 0 <= seconds < _TIME_LIMIT_SECONDS:
         raise UsageError(
             f"--stamp: expected seconds since the epoch, below {_TIME_LIMIT_SECONDS}, found {seconds:g}"
@@ -273,7 +292,7 @@ def _time(seconds: float) -> genpy.Time:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    response = check_result(NodeClient(options.node).call("explain", srv.Explain, event=options.event))
+    response = require_ok(NodeClient(options.node).call("explain", srv.Explain, event=options.event))
     if options.json:
         print(json.dumps({"happened": response.happened, "lines": response.lines}))
         return 0
@@ -288,7 +307,7 @@ def _print_all(lines: Iterator[str]) -> None:
 
 
 def _reload(options: argparse.Namespace) -> int:
-    response = check_result(NodeClient(options.node).call("reload", srv.Reload))
+    response = require_ok(NodeClient(options.node).call("reload", srv.Reload))
     if options.json:
         print(json.dumps(response.changes))
     else:
@@ -297,8 +316,8 @@ def _reload(options: argparse.Namespace) -> int:
 
 
 def _node_status(node: NodeClient) -> Dict[str, Any]:
-    """Return the answer of a node's service ``~list``."""
-    status: Dict[str, Any] = to_plain(check_result(node.call("list", srv.List)))
+    """Return the answer of a node's service ``~list``, with the name of the node."""
+    status: Dict[str, Any] = to_plain(require_ok(node.call("list", srv.List)))
     del status["result"]
     return {"node": node.name, **status}
 
@@ -306,7 +325,9 @@ def _node_status(node: NodeClient) -> Dict[str, Any]:
 def _list(options: argparse.Namespace) -> int:
     status = _node_status(NodeClient(options.node, include_interfaces=True))
     print(
-        json.dumps(status) if options.json else "\n".join(map(printable, text_tables.format_record(status)))
+        json.dumps(status)
+        if options.json
+        else "\n".join(map(printable, node_status_tables.format_record(status)))
     )
     return 0
 
@@ -317,6 +338,7 @@ def _status(options: argparse.Namespace) -> int:
             f"--every: expected a number above 0, up to {_MAX_STATUS_INTERVAL_SECONDS}, found {options.every:g}"
         )
     node = NodeClient(options.node, include_interfaces=True)
+    # Without a terminal, repeated reports of text would only be separated by control sequences.
     is_single_report = options.once or not (sys.stdout.isatty() or options.json)
     if is_single_report and options.json:
         return _list(options)
@@ -324,7 +346,7 @@ def _status(options: argparse.Namespace) -> int:
         previous, listed_at = _node_status(node), monotonic()
         sleep(options.every)
         status = _node_status(node)
-        _print_all(_status_lines(node, previous, status, monotonic() - listed_at))
+        _print_all(_format_status(node, previous, status, monotonic() - listed_at))
         return 0
     with _ros_node("retalis_status") as output:
         _show_status(node, options, output)
@@ -346,10 +368,10 @@ def _show_status(node: NodeClient, options: argparse.Namespace, output: IO[str])
             continue
         last_error = ""
         if options.json:
-            print(json.dumps(_with_event_rate(previous, status, now - listed_at)), file=output, flush=True)
+            print(json.dumps(_add_event_rate(previous, status, now - listed_at)), file=output, flush=True)
         else:
             height = shutil.get_terminal_size().lines
-            lines = list(_status_lines(node, previous, status, now - listed_at))[: height - 1]
+            lines = list(_format_status(node, previous, status, now - listed_at))[: height - 1]
             print(_CLEAR + "\n".join(lines), end="", file=output, flush=True)
         previous, listed_at = status, now
 
@@ -367,20 +389,20 @@ def _ros_node(name: str) -> Iterator[IO[str]]:
         yield output
 
 
-def _status_lines(
+def _format_status(
     node: NodeClient, previous: Dict[str, Any], status: Dict[str, Any], seconds: float
 ) -> Iterator[str]:
     """Yield the lines of a node's status, cut at the width of the terminal."""
     columns = shutil.get_terminal_size().columns
-    for line in text_tables.format_status(previous, status, seconds, columns, node.has_engine):
+    for line in node_status_tables.format_status(previous, status, seconds, columns, node.has_engine):
         yield printable(line)[:columns]
 
 
-def _with_event_rate(previous: Dict[str, Any], status: Dict[str, Any], seconds: float) -> Dict[str, Any]:
-    """Return the answer of a node's service ``~list``, with the rate of events."""
+def _add_event_rate(previous: Dict[str, Any], status: Dict[str, Any], seconds: float) -> Dict[str, Any]:
+    """Return a status with the rate of events since the previous one."""
     # A restarted node counts from 0.
-    processed = max(0, status["taken"] - previous["taken"])
-    return {"node": status["node"], "events_a_second": round(processed / seconds, 1), **status}
+    event_count = max(0, status["taken"] - previous["taken"])
+    return {"node": status["node"], "events_a_second": round(event_count / seconds, 1), **status}
 
 
 def _watch(options: argparse.Namespace) -> int:
@@ -393,14 +415,15 @@ def _watch(options: argparse.Namespace) -> int:
 def _watch_node(node: NodeClient, options: argparse.Namespace, output: IO[str]) -> None:
     """Print the outputs of a node, with a temporary subscription for each requested event."""
     MasterWatch().start()
-    received: Queue[Tuple[str, str]] = Queue(maxsize=10_000)
-    outputs = next((topic for topic in node.published_topics if topic.endswith(f"/{OUTPUT}")), None)
-    if outputs is None:
+    # If the terminal is slower than the node, rospy's threads wait here, and the node drops outputs for this process.
+    received: Queue[Tuple[str, str]] = Queue(maxsize=_MAX_QUEUED_TEXTS)
+    output_topic = next((topic for topic in node.published_topics if topic.endswith(f"/{OUTPUT}")), None)
+    if output_topic is None:
         raise UsageError(f"node {node.name} publishes no {OUTPUT}")
-    topic = f"{WATCH}{os.getpid()}"
-    rospy.Subscriber(outputs, String, lambda text: received.put(("output", text.data)))
+    own_topic = f"{WATCH}{os.getpid()}"
+    rospy.Subscriber(output_topic, String, lambda text: received.put(("output", text.data)))
     if options.inputs:
-        input_topic = outputs[: -len(OUTPUT)] + INPUT
+        input_topic = output_topic[: -len(OUTPUT)] + INPUT
         rospy.Subscriber(input_topic, String, lambda text: received.put(("input", text.data)))
     # The subscriptions exist in the node, so they must be deleted however this process ends. Under nohup, SIGHUP is
     # ignored and must stay so.
@@ -410,16 +433,20 @@ def _watch_node(node: NodeClient, options: argparse.Namespace, output: IO[str]) 
     subscription_ids = []
     try:
         for index, pattern in enumerate(options.event):
-            fields = {"event": pattern, "conditions": "", "format": "_", "topic": topic, "id": str(index)}
-            check_result(
+            # A subscription whose format is a variable sends the event itself.
+            fields = {"event": pattern, "conditions": "", "format": "_", "topic": own_topic, "id": str(index)}
+            require_ok(
                 node.call_relative_service("add_output_subscription", srv.AddOutputSubscription, **fields)
             )
             subscription_ids.append(str(index))
-        _print_received(received, topic, options, output)
+        _print_received(received, own_topic, options, output)
     finally:
         for subscription_id in subscription_ids:
             node.call_relative_service(
-                "delete_output_subscription", srv.DeleteOutputSubscription, topic=topic, id=subscription_id
+                "delete_output_subscription",
+                srv.DeleteOutputSubscription,
+                topic=own_topic,
+                id=subscription_id,
             )
 
 
@@ -428,44 +455,58 @@ def _raise_system_exit(signal_number: int, frame: Any) -> None:
     raise SystemExit(128 + signal_number)
 
 
-def _print_received(received: Any, own_topic: str, options: argparse.Namespace, output: IO[str]) -> None:
-    shown = 0
-    while not options.count or shown < options.count:
+def _print_received(
+    received: "Queue[Tuple[str, str]]", own_topic: str, options: argparse.Namespace, output: IO[str]
+) -> None:
+    """Print received texts until the requested number of lines.
+
+    Args:
+        received: pairs of ``output`` or ``input`` and the text.
+        own_topic: topic of the temporary subscriptions, whose outputs are printed as events.
+        options: options of the command.
+        output: stream of the command.
+    """
+    printed_count = 0
+    while not options.count or printed_count < options.count:
         source, text = received.get()
         topic = None
         if source == "output":
-            topic, text = _output_parts(text)
+            topic, text = _split_output(text)
             if topic == own_topic:
                 source, topic = "event", None
             elif topic.startswith(WATCH):
                 # An output of another `retalis watch` command.
                 continue
-        shown += 1
+        printed_count += 1
         if options.json:
             print(json.dumps({"kind": source, "topic": topic, "term": text}), file=output, flush=True)
         else:
             print(f"{source if topic is None else topic}: {printable(text)}", file=output, flush=True)
 
 
-def _output_parts(text: str) -> Tuple[str, str]:
+def _split_output(text: str) -> Tuple[str, str]:
     """Return topic and term of an output text ``event(TERM,TOPIC,ID)``."""
     try:
         term: Any = deref(read_term(text, Operators.prolog(), OUTPUT).term)
         return write_term(term[2]), writeq(term[1])
     except (RetalisError, IndexError, TypeError):
-        # Any node may publish on this topic.
+        # Any node may publish on this topic: a text of another form is printed as it is.
         return OUTPUT, text
 
 
-def completion_names(category: str, node: Optional[str]) -> List[str]:
+def list_completions(category: str, node: Optional[str]) -> List[str]:
     """Return the names of the running nodes, or the ids of a node's memories, for completion in a shell.
+
+    Args:
+        category: ``nodes`` or ``memories``.
+        node: name of the node whose memories are listed; None for the only one.
 
     Raises:
         UsageError: if no master or node answers.
     """
     try:
         if category == "nodes":
-            return list(engine_nodes(master_state()[1]))
+            return list(find_engine_nodes(get_master_state().services))
         response = NodeClient(node).call("query", srv.Query, goal="memory_size(Id, _)", max_solutions=1000)
     finally:
         rospy.signal_shutdown("done")
@@ -547,21 +588,21 @@ class NodeConsole:
         # Parsed and written again: the node gets a single goal without comments, with the names of its variables.
         goal = write_term(parsed.term, self._logic.operators, quoted=True, variable_names=variable_names)
         limit = _MAX_TERMINAL_SOLUTIONS if source.is_terminal else self._max_solutions
-        response = check_result(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
-        solution_texts = list(solution_lines(response))
-        for number, text in enumerate(solution_texts, 1):
-            print(printable(text), end="", flush=True)
-            if number == len(solution_texts) and response.complete:
-                print(".")
-            elif number == len(solution_texts) or not source.wants_more():
-                print(" .")
-                break
-            else:
-                print(" ;", flush=True)
-        if not solution_texts:
+        response = require_ok(self.node.call("query", srv.Query, goal=goal, max_solutions=limit))
+        texts = list(format_solutions(response))
+        if not texts:
             print("false.")
-        elif not response.complete and number == len(solution_texts):
-            print("% there may be more")
+        for number, text in enumerate(texts, 1):
+            print(printable(text), end="", flush=True)
+            if number < len(texts):
+                if not source.wants_more():
+                    print(" .")
+                    return
+                print(" ;", flush=True)
+            elif response.complete:
+                print(".")
+            else:
+                print(" .\n% there may be more")
 
 
 _COMMANDS: Dict[str, Callable[[argparse.Namespace], int]] = {

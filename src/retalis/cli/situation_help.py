@@ -1,7 +1,7 @@
-"""Command ``help``: finds the operator, predicate or guide for a situation in words.
+"""Situations on robots with the operators that solve them, and command ``help``, which searches them by words.
 
-`SITUATIONS` lists situations on robots. It is also the source of the page ``docs/reference/situations.md``. A search
-compares the stems of words, so that their forms agree.
+`SITUATIONS` is also the source of the page ``docs/reference/situations.md``. A search compares the stems of words, so
+that it finds other forms of a word, too.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from typing import Callable, Dict, List, NamedTuple, Sequence
 
 MAX_MATCHES = 10
-"""Situations that are printed for a search."""
+"""Maximum number of situations that are printed for a search."""
 
 USAGE = """\
 retalis help WORD ... finds the operator for a situation on a robot, by words that
@@ -44,6 +44,7 @@ class Situation(NamedTuple):
 
 
 _LANGUAGE = "reference/language"
+"""Folder of the pages of the event language, relative to ``docs/``."""
 
 SITUATIONS: Dict[str, Sequence[Situation]] = {
     "Something does not happen": (
@@ -620,7 +621,7 @@ SITUATIONS: Dict[str, Sequence[Situation]] = {
         ),
     ),
 }
-"""Situations by section of the page."""
+"""Situations by their section of the page."""
 
 _STOP_WORDS = frozenset(
     (
@@ -681,7 +682,7 @@ def split_words(text: str) -> List[str]:
 def stem_word(word: str) -> str:
     """Return a word without its suffix and without a doubled last letter, so that forms of a word agree.
 
-    >>> [stem(word) for word in ("stop", "stopped", "stopping", "retries", "retry", "rate", "rates")]
+    >>> [stem_word(word) for word in ("stop", "stopped", "stopping", "retries", "retry", "rate", "rates")]
     ['stop', 'stop', 'stop', 'retr', 'retr', 'rat', 'rat']
     """
     for suffix in _SUFFIXES:
@@ -691,7 +692,7 @@ def stem_word(word: str) -> str:
     return word[:-1] if len(word) > _MIN_STEM_LETTERS and word[-1] == word[-2] else word
 
 
-def search_words(situation: Situation) -> List[str]:
+def searchable_words(situation: Situation) -> List[str]:
     """Return the words by which a situation is found."""
     return split_words(f"{situation.need} {situation.solution} {situation.keywords}")
 
@@ -709,7 +710,7 @@ def find_situations(text: str) -> List[Situation]:
         situation
         for section in SITUATIONS.values()
         for situation in section
-        if searched_stems <= {stem_word(word) for word in search_words(situation)}
+        if searched_stems <= {stem_word(word) for word in searchable_words(situation)}
     ]
     return sorted(
         matches,
@@ -722,7 +723,12 @@ def find_situations(text: str) -> List[Situation]:
 def suggest_words(text: str) -> List[str]:
     """Return words that find a situation: those of a text that do, and words similar to the others."""
     all_words = sorted(
-        {word for section in SITUATIONS.values() for situation in section for word in search_words(situation)}
+        {
+            word
+            for section in SITUATIONS.values()
+            for situation in section
+            for word in searchable_words(situation)
+        }
     )
     stems = {stem_word(word) for word in all_words}
     suggestions: List[str] = []

@@ -1,4 +1,8 @@
-"""Records and tables of records as text in columns, and the page of ``retalis status``."""
+"""Answers of a node's service ``~list`` as text in columns, for ``retalis list`` and ``retalis status``.
+
+`format_record` prints all fields of an answer. `format_status` compares two answers, and shows what is useful on a
+terminal: rates instead of counters, and ages instead of instants.
+"""
 
 from textwrap import wrap
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
@@ -10,7 +14,7 @@ _MIN_COLUMN_WIDTH = 8
 """Width in characters below which no column is shortened."""
 
 PlainRecord = Mapping[str, Any]
-"""A message of a node, as a dictionary."""
+"""A message of a node as a dictionary: an answer of ``~list``, or a record in one of its lists."""
 
 
 def format_record(record: PlainRecord) -> List[str]:
@@ -24,8 +28,8 @@ def format_record(record: PlainRecord) -> List[str]:
       id    size
       odom  10
     """
-    plain = [(name, value) for name, value in record.items() if not _is_table(value)]
-    lines = _align_columns([[name, _format_value(value)] for name, value in plain])
+    simple_values = [(name, value) for name, value in record.items() if not _is_table(value)]
+    lines = _align_columns([[name, _format_value(value)] for name, value in simple_values])
     for name, rows in record.items():
         if _is_table(rows):
             lines += ["", name, *(f"  {line}" for line in format_table(rows))]
@@ -57,7 +61,9 @@ def format_status(
     time = _StatusTime(current.get("now"), seconds)
     summary = [str(current["node"])]
     if has_engine:
-        rates = (f"{_format_rate(before, current, name, time)} {shown}/s" for name, shown in _RATES.items())
+        rates = (
+            f"{_format_rate(before, current, name, time)} {heading}/s" for name, heading in _RATES.items()
+        )
         summary += [_format_work(current), *rates]
     summary += [f"{name} {current[name]}" for name in _COUNTS if current.get(name)]
     omitted_counts = [name for name in current if name.startswith("more_") and current[name]]
@@ -65,7 +71,7 @@ def format_status(
     # Non-breaking spaces keep each part in one line while the text is wrapped.
     lines = wrap("  ".join(part.replace(" ", "\xa0") for part in summary), columns)
     lines = [line.replace("\xa0", " ") for line in lines]
-    for name, table_form in _TABLES.items():
+    for name, table_form in _TABLE_FORMS.items():
         if current.get(name):
             rows = _format_rows(table_form, before.get(name, ()), current[name], time, columns - 2)
             lines += ["", name, *(f"  {line}" for line in _align_columns(rows))]
@@ -83,21 +89,21 @@ class _Column(NamedTuple):
     """A column of a status table.
 
     Attributes:
-        name: heading.
+        heading: text above the cells.
         format_cell: returns the cell of a record, given the record, its former version (None if it is new), and the
             time.
         can_shrink: whether long cells may be shortened to fit the terminal.
         hidden_if_empty: whether the column is omitted if all its cells are zero or empty.
     """
 
-    name: str
+    heading: str
     format_cell: Callable[[PlainRecord, Optional[PlainRecord], _StatusTime], str]
     can_shrink: bool = False
     hidden_if_empty: bool = False
 
 
 class _TableForm(NamedTuple):
-    """The columns of a table, and the names of the fields that identify a record in two answers."""
+    """Form of a table: the names of the fields that identify a record in both answers, and the columns."""
 
     keys: Tuple[str, ...]
     columns: Tuple[_Column, ...]
@@ -151,19 +157,22 @@ def _format_lag(seconds: Optional[float]) -> str:
 
 
 def _plain_column(
-    name: str, head: str = "", can_shrink: bool = False, hidden_if_empty: bool = False
+    name: str, heading: str = "", can_shrink: bool = False, hidden_if_empty: bool = False
 ) -> _Column:
     return _Column(
-        head or name, lambda row, before, time: _format_value(row.get(name, 0)), can_shrink, hidden_if_empty
+        heading or name,
+        lambda row, before, time: _format_value(row.get(name, 0)),
+        can_shrink,
+        hidden_if_empty,
     )
 
 
-def _rate_column(name: str, head: str) -> _Column:
-    return _Column(head, lambda row, before, time: _format_rate(before, row, name, time))
+def _rate_column(name: str, heading: str) -> _Column:
+    return _Column(heading, lambda row, before, time: _format_rate(before, row, name, time))
 
 
-def _age_column(name: str, head: str) -> _Column:
-    return _Column(head, lambda row, before, time: _format_age(row.get(name), time))
+def _age_column(name: str, heading: str) -> _Column:
+    return _Column(heading, lambda row, before, time: _format_age(row.get(name), time))
 
 
 def _format_awaited(row: PlainRecord, before: Optional[PlainRecord], time: _StatusTime) -> str:
@@ -179,10 +188,14 @@ def _format_megabytes(size: int) -> str:
 
 
 _RATES = {"taken": "events", "fired": "firings"}
-_COUNTS = ("queued", "dropped", "errors", "warnings", "alarms")
-_NOTHING = ("", "-", "0")
+"""Counters of a node whose rates are shown, with the names of what they count."""
 
-_TABLES = {
+_COUNTS = ("queued", "dropped", "errors", "warnings", "alarms")
+"""Counters of a node that are shown if they are not 0."""
+
+_EMPTY_CELLS = ("", "-", "0")
+
+_TABLE_FORMS = {
     "rules": _TableForm(
         ("label", "place", "text"),
         (
@@ -256,16 +269,16 @@ def _format_rows(
     time: _StatusTime,
     width: int,
 ) -> List[List[str]]:
-    """Return the heading and the rows of a table that fits a width, without empty rare columns."""
+    """Return the headings and the rows of a table that fits a width, without empty columns that may be hidden."""
     # Rows are identified by key, not by position: rules and topics may have been added or removed meanwhile.
     former_rows = {_record_key(row, form): row for row in before}
     visible_columns: List[_Column] = []
     cells: List[List[str]] = []
     for column in form.columns:
         values = [column.format_cell(row, former_rows.get(_record_key(row, form)), time) for row in records]
-        if not column.hidden_if_empty or any(cell not in _NOTHING for cell in values):
+        if not column.hidden_if_empty or any(cell not in _EMPTY_CELLS for cell in values):
             visible_columns.append(column)
-            cells.append([column.name, *values])
+            cells.append([column.heading, *values])
     widths = [max(map(len, column)) for column in cells]
     shrinkable = [index for index, column in enumerate(visible_columns) if column.can_shrink]
     excess_width = sum(widths) + 2 * (len(widths) - 1) - width

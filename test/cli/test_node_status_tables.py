@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.cli.text_tables import format_record, format_status
+from retalis.cli.node_status_tables import format_record, format_status
 
 
 def test_plain_values_and_tables():
