@@ -13,7 +13,14 @@ for the goal sequence ``prev, next_inf, datime_interpolate, interpolate_quaterni
 
 from typing import Any, Callable, Dict, Mapping, Optional, Sequence, Tuple
 
-from ...prolog.builtins.pose_predicates import Pose, compose, interpolate, lazy_pose_term, pose, pose_of
+from ...prolog.builtins.pose_predicates import (
+    Pose,
+    compose,
+    interpolate,
+    lazy_pose_term,
+    parse_pose,
+    parse_pose_parts,
+)
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.compiler.clause_nodes import JoinedGoals
 from ...prolog.machine.arithmetic import Number
@@ -200,7 +207,7 @@ class TransformChains:
 
     def _find_pose_of_link(self, link: Term, instant: int) -> Optional[Pose]:
         if link is NIL or (link.__class__ is tuple and link[0] is CONS):
-            return pose(link)
+            return parse_pose(link)
         if link.__class__ is Var:
             raise instantiation_error()
         instance = self._memories.find(link)
@@ -302,8 +309,8 @@ class TransformChains:
             if weight is None:
                 return None
             first_pose, second_pose = (
-                pose_of(first_record[position], first_record[rotation]),
-                pose_of(second_record[position], second_record[rotation]),
+                parse_pose_parts(first_record[position], first_record[rotation]),
+                parse_pose_parts(second_record[position], second_record[rotation]),
             )
             return lazy_pose_term(interpolate(first_pose, second_pose, weight))
 
@@ -335,5 +342,5 @@ def pose_of_record(record: Term) -> Pose:
     try:
         name, position, rotation = record  # type: ignore[misc]
     except (TypeError, ValueError):
-        return pose(record)
-    return pose(record) if name is CONS else pose_of(position, rotation)
+        return parse_pose(record)
+    return parse_pose(record) if name is CONS else parse_pose_parts(position, rotation)

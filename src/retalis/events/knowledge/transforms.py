@@ -18,7 +18,7 @@ from difflib import get_close_matches
 from typing import Any, Callable, Dict, Hashable, Iterable, List, Optional, Sequence, Set, Tuple
 
 from ...foundation.errors import UsageError
-from ...prolog.builtins.pose_predicates import compose, lazy_pose_term, pose
+from ...prolog.builtins.pose_predicates import compose, lazy_pose_term, parse_pose
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.machine.errors import instantiation_error, permission_error, type_error
@@ -353,7 +353,9 @@ class Transforms:
         def transform_pose(pose_term: Term, source: Term, target: Term, time: Term) -> Optional[Term]:
             """Return a pose, given in the source frame, in the target frame."""
             source_pose = find_pose(target, source, time)
-            return None if source_pose is None else lazy_pose_term(compose(source_pose, pose(pose_term)))
+            return (
+                None if source_pose is None else lazy_pose_term(compose(source_pose, parse_pose(pose_term)))
+            )
 
         self._logic.define_function("tf_lookup", 4, look_up_pose)
         self._logic.define_function("tf_transform", 5, transform_pose)
@@ -396,7 +398,7 @@ class Transforms:
         self, parent: Term, child: Term, instant: int, pose_term: Term, is_static: bool, next_frame: Frame
     ) -> Frame:
         """Store one transform; return the frame that first calls the queries that waited for it."""
-        position, rotation = pose(pose_term)
+        position, rotation = parse_pose(pose_term)
         x, y, z, qx, qy, qz, qw = map(float, (*position, *rotation))
         numbers: Numbers = x, y, z, qx, qy, qz, qw
         names = self._frame_name(parent), self._frame_name(child)

@@ -29,10 +29,10 @@ from .builtin_registry import deterministic, function
 if TYPE_CHECKING:
     from ..terms.array_terms import Array
 
-_LEAST_INTEGER, _GREATEST_INTEGER = -(1 << 63), (1 << 63) - 1
+_GREATEST_INTEGER = (1 << 63) - 1
 
 
-def _numbers(term: Term) -> "Array":
+def _read_array(term: Term) -> "Array":
     """Return an array, and count the work on its elements if there are many.
 
     Raises:
@@ -43,14 +43,14 @@ def _numbers(term: Term) -> "Array":
     return array
 
 
-def _ordered(value: Number) -> Number:
+def _require_ordered(value: Number) -> Number:
     """Return a result that depends on the order of the elements; raise an error if an element is nan."""
     if value != value:
         raise evaluation_error("undefined")
     return value
 
 
-def _finite(value: float) -> float:
+def _require_finite(value: float) -> float:
     """Return a result of arithmetic; raise an error if it is not finite."""
     if value - value != 0:
         raise evaluation_error("undefined" if value != value else "float_overflow")
@@ -61,23 +61,23 @@ def _finite(value: float) -> float:
 
 
 def _minimum(values: "Array") -> Number:
-    return _ordered(values.min().item())
+    return _require_ordered(values.min().item())
 
 
 def _maximum(values: "Array") -> Number:
-    return _ordered(values.max().item())
+    return _require_ordered(values.max().item())
 
 
 def _position_of_minimum(values: "Array") -> Number:
     # The position of a nan, if there is one.
     position = int(values.argmin())
-    _ordered(values[position].item())
+    _require_ordered(values[position].item())
     return position
 
 
 def _position_of_maximum(values: "Array") -> Number:
     position = int(values.argmax())
-    _ordered(values[position].item())
+    _require_ordered(values[position].item())
     return position
 
 
@@ -87,37 +87,37 @@ def _sum(values: "Array") -> Number:
     if values.dtype.kind != "f":
         return sum_of_integers(values)
     with np.errstate(all="ignore"):
-        return _finite(values.sum(dtype="f8").item())
+        return _require_finite(values.sum(dtype="f8").item())
 
 
 def _mean(values: "Array") -> Number:
     return _sum(values) / len(values)
 
 
-def _deviation(values: "Array") -> Number:
+def _standard_deviation(values: "Array") -> Number:
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
     with np.errstate(all="ignore"):
-        return _finite(values.std(dtype="f8").item())
+        return _require_finite(values.std(dtype="f8").item())
 
 
 def _median(values: "Array") -> Number:
     return _percentile(values, 50)
 
 
-def _percentile(values: "Array", share: Number) -> float:
-    """Return the element at a share of the sorted elements, in percent, interpolated linearly between two."""
+def _percentile(values: "Array", percent: Number) -> float:
+    """Return the value below which ``percent`` of the elements lie, interpolated linearly between two of them."""
     # `numpy.percentile` handles axes and weights, and takes several times as long for an array of this size.
     last = len(values) - 1
-    position = last * share / 100
+    position = last * percent / 100
     low = int(position)
     fraction = position - low
     high = min(low + 1, last)
-    parted = values.copy()
+    partitioned = values.copy()
     # nan is sorted to the end, where it is found without another pass.
-    parted.partition((low, high, last) if high < last else (low, last))
-    _ordered(parted[last].item())
-    lower, upper = float(parted[low]), float(parted[high])
+    partitioned.partition((low, high, last) if high < last else (low, last))
+    _require_ordered(partitioned[last].item())
+    lower, upper = float(partitioned[low]), float(partitioned[high])
     # Between equal infinities the difference is nan.
     return lower if not fraction or lower == upper else lower + (upper - lower) * fraction
 
@@ -128,16 +128,16 @@ _REDUCTIONS: Dict[str, Callable[["Array"], Number]] = {
     "array_sum": _sum,
     "array_mean": _mean,
     "array_median": _median,
-    "array_std": _deviation,
+    "array_std": _standard_deviation,
     "array_argmin": _position_of_minimum,
     "array_argmax": _position_of_maximum,
 }
 """Reductions by the name of their predicates."""
 
-_OF_NONE = {"array_sum": 0}
+_EMPTY_RESULTS = {"array_sum": 0}
 """Results for an array without elements; the other predicates fail."""
 
-_POSITIONS = ("array_argmin", "array_argmax")
+_POSITION_REDUCTIONS = ("array_argmin", "array_argmax")
 """Predicates whose result is the position of an element."""
 
 
@@ -147,21 +147,21 @@ class _Selection(NamedTuple):
     Attributes:
         values: the elements.
         mask: for each element of the array whether it is selected; None for all.
-        counts: terms that are unified with the number of elements that were left out.
-        left_out: that number.
+        count_terms: terms that are unified with the number of elements that were left out.
+        skipped_count: that number.
     """
 
     values: "Array"
     mask: "Optional[Array]"
-    counts: List[Term]
-    left_out: int
+    count_terms: List[Term]
+    skipped_count: int
 
 
 _SKIP, _SKIPPED, _WITHIN = functor("skip", 1), functor("skipped", 1), functor("within", 2)
 _NAN, _INF, _FINITE = atom("nan"), atom("inf"), atom("finite")
 
 
-def _selected(array: Term, options: Term) -> _Selection:
+def _select_elements(array: Term, options: Term) -> _Selection:
     """Return the elements that options select.
 
     ``skip(nan)`` and ``skip(inf)`` leave out these values, ``within(Low, High)`` those outside of two bounds and nan;
@@ -172,43 +172,46 @@ def _selected(array: Term, options: Term) -> _Selection:
     """
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
-    values = _numbers(array)
+    values = _read_array(array)
     masks: List[Array] = []
-    counts: List[Term] = []
+    count_terms: List[Term] = []
     option: Any
     for option in option_values(options):
         key: Optional[Functor] = option[0] if option.__class__ is tuple else None
         if key is _SKIPPED:
-            counts.append(option[1])
+            count_terms.append(option[1])
         elif key is _WITHIN:
-            masks += [_compared(values, ">=", number(option[1])), _compared(values, "=<", number(option[2]))]
+            masks += [
+                _compare_elements(values, ">=", number(option[1])),
+                _compare_elements(values, "=<", number(option[2])),
+            ]
         elif key is _SKIP and deref(option[1]) in (_NAN, _INF):
             masks.append(~np.isnan(values) if deref(option[1]) is _NAN else ~np.isinf(values))
         else:
             raise domain_error("array_option", option)
     if not masks:
-        return _Selection(values, None, counts, 0)
+        return _Selection(values, None, count_terms, 0)
     mask = np.logical_and.reduce(masks)
     selected = values[mask]
-    return _Selection(selected, mask, counts, len(values) - len(selected))
+    return _Selection(selected, mask, count_terms, len(values) - len(selected))
 
 
 def _define_reduction(name: str, reduce: Callable[["Array"], Number]) -> None:
     """Define a reduction as a predicate of two arguments, and of three with options."""
 
-    def reduced(array: Term) -> Optional[Term]:
-        values = _numbers(array)
-        return reduce(values) if len(values) else _OF_NONE.get(name)
+    def reduce_array(array: Term) -> Optional[Term]:
+        values = _read_array(array)
+        return reduce(values) if len(values) else _EMPTY_RESULTS.get(name)
 
-    def reduced_with_options(machine: Machine, array: Term, result: Term, options: Term) -> bool:
-        selection = _selected(array, options)
-        value = reduce(selection.values) if len(selection.values) else _OF_NONE.get(name)
-        if value is not None and name in _POSITIONS and selection.mask is not None:
+    def reduce_selected(machine: Machine, array: Term, result: Term, options: Term) -> bool:
+        selection = _select_elements(array, options)
+        value = reduce(selection.values) if len(selection.values) else _EMPTY_RESULTS.get(name)
+        if value is not None and name in _POSITION_REDUCTIONS and selection.mask is not None:
             value = int(selection.mask.nonzero()[0][int(value)])
         return _unify_selected(machine, selection, result, value)
 
-    function(f"{name}/2")(reduced)
-    deterministic(f"{name}/3")(reduced_with_options)
+    function(f"{name}/2")(reduce_array)
+    deterministic(f"{name}/3")(reduce_selected)
 
 
 def _unify_selected(machine: Machine, selection: _Selection, result: Term, value: Optional[Number]) -> bool:
@@ -216,7 +219,7 @@ def _unify_selected(machine: Machine, selection: _Selection, result: Term, value
     return (
         value is not None
         and unify(result, value, machine.trail)
-        and all(unify(count, selection.left_out, machine.trail) for count in selection.counts)
+        and all(unify(count, selection.skipped_count, machine.trail) for count in selection.count_terms)
     )
 
 
@@ -225,17 +228,17 @@ for _name, _reduce in _REDUCTIONS.items():
 
 
 def _percentage(term: Term) -> Number:
-    share = number(term)
-    if not 0 <= share <= 100:  # noqa: PLR2004
-        raise domain_error("percentage", share)
-    return share
+    percent = number(term)
+    if not 0 <= percent <= 100:  # noqa: PLR2004
+        raise domain_error("percentage", percent)
+    return percent
 
 
 @function("array_percentile/3")
 def array_percentile(array: Term, percent: Term) -> Optional[Term]:
     """Return a percentile, interpolated linearly between two elements as a float; fail for an empty array."""
-    values, share = _numbers(array), _percentage(percent)
-    return _percentile(values, share) if len(values) else None
+    values, percent_value = _read_array(array), _percentage(percent)
+    return _percentile(values, percent_value) if len(values) else None
 
 
 @deterministic("array_percentile/4")
@@ -243,8 +246,8 @@ def array_percentile_with_options(
     machine: Machine, array: Term, percent: Term, result: Term, options: Term
 ) -> bool:
     """Unify with a percentile of the elements that options select."""
-    selection, share = _selected(array, options), _percentage(percent)
-    value = _percentile(selection.values, share) if len(selection.values) else None
+    selection, percent_value = _select_elements(array, options), _percentage(percent)
+    value = _percentile(selection.values, percent_value) if len(selection.values) else None
     return _unify_selected(machine, selection, result, value)
 
 
@@ -258,13 +261,13 @@ _COMPARISONS: Dict[str, Callable[[Any, Any], Any]] = {
     "=:=": operator.eq,
     "=\\=": operator.ne,
 }
-_COMPARING = {functor(name, 1): name for name in _COMPARISONS}
+_COMPARISON_NAMES = {functor(name, 1): name for name in _COMPARISONS}
 _BETWEEN = functor("between", 2)
 
 _Operand = Union[Number, "Array"]
 
 
-def _operand(term: Term) -> _Operand:
+def _read_operand(term: Term) -> _Operand:
     """Return the array that a term is, or the value of an arithmetic expression."""
     if lazy_array(term) is None:
         value = deref(term)
@@ -272,7 +275,7 @@ def _operand(term: Term) -> _Operand:
             return value
         if value.__class__ is tuple and value[0] is not CONS:
             return evaluate(value)
-    return _numbers(term)
+    return _read_array(term)
 
 
 def _check_lengths(left: "Array", right: "Array", term: Term) -> None:
@@ -281,7 +284,7 @@ def _check_lengths(left: "Array", right: "Array", term: Term) -> None:
         raise domain_error("array_of_equal_length", term, reason)
 
 
-def _compared(values: "Array", name: str, operand: _Operand) -> "Array":
+def _compare_elements(values: "Array", name: str, operand: _Operand) -> "Array":
     """Return for each element whether it compares so with a number, or with the element of another array."""
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
@@ -309,7 +312,7 @@ def _to_float(value: Number) -> float:
         return float("inf") if value > 0 else float("-inf")
 
 
-def _matching(array: Term, condition: Term) -> "Array":
+def _match_condition(array: Term, condition: Term) -> "Array":
     """Return for each element of an array whether it fulfils a condition.
 
     A condition is a comparison without its left operand, such as ``<(0.5)``, whose operand is a number, an expression
@@ -320,20 +323,20 @@ def _matching(array: Term, condition: Term) -> "Array":
     """
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
-    values = _numbers(array)
+    values = _read_array(array)
     condition = deref(condition)
     if condition.__class__ is Var:
         raise instantiation_error()
     if condition.__class__ is tuple:
-        name = _COMPARING.get(condition[0])
+        name = _COMPARISON_NAMES.get(condition[0])
         if name is not None:
-            operand = _operand(condition[1])
+            operand = _read_operand(condition[1])
             if operand.__class__ is not int and operand.__class__ is not float:
                 _check_lengths(values, operand, condition[1])  # type: ignore[arg-type]
-            return _compared(values, name, operand)
+            return _compare_elements(values, name, operand)
         if condition[0] is _BETWEEN:
             low, high = number(condition[1]), number(condition[2])
-            return _compared(values, ">=", low) & _compared(values, "=<", high)
+            return _compare_elements(values, ">=", low) & _compare_elements(values, "=<", high)
     elif condition.__class__ is Atom:
         test: Any = {_NAN: np.isnan, _INF: np.isinf, _FINITE: np.isfinite}.get(condition)
         if test is not None:
@@ -347,13 +350,13 @@ def array_count(array: Term, condition: Term) -> Term:
     """Return the number of elements that fulfil a condition."""
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
-    return int(np.count_nonzero(_matching(array, condition)))
+    return int(np.count_nonzero(_match_condition(array, condition)))
 
 
 @function("array_where/3")
 def array_where(array: Term, condition: Term) -> Term:
     """Return the positions of the elements that fulfil a condition."""
-    mask = _matching(array, condition)
+    mask = _match_condition(array, condition)
     check_limits(size=8 * len(mask))
     return array_term(mask.nonzero()[0])
 
@@ -385,41 +388,41 @@ def array_slice(array: Term, start: Term, end: Term) -> Term:
 
 
 def _elementwise(
-    apply: Callable[[Any, Any], Any], bound: Optional[Callable[[int, int], int]]
+    apply: Callable[[Any, Any], Any], bound_result: Optional[Callable[[int, int], int]]
 ) -> Callable[[Term, Term], Term]:
     """Return a function of two operands, for at least one array.
 
     Args:
         apply: the operation on numbers or arrays.
-        bound: returns a bound of the absolute result from those of integer operands; None if the result is always a
-            float.
+        bound_result: returns a bound of the absolute result from those of integer operands; None if the result is
+            always a float.
     """
 
     def run(left: Term, right: Term) -> Term:
         import numpy as np  # noqa: PLC0415 - see `array_terms`
 
-        first, second = _operand(left), _operand(right)
+        first, second = _read_operand(left), _read_operand(right)
         sizes = [len(operand) for operand in (first, second) if isinstance(operand, np.ndarray)]
         if not sizes:
             array_of(left)  # raises the type error
         if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
             _check_lengths(first, second, right)
         check_limits(size=8 * sizes[0])
-        if bound is not None and _is_integral(first) and _is_integral(second):
-            if bound(_magnitude(first), _magnitude(second)) <= _GREATEST_INTEGER:
-                return array_term(apply(_wide(first), _wide(second)))
+        if bound_result is not None and _is_integral(first) and _is_integral(second):
+            if bound_result(_magnitude(first), _magnitude(second)) <= _GREATEST_INTEGER:
+                return array_term(apply(_as_int64(first), _as_int64(second)))
             # Integers of any size, as the list would have them.
-            pairs = zip(_repeated(first, sizes[0]), _repeated(second, sizes[0]))
-            return make_list([apply(one, other) for one, other in pairs])
-        one, other = _double(first), _double(second)
+            pairs = zip(_as_list(first, sizes[0]), _as_list(second, sizes[0]))
+            return make_list([apply(left_item, right_item) for left_item, right_item in pairs])
+        first_values, second_values = _as_float64(first), _as_float64(second)
         with np.errstate(all="ignore"):
-            if apply is operator.truediv and not np.all(other):
+            if apply is operator.truediv and not np.all(second_values):
                 raise evaluation_error("zero_divisor")
-            result = apply(one, other)
+            result = apply(first_values, second_values)
             # nan and infinity stay what they are; arithmetic on finite numbers must not create them.
             if (
                 not np.isfinite(result).all()
-                and ((np.isfinite(one) & np.isfinite(other)) & ~np.isfinite(result)).any()
+                and ((np.isfinite(first_values) & np.isfinite(second_values)) & ~np.isfinite(result)).any()
             ):
                 raise evaluation_error("float_overflow")
         return array_term(result)
@@ -438,15 +441,15 @@ def _magnitude(operand: Any) -> int:
     return max(abs(int(operand.min())), abs(int(operand.max()))) if len(operand) else 0
 
 
-def _wide(operand: Any) -> Any:
+def _as_int64(operand: Any) -> Any:
     return operand if operand.__class__ is int else operand.astype("i8")
 
 
-def _double(operand: Any) -> Any:
+def _as_float64(operand: Any) -> Any:
     return float(operand) if operand.__class__ in (int, float) else operand.astype("f8")
 
 
-def _repeated(operand: Any, count: int) -> List[int]:
+def _as_list(operand: Any, count: int) -> List[int]:
     return [operand] * count if operand.__class__ is int else operand.tolist()
 
 

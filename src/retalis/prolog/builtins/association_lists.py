@@ -31,7 +31,8 @@ _BALANCES_AFTER_DOUBLE_ROTATION = {_EVEN: (_EVEN, _EVEN), _LEFT: (_EVEN, _RIGHT)
 _Path = List[Tuple[CompoundTerm, int]]
 """Nodes from the root down, each with -1 or 1 if the path continues in its left or right subtree."""
 
-_Balance = Callable[[CompoundTerm, Any, int], Optional[Tuple[CompoundTerm, bool]]]
+_Rebalance = Callable[[CompoundTerm, Any, int], Optional[Tuple[CompoundTerm, bool]]]
+"""Function that replaces a subtree of a node: `_rebalance_deepened` or `_rebalance_flattened`."""
 
 
 def _compare_keys(first: Any, second: Any) -> int:
@@ -84,14 +85,14 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
 def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Insert a key or replace its value."""
     key = deref(key)
-    path, node = _path_to(key, tree, _INSERT, value)
+    path, node = _find_path(key, tree, _INSERT, value)
     is_new = node is _EMPTY
     node = (_NODE, key, value, _EVEN, _EMPTY, _EMPTY) if is_new else (_NODE, key, value, *node[3:])
-    rebuilt = _rebuild_path(path, node, is_new, _deepened)
+    rebuilt = _rebuild_path(path, node, is_new, _rebalance_deepened)
     return rebuilt is not None and unify(result, rebuilt, machine.trail)
 
 
-def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, Any]:
+def _find_path(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, Any]:
     """Return the path to a key, and its node, or the empty tree if the key is not in the tree.
 
     Args:
@@ -118,49 +119,51 @@ def _path_to(key: Term, tree: Term, goal: Functor, value: Term) -> Tuple[_Path, 
     return path, node
 
 
-def _rebuild_path(path: _Path, node: Term, changed: bool, balanced: _Balance) -> Optional[Term]:
+def _rebuild_path(path: _Path, node: Term, has_other_depth: bool, rebalance: _Rebalance) -> Optional[Term]:
     """Return the tree with a new node at the end of a path, or None if a balance is invalid.
 
     Args:
         path: the nodes above the new node, from the root down.
         node: the new node.
-        changed: whether its depth differs from that of the node that it replaces.
-        balanced: returns a node with one subtree of a different depth, and whether the node's own depth differs:
-            `_deepened` or `_flattened`.
+        has_other_depth: whether its depth differs from that of the node that it replaces.
+        rebalance: returns a node with one subtree of a different depth, and whether the node's own depth differs:
+            `_rebalance_deepened` or `_rebalance_flattened`.
     """
     # As soon as one node has kept its depth, the balances above it are valid, and nodes are only copied.
     for parent, order in reversed(path):
-        if changed:
-            balanced_node = balanced(parent, node, order)
+        if has_other_depth:
+            balanced_node = rebalance(parent, node, order)
             if balanced_node is None:
                 return None
-            node, changed = balanced_node
+            node, has_other_depth = balanced_node
         else:
-            sides = (node, parent[5]) if order < 0 else (parent[4], node)
-            node = (*parent[:4], *sides)
+            subtrees = (node, parent[5]) if order < 0 else (parent[4], node)
+            node = (*parent[:4], *subtrees)
     return node
 
 
-def _deepened(parent: CompoundTerm, side: CompoundTerm, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
+def _rebalance_deepened(
+    parent: CompoundTerm, subtree: CompoundTerm, order: int
+) -> Optional[Tuple[CompoundTerm, bool]]:
     """Return a node one of whose subtrees has become deeper by one, and whether the node has become deeper.
 
     ``order`` is negative for the left subtree. Returns None if a balance is invalid.
     """
     _, key, value, balance, left, right = parent
-    left, right = (side, right) if order < 0 else (left, side)
+    left, right = (subtree, right) if order < 0 else (left, subtree)
     deeper, flatter = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
     balance = deref(balance)
     if balance is _EVEN:
         return (_NODE, key, value, deeper, left, right), True
     if balance is flatter:
         return (_NODE, key, value, _EVEN, left, right), False
-    # A subtree that has become too deep has a deeper side itself, unless the tree was not a valid AVL tree.
-    if balance is not deeper or side[3] is _EVEN:
+    # A subtree that has become too deep has a deeper subtree itself, unless the tree was not a valid AVL tree.
+    if balance is not deeper or subtree[3] is _EVEN:
         return None
-    return _rotated(key, value, left, right, order), False
+    return _rotate(key, value, left, right, order), False
 
 
-def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> CompoundTerm:
+def _rotate(key: Term, value: Term, left: Any, right: Any, order: int) -> CompoundTerm:
     """Return a rebalanced node whose left subtree, or right one if ``order`` is positive, is too deep by one."""
     _, child_key, child_value, balance, inner_left, inner_right = left if order < 0 else right
     if deref(balance) is (_LEFT if order < 0 else _RIGHT):
@@ -180,29 +183,29 @@ def _rotated(key: Term, value: Term, left: Any, right: Any, order: int) -> Compo
     top_balance: Any = deref(balance)
     left_balance, right_balance = _BALANCES_AFTER_DOUBLE_ROTATION[top_balance]
     if order < 0:
-        lower = (_NODE, child_key, child_value, left_balance, inner_left, top_left)
-        upper = (_NODE, key, value, right_balance, top_right, right)
+        left_node = (_NODE, child_key, child_value, left_balance, inner_left, top_left)
+        right_node = (_NODE, key, value, right_balance, top_right, right)
     else:
-        lower = (_NODE, key, value, left_balance, left, top_left)
-        upper = (_NODE, child_key, child_value, right_balance, top_right, inner_right)
-    return (_NODE, top_key, top_value, _EVEN, lower, upper)
+        left_node = (_NODE, key, value, left_balance, left, top_left)
+        right_node = (_NODE, child_key, child_value, right_balance, top_right, inner_right)
+    return (_NODE, top_key, top_value, _EVEN, left_node, right_node)
 
 
 @deterministic("del_assoc/4", is_locked=False)
 def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Remove a key."""
     key = deref(key)
-    path, node = _path_to(key, tree, _DELETE, value)
+    path, node = _find_path(key, tree, _DELETE, value)
     if node is _EMPTY or not unify(value, node[2], machine.trail):
         return False
-    replacement = _without_key(node, path)
+    replacement = _remove_node(node, path)
     if replacement is None:
         return False
-    rebuilt = _rebuild_path(path, replacement, True, _flattened)
+    rebuilt = _rebuild_path(path, replacement, True, _rebalance_flattened)
     return rebuilt is not None and unify(result, rebuilt, machine.trail)
 
 
-def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
+def _remove_node(node: CompoundTerm, path: _Path) -> Optional[Term]:
     """Return the subtree that replaces a removed node; None if a subtree of it is not a tree.
 
     If the node has two subtrees, the adjacent key of the deeper one replaces its key, and the path is extended to the
@@ -218,30 +221,32 @@ def _without_key(node: CompoundTerm, path: _Path) -> Optional[Term]:
     if not (_is_node(left) and _is_node(right)):
         return None
     # Taking the key from the deeper subtree never makes the node unbalanced, so it needs fewer rotations.
-    side = 1 if deref(node[3]) is _RIGHT else -1
-    place = len(path)
-    path.append((node, side))
-    following: Any = right if side > 0 else left
+    order = 1 if deref(node[3]) is _RIGHT else -1
+    node_position = len(path)
+    path.append((node, order))
+    adjacent_node: Any = right if order > 0 else left
     for _ in limited_rounds():
         inner_subtree, outer_subtree = (
-            (following[4], following[5]) if side > 0 else (following[5], following[4])
+            (adjacent_node[4], adjacent_node[5]) if order > 0 else (adjacent_node[5], adjacent_node[4])
         )
         inner_subtree = deref(inner_subtree)
         if not _is_node(inner_subtree):
             break
-        path.append((following, -side))
-        following = inner_subtree
-    path[place] = ((_NODE, following[1], following[2], *node[3:]), side)
+        path.append((adjacent_node, -order))
+        adjacent_node = inner_subtree
+    path[node_position] = ((_NODE, adjacent_node[1], adjacent_node[2], *node[3:]), order)
     return deref(outer_subtree)
 
 
-def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[CompoundTerm, bool]]:
+def _rebalance_flattened(
+    parent: CompoundTerm, subtree: Any, order: int
+) -> Optional[Tuple[CompoundTerm, bool]]:
     """Return a node one of whose subtrees has become flatter by one, and whether the node has become flatter.
 
     ``order`` is negative for the left subtree. Returns None if a balance is invalid.
     """
     _, key, value, balance, left, right = parent
-    left, right = (side, right) if order < 0 else (left, side)
+    left, right = (subtree, right) if order < 0 else (left, subtree)
     flatter, deeper = (_LEFT, _RIGHT) if order < 0 else (_RIGHT, _LEFT)
     balance = deref(balance)
     if balance is flatter:
@@ -261,7 +266,7 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
     elif not _is_balance(sibling_balance):
         return None
     if sibling_balance is not _EVEN:
-        return _rotated(key, value, left, right, -order), True
+        return _rotate(key, value, left, right, -order), True
     # Single rotation around an even sibling: the subtree keeps its depth, and both of its upper nodes become uneven.
     _, top_key, top_value, _, inner_left, inner_right = sibling
     if order < 0:
@@ -271,17 +276,17 @@ def _flattened(parent: CompoundTerm, side: Any, order: int) -> Optional[Tuple[Co
     return (_NODE, top_key, top_value, _RIGHT, inner_left, lower), False
 
 
-def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
+def _listing_predicate(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
     """Return a predicate that lists an argument of all nodes, or ``Key-Value`` pairs if ``position`` is None."""
 
     def run(machine: Machine, tree: Term, result: Term) -> bool:
         """Unify the result with the items of a tree in the order of keys; fail if the term is not a tree."""
         path: List[CompoundTerm] = []
         node: Any = tree
-        invalid: Optional[Term] = None
+        invalid_subtree: Optional[Term] = None
         # Visits the nodes from the last to the first, so that the list is built from its end without an intermediate
         # list.
-        listed: Term = NIL
+        items_so_far: Term = NIL
         for _ in WALK_ROUNDS:
             for _ in STEPS_PER_ROUND:
                 if node.__class__ is tuple and node[0] is _NODE:
@@ -291,19 +296,19 @@ def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bo
                         continue
                 elif node is _EMPTY:
                     if not path:
-                        if invalid.__class__ is Var:
+                        if invalid_subtree.__class__ is Var:
                             raise instantiation_error()
-                        return invalid is None and unify(result, listed, machine.trail)
+                        return invalid_subtree is None and unify(result, items_so_far, machine.trail)
                     node = path.pop()
                 else:
                     unbound, node = node, deref(node)
                     # Not a tree. The traversal continues, because the error depends on the invalid subtree that is
                     # first in the order of keys, which is visited last.
                     if node is unbound:
-                        invalid, node = node, _EMPTY
+                        invalid_subtree, node = node, _EMPTY
                     continue
                 item = (MINUS, node[1], node[2]) if position is None else node[position]
-                listed = (CONS, item, listed)
+                items_so_far = (CONS, item, items_so_far)
                 node = node[4]
             check_limits()
         raise TermTooLarge
@@ -311,24 +316,24 @@ def _tree_listing(position: Optional[int]) -> Callable[[Machine, Term, Term], bo
     return run
 
 
-deterministic("assoc_to_list/2", is_locked=False)(_tree_listing(None))
-deterministic("assoc_to_keys/2", is_locked=False)(_tree_listing(1))
-deterministic("assoc_to_values/2", is_locked=False)(_tree_listing(2))
+deterministic("assoc_to_list/2", is_locked=False)(_listing_predicate(None))
+deterministic("assoc_to_keys/2", is_locked=False)(_listing_predicate(1))
+deterministic("assoc_to_values/2", is_locked=False)(_listing_predicate(2))
 
 
 @deterministic("$pairs_to_assoc/2")
 def pairs_to_assoc(machine: Machine, pairs: Term, result: Term) -> bool:
     """Build a balanced tree from pairs; fail unless their keys strictly increase."""
-    entries: List[Any] = [deref(pair) for pair in with_limit_checks(items(pairs))]
+    pair_terms: List[Any] = [deref(pair) for pair in with_limit_checks(items(pairs))]
     keys: List[Any] = []
-    for pair in with_limit_checks(entries):
+    for pair in with_limit_checks(pair_terms):
         if pair.__class__ is not tuple or pair[0] is not MINUS:
             return False
         key = deref(pair[1])
         if keys and _compare_keys(keys[-1], key) >= 0:
             return False
         keys.append(key)
-    values = [pair[2] for pair in entries]
+    values = [pair[2] for pair in pair_terms]
     return unify(result, _balanced_tree(keys, values, 0, len(keys))[0], machine.trail)
 
 

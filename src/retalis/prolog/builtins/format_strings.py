@@ -32,7 +32,7 @@ _PORTRAY = functor("portray", 1)
 def run_captured(machine: Machine, goal: Term) -> Tuple[bool, str]:
     """Run a goal once; return whether it succeeds, and its output."""
     logic = machine.logic
-    # The capture ends in any case, or the program's output would go to it for ever after an error.
+    # The capture ends in any case; otherwise, the program's output would go to it after an error.
     capture = OutputCapture(logic)
     try:
         succeeded = logic.once(goal)
@@ -41,7 +41,7 @@ def run_captured(machine: Machine, goal: Term) -> Tuple[bool, str]:
     return succeeded, join_texts(capture.texts)
 
 
-def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
+def make_portray(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
     """Return a function that prints a term with the program's ``portray/1``, or None if the program defines none."""
     if not machine.logic.defines(_PORTRAY):
         return None
@@ -54,12 +54,12 @@ def portray_of(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
     return portray
 
 
-def printed_text(machine: Machine, term: Term) -> str:
+def print_to_text(machine: Machine, term: Term) -> str:
     """Return the text of a term as ``print/1`` writes it."""
-    return write_term(term, machine.logic.operators, numbervars=True, portray=portray_of(machine))
+    return write_term(term, machine.logic.operators, numbervars=True, portray=make_portray(machine))
 
 
-_FORMAT = functor("format", 1)
+_FORMAT_ERROR = functor("format", 1)
 _ARGUMENT_TYPE = functor("format_argument_type", 2)
 _MAX_COLUMN = 10_000_000
 """Limit for the numeric argument of a directive."""
@@ -75,7 +75,7 @@ def argument_error(letter: str, argument: Term) -> Exception:
 
 def format_error(message: str) -> Exception:
     """Return the error for a format string that does not fit its arguments."""
-    return error((_FORMAT, atom(message)))
+    return error((_FORMAT_ERROR, atom(message)))
 
 
 class ColumnLine:
@@ -83,12 +83,21 @@ class ColumnLine:
 
     Args:
         column: column of the output before the text.
+
+    Attributes:
+        finished_parts: the text before the segment.
+        segment: parts of the segment between two column stops.
+        segment_column: column at which the segment starts.
+        segment_width: number of its characters.
+        fill_points: position in the segment and character of each fill point.
+        column: column after the text.
+        size: number of characters of the whole text.
     """
 
     def __init__(self, column: int):
         self.finished_parts: List[str] = []
         self._start_segment()
-        self.start = column
+        self.segment_column = column
         self.column = column
         self.size = 0
 
@@ -99,55 +108,55 @@ class ColumnLine:
         self.size += len(text)
         check_text_length(self.size, text)
         self.segment.append(text)
-        self.width += len(text)
+        self.segment_width += len(text)
         newline = text.rfind("\n")
         # A newline ends the segment without a column stop, so its fill points have no effect.
         if newline >= 0:
             self.finished_parts += self.segment
             self._start_segment()
-            self.column = self.start = len(text) - newline - 1
+            self.column = self.segment_column = len(text) - newline - 1
         else:
             self.column += len(text)
 
     def add_fill_point(self, char: str) -> None:
         """Add a fill point: characters that are missing at the next column stop are inserted here."""
-        self.fill_points.append((self.width, char))
+        self.fill_points.append((self.segment_width, char))
 
-    def end_segment(self, target: int) -> None:
+    def end_segment(self, target_column: int) -> None:
         """End the segment at a column, and insert the missing characters at its fill points."""
         text = "".join(self.segment)
-        missing = target - self.column
-        if missing > 0:
-            self.size += missing
+        missing_count = target_column - self.column
+        if missing_count > 0:
+            self.size += missing_count
             check_text_length(self.size)
-            text = _insert_fill(text, self.fill_points or [(len(text), " ")], missing)
-            self.column = target
+            text = _insert_fill(text, self.fill_points or [(len(text), " ")], missing_count)
+            self.column = target_column
         self.finished_parts.append(text)
         self._start_segment()
-        self.start = self.column
+        self.segment_column = self.column
 
     def _start_segment(self) -> None:
         """Start a new segment."""
         self.segment: List[str] = []
         self.fill_points: List[Tuple[int, str]] = []
-        self.width = 0  # of the segment
+        self.segment_width = 0
 
     def text(self) -> str:
         """Return the whole text, with the incomplete segment."""
         return join_texts(self.finished_parts + self.segment)
 
 
-def _insert_fill(text: str, fills: List[Tuple[int, str]], missing: int) -> str:
-    """Insert ``missing`` characters at the fill points in equal shares; the last one takes the remainder."""
-    share, rest = divmod(missing, len(fills))
-    out = []
-    last = 0
-    for index, (position, char) in enumerate(fills):
-        out.append(text[last:position])
-        out.append(char * (share + (rest if index == len(fills) - 1 else 0)))
-        last = position
-    out.append(text[last:])
-    return "".join(out)
+def _insert_fill(text: str, fill_points: List[Tuple[int, str]], missing_count: int) -> str:
+    """Insert ``missing_count`` characters at the fill points in equal shares; the last one takes the remainder."""
+    share, remainder = divmod(missing_count, len(fill_points))
+    parts = []
+    previous_position = 0
+    for index, (position, char) in enumerate(fill_points):
+        parts.append(text[previous_position:position])
+        parts.append(char * (share + (remainder if index == len(fill_points) - 1 else 0)))
+        previous_position = position
+    parts.append(text[previous_position:])
+    return "".join(parts)
 
 
 class Formatter:
@@ -181,19 +190,19 @@ class Formatter:
                 line.append(text[position:])
                 break
             line.append(text[position:tilde])
-            position = self._directive(text, tilde + 1)
+            position = self._execute_directive(text, tilde + 1)
         if self.arguments:
             raise format_error("too many arguments")
         return line.text()
 
-    def _next(self) -> Term:
+    def _next_argument(self) -> Term:
         if not self.arguments:
             raise format_error("not enough arguments")
         return self.arguments.pop()
 
-    def _directive(self, text: str, position: int) -> int:
+    def _execute_directive(self, text: str, position: int) -> int:
         """Execute the directive that starts after the tilde; return the position after it."""
-        number, position = self._number(text, position)
+        number, position = self._parse_number(text, position)
         letter = text[position : position + 1]
         # Limits columns and repetitions before any text is created.
         if number is not None and number > _MAX_COLUMN:
@@ -203,7 +212,7 @@ class Formatter:
         if letter in "|+t":
             self._execute_column_directive(letter, number)
         elif letter == "i":
-            self._next()
+            self._next_argument()
         elif letter == "N":
             if self.line.column:
                 self.line.append("\n")
@@ -211,12 +220,12 @@ class Formatter:
             self.line.append(self._text_of_directive(letter, number))
         return position + 1
 
-    def _number(self, text: str, position: int) -> Tuple[Optional[int], int]:
+    def _parse_number(self, text: str, position: int) -> Tuple[Optional[int], int]:
         """Return the numeric argument of a directive, or None, and the position of its letter."""
         if text[position : position + 1] == "`":
             return ord(text[position + 1 : position + 2] or "`"), position + 2
         if text[position : position + 1] == "*":
-            argument = deref(self._next())
+            argument = deref(self._next_argument())
             if argument.__class__ is not int or argument < 0:
                 raise format_error("no or negative integer for `*' argument")
             return argument, position + 1
@@ -233,9 +242,9 @@ class Formatter:
         line = self.line
         if letter == "t":
             line.add_fill_point(chr(32 if number is None else number))
-        # Relative to the previous column stop, by default 8 columns.
         elif letter == "+":
-            line.end_segment(line.start + (8 if number is None else number))
+            # Relative to the previous column stop, by default 8 columns.
+            line.end_segment(line.segment_column + (8 if number is None else number))
         else:
             line.end_segment(line.column if number is None else number)
 
@@ -245,20 +254,20 @@ class Formatter:
         if letter == "~":
             return "~"
         if letter == "n":
-            return self._repeated("\n", times)
+            return self._repeat("\n", times)
         if letter == "c":
-            return self._repeated(_code(self._next()), times)
+            return self._repeat(_character_of_code(self._next_argument()), times)
         convert = _CONVERSIONS.get(letter)
         if convert is None:
             raise existence_error("format_character", atom(letter))
-        return convert(self.machine, self._next(), number)
+        return convert(self.machine, self._next_argument(), number)
 
-    def _repeated(self, character: str, times: int) -> str:
+    def _repeat(self, character: str, times: int) -> str:
         check_text_length(self.line.size + times, character)
         return character * times
 
 
-def _code(term: Term) -> str:
+def _character_of_code(term: Term) -> str:
     code = deref(term)
     if code.__class__ is not int or not 0 <= code <= MAX_CODE:
         raise argument_error("c", code)
@@ -272,24 +281,24 @@ def _atomic_text(machine: Machine, term: Term, number: Optional[int]) -> str:
     return text
 
 
-def _goal_output(machine: Machine, goal: Term, number: Optional[int]) -> str:
+def _output_of_goal(machine: Machine, goal: Term, number: Optional[int]) -> str:
     """Return the output of a goal, whether it succeeds or fails."""
     return run_captured(machine, goal)[1]
 
 
-def _write(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _unquoted_text(machine: Machine, term: Term, number: Optional[int]) -> str:
     return machine.logic.show(term, quoted=False)
 
 
-def _quoted(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _quoted_text(machine: Machine, term: Term, number: Optional[int]) -> str:
     return machine.logic.show(term)
 
 
-def _printed(machine: Machine, term: Term, number: Optional[int]) -> str:
-    return printed_text(machine, term)
+def _printed_text(machine: Machine, term: Term, number: Optional[int]) -> str:
+    return print_to_text(machine, term)
 
 
-def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _string_text(machine: Machine, term: Term, number: Optional[int]) -> str:
     value = deref(term)
     # Numbers are not accepted, unlike by most other predicates on texts.
     is_text = value.__class__ in (String, Atom) or is_text_list(value)
@@ -298,7 +307,7 @@ def _text(machine: Machine, term: Term, number: Optional[int]) -> str:
     return text_of(value)
 
 
-def _integer(letter: str, term: Term) -> int:
+def _evaluate_integer(letter: str, term: Term) -> int:
     # SWI-Prolog evaluates the argument, so expressions are accepted.
     value = evaluate(term)
     if not isinstance(value, int):
@@ -306,7 +315,7 @@ def _integer(letter: str, term: Term) -> int:
     return value
 
 
-def group(digits: str, size: int, mark: str) -> str:
+def group_digits(digits: str, size: int, mark: str) -> str:
     """Return digits in groups of ``size`` from the right."""
     first = len(digits) % size or size
     return mark.join(
@@ -314,28 +323,36 @@ def group(digits: str, size: int, mark: str) -> str:
     )
 
 
-def _grouped(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _underscored_integer(machine: Machine, term: Term, number: Optional[int]) -> str:
     """Return an integer with its digits in groups separated by ``_``, which is valid Prolog syntax."""
-    value = _integer("I", term)
-    return ("-" if value < 0 else "") + group(number_text(abs(value)), number or 3, "_")
+    value = _evaluate_integer("I", term)
+    return ("-" if value < 0 else "") + group_digits(number_text(abs(value)), number or 3, "_")
 
 
-def _decimal(mark: str) -> Callable[..., str]:
+def _decimal_converter(mark: str) -> Callable[..., str]:
+    """Return the conversion of ``~Nd`` or ``~ND``: an integer with a point before the last N digits.
+
+    Args:
+        mark: separator of groups of three digits before the point; "" for none.
+    """
+
     def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
-        value = _integer("d", term)
+        value = _evaluate_integer("d", term)
         digits = number_text(abs(value))
         fraction = ""
         if number:
             digits = digits.rjust(number + 1, "0")
             digits, fraction = digits[:-number], "." + digits[-number:]
         if mark:
-            digits = group(digits, 3, mark)
+            digits = group_digits(digits, 3, mark)
         return ("-" if value < 0 else "") + digits + fraction
 
     return convert
 
 
-def _float(letter: str) -> Callable[..., str]:
+def _float_converter(letter: str) -> Callable[..., str]:
+    """Return the conversion of ``~Ne``, ``~Nf`` or ``~Ng``, with N decimal places."""
+
     def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
         value = evaluate(term)
         places = 6 if number is None else number
@@ -350,7 +367,7 @@ def _float(letter: str) -> Callable[..., str]:
 _DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
 
 
-def radix_text(value: int, radix: int) -> str:
+def format_in_radix(value: int, radix: int) -> str:
     """Return an integer in another base."""
     # Divides by repeated squares of the radix, so that a large number takes less than quadratic time.
     check_bit_product(value, value)
@@ -364,31 +381,34 @@ def radix_text(value: int, radix: int) -> str:
     return ("-" if value < 0 else "") + (digits or "0")
 
 
-def _radix(change: Callable[[str], str]) -> Callable[..., str]:
+def _radix_converter(change_case: Callable[[str], str]) -> Callable[..., str]:
+    """Return the conversion of ``~Nr`` or ``~NR``: an integer in base N."""
+
     def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
-        value = _integer("r", term)
+        value = _evaluate_integer("r", term)
         if number is None:
             number = 8
         if not 2 <= number <= 36:
             raise domain_error("radix", number)
-        return change(radix_text(value, number))
+        return change_case(format_in_radix(value, number))
 
     return convert
 
 
+# Each function gets the machine, the argument, and the numeric argument of the directive.
 _CONVERSIONS: Dict[str, Callable[..., str]] = {
-    "@": _goal_output,
+    "@": _output_of_goal,
     "a": _atomic_text,
-    "w": _write,
-    "p": _printed,
-    "q": _quoted,
-    "s": _text,
-    "d": _decimal(""),
-    "D": _decimal(","),
-    "I": _grouped,
-    "e": _float("e"),
-    "f": _float("f"),
-    "g": _float("g"),
-    "r": _radix(str),
-    "R": _radix(str.upper),
+    "w": _unquoted_text,
+    "p": _printed_text,
+    "q": _quoted_text,
+    "s": _string_text,
+    "d": _decimal_converter(""),
+    "D": _decimal_converter(","),
+    "I": _underscored_integer,
+    "e": _float_converter("e"),
+    "f": _float_converter("f"),
+    "g": _float_converter("g"),
+    "r": _radix_converter(str),
+    "R": _radix_converter(str.upper),
 }

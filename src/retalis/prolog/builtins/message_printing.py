@@ -23,7 +23,7 @@ from .output_predicates import format_to_text, make_variable_names, write_to
 
 _NECK, _DIRECTIVE = functor(":-", 2), functor(":-", 1)
 _FORMAT = functor("format", 2)
-_LINE: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
+_LINE_OPTIONS: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": True}
 """Options of the writer for a line of a clause."""
 
 # Messages
@@ -36,13 +36,13 @@ def print_message(machine: Machine, message_kind: Term, message: Term) -> bool:
     # Messages of these kinds are not shown.
     if name in ("silent", "debug", "banner"):
         return True
-    text = message_text(machine, deref(message))
-    lead = {"error": "ERROR: ", "warning": "Warning: "}.get(name, "")
-    machine.logic.message(name, f"{lead}{text}\n")
+    text = format_message(machine, deref(message))
+    prefix = {"error": "ERROR: ", "warning": "Warning: "}.get(name, "")
+    machine.logic.message(name, f"{prefix}{text}\n")
     return True
 
 
-def message_text(machine: Machine, message: Term) -> str:
+def format_message(machine: Machine, message: Term) -> str:
     """Return the text of a message."""
     if message.__class__ is tuple:
         if message[0] is _FORMAT:
@@ -76,40 +76,40 @@ def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Ter
 @deterministic("portray_clause/1")
 def portray_clause(machine: Machine, term: Term) -> bool:
     """Write a clause with layout and named variables."""
-    machine.logic.write(clause_text(machine, term))
+    machine.logic.write(format_clause(machine, term))
     return True
 
 
 @deterministic("portray_clause/2")
 def portray_clause_to(machine: Machine, stream: Term, term: Term) -> bool:
     """Write a clause to a stream with layout and named variables."""
-    write_to(machine, stream, clause_text(machine, term))
+    write_to(machine, stream, format_clause(machine, term))
     return True
 
 
-def clause_text(machine: Machine, term: Term) -> str:
+def format_clause(machine: Machine, term: Term) -> str:
     """Return the text of a clause, with one goal per line; variables are named A, B, ..., or ``_`` if single."""
     # The names are bound to variables of a copy, so that the clause itself is not changed.
     term = copy(term)
     names = make_variable_names(term)
     term = deref(term)
     operators = machine.logic.operators
-    portray = named_message_portray(term, operators, **_LINE, variable_names=names)
+    portray = named_message_portray(term, operators, **_LINE_OPTIONS, variable_names=names)
     layout = _BodyLayout(operators, names, portray)
     if any(operators.find(key.name) != standard for key, standard in _layout_operators()):
         # The layout assumes the standard priorities; with other ones the text would be read as a different term.
-        layout.put(layout.text(term, 1199))
+        layout.append(layout.format_term(term, 1199))
     elif term.__class__ is tuple and term[0] is _NECK and deref(term[2]) is not TRUE:
-        layout.put(f"{layout.head(term[1])} :-\n    ")
-        layout.body(term[2], 1, 1199)
+        layout.append(f"{layout.format_head(term[1])} :-\n    ")
+        layout.append_body(term[2], 1)
     elif term.__class__ is tuple and term[0] is _NECK:
-        layout.put(layout.text(term[1], 1199))
+        layout.append(layout.format_term(term[1], 1199))
     elif term.__class__ is tuple and term[0] is _DIRECTIVE:
-        layout.put(":- ")
-        layout.body(term[1], 1, 1199)
+        layout.append(":- ")
+        layout.append_body(term[1], 1)
     else:
-        layout.put(layout.text(term, 1200 if term.__class__ is Atom else 1199))
-    return add_full_stop(layout.done()) + "\n"
+        layout.append(layout.format_term(term, 1200 if term.__class__ is Atom else 1199))
+    return add_full_stop(layout.join()) + "\n"
 
 
 @lru_cache(maxsize=1)
@@ -121,10 +121,20 @@ def _layout_operators() -> List[Tuple[Functor, List[Operator]]]:
 
 
 _MAX_LAYOUT_DEPTH = 40
+"""Limit for the depth of control constructs that are written on several lines."""
 
 
 class _BodyLayout:
-    """Layout of a clause body, with one goal per line and control constructs in columns."""
+    """Layout of a clause, with one goal per line and control constructs in columns.
+
+    The priorities are those of Prolog's operators: 1200 for ``:-``, whose arguments have at most 1199, and 1000 for
+    the comma, whose left argument has at most 999.
+
+    Args:
+        operators: operators of the program.
+        names: names of the variables.
+        portray: returns the text of a term that is not written as usual, or None.
+    """
 
     def __init__(
         self,
@@ -135,45 +145,45 @@ class _BodyLayout:
         self._portray = portray
         self._operators = operators
         self._names = names
-        self._out: List[str] = []
+        self._parts: List[str] = []
 
-    def put(self, text: str) -> None:
+    def append(self, text: str) -> None:
         """Append a text."""
-        self._out.append(text)
+        self._parts.append(text)
 
-    def done(self) -> str:
+    def join(self) -> str:
         """Return the whole text."""
-        return "".join(self._out)
+        return "".join(self._parts)
 
-    def head(self, head: Term) -> str:
+    def format_head(self, head: Term) -> str:
         """Return the text of a rule's head."""
         head = deref(head)
         # A prefix operator as head needs parentheses, or the neck would be read as its argument.
         is_prefix = head.__class__ is Atom and head.name in self._operators.prefix
-        return f"({self.text(head, 1200)})" if is_prefix else self.text(head, 1199)
+        return f"({self.format_term(head, 1200)})" if is_prefix else self.format_term(head, 1199)
 
-    def text(self, term: Term, priority: int) -> str:
+    def format_term(self, term: Term, priority: int) -> str:
         """Return a term on one line; an operator of a higher priority is put in parentheses, as by SWI-Prolog."""
         term = deref(term)
         if term.__class__ is Atom and any(
             operator.priority > priority for operator in self._operators.find(term.name)
         ):
-            return f"({write_term(term, self._operators, **_LINE)})"
+            return f"({write_term(term, self._operators, **_LINE_OPTIONS)})"
         return write_term(
             term,
             self._operators,
-            **_LINE,
+            **_LINE_OPTIONS,
             priority=priority,
             variable_names=self._names,
             portray=self._portray,
         )
 
-    def body(self, goal: Term, depth: int, priority: int) -> None:
+    def append_body(self, goal: Term, depth: int) -> None:
         """Append a body. Conjunctions are written iteratively, as they may have any length."""
         goal = deref(goal)
         while goal.__class__ is tuple and goal[0] is COMMA:
-            self.body(goal[1], depth, 999)
-            self.put(f",\n{'    ' * depth}")
+            self.append_body(goal[1], depth)
+            self.append(f",\n{'    ' * depth}")
             goal = deref(goal[2])
         # Deeper control constructs are written on one line, which limits the recursion.
         if (
@@ -181,29 +191,30 @@ class _BodyLayout:
             and goal[0] in (SEMICOLON, ARROW, SOFT_ARROW)
             and depth < _MAX_LAYOUT_DEPTH
         ):
-            self.put("(   ")
-            self._branches(goal, depth)
-            self.put(f"\n{'    ' * depth})")
+            self.append("(   ")
+            self._append_branches(goal, depth)
+            self.append(f"\n{'    ' * depth})")
         elif goal.__class__ is tuple and goal[0] is NOT and depth < _MAX_LAYOUT_DEPTH:
-            self.put("\\+ ")
-            self.body(goal[1], depth, 200)
+            self.append("\\+ ")
+            self.append_body(goal[1], depth)
         else:
-            self.put(self.text(goal, 999))
+            self.append(self.format_term(goal, 999))
 
-    def _branches(self, goal: Term, depth: int) -> None:
-        lead = f"\n{'    ' * depth}"
+    def _append_branches(self, goal: Term, depth: int) -> None:
+        """Append the branches of a disjunction, or the single branch of a condition."""
+        prefix = f"\n{'    ' * depth}"
         while goal.__class__ is tuple and goal[0] is SEMICOLON:
-            self._branch(deref(goal[1]), depth, lead)
-            self.put(f"{lead};   ")
+            self._append_branch(deref(goal[1]), depth, prefix)
+            self.append(f"{prefix};   ")
             goal = deref(goal[2])
-        self._branch(goal, depth, lead)
+        self._append_branch(goal, depth, prefix)
 
-    def _branch(self, goal: Term, depth: int, lead: str) -> None:
+    def _append_branch(self, goal: Term, depth: int, prefix: str) -> None:
         if goal.__class__ is tuple and goal[0] in (ARROW, SOFT_ARROW):
-            self.body(goal[1], depth + 1, 999)
-            self.put(f"{lead}{'->' if goal[0] is ARROW else '*->'}{'  ' if goal[0] is ARROW else ' '}")
+            self.append_body(goal[1], depth + 1)
+            self.append(f"{prefix}{'->' if goal[0] is ARROW else '*->'}{'  ' if goal[0] is ARROW else ' '}")
             goal = deref(goal[2])
-        self.body(goal, depth + 1, 999)
+        self.append_body(goal, depth + 1)
 
 
 @deterministic("listing/1")
@@ -212,22 +223,23 @@ def listing(machine: Machine, target: Term) -> bool:
     target = deref(machine.logic.database.modules.resolve_declared_indicators(target))
     targets = list_items(target)
     for item in targets if targets is not None and target.__class__ is tuple else [target]:
-        for predicate in _matching_predicates(machine, deref(item)):
+        for predicate in _find_predicates(machine, deref(item)):
             _list_predicate(machine, predicate)
     return True
 
 
-def _matching_predicates(machine: Machine, target: Term) -> List[Predicate]:
+def _find_predicates(machine: Machine, target: Term) -> List[Predicate]:
+    """Return the predicates with a name, or the predicate of an indicator."""
     database = machine.logic.database
     if target.__class__ is tuple and target[0] is SLASH and deref(target[2]).__class__ is not Var:
         key = indicator_of(target)
         return [database.predicate(key)] if key in database.predicates else []
     name = atom_of(target[1] if target.__class__ is tuple and target[0] is SLASH else target).name
-    plain_of = database.modules.plain_functor
+    plain_functor_of = database.modules.plain_functor
     matches = [
         predicate
         for key, predicate in database.predicates.items()
-        if key.name == name or (plain_of(key) or key).name == name
+        if key.name == name or (plain_functor_of(key) or key).name == name
     ]
     return sorted(matches, key=lambda predicate: predicate.functor.arity)
 
@@ -245,19 +257,23 @@ def listing_all(machine: Machine) -> bool:
 
 
 def _list_predicate(machine: Machine, predicate: Predicate) -> None:
-    displayed_predicate = predicate.clause_owner
+    """Write the declarations and clauses of a predicate."""
+    clause_owner = predicate.clause_owner
     # Predicates that are written in Python have no clauses.
-    if displayed_predicate.kind != "user" and not displayed_predicate.dynamic:
+    if clause_owner.kind != "user" and not clause_owner.dynamic:
         return
     logic = machine.logic
     modules = logic.database.modules
     key = modules.plain_functor(predicate.functor) or predicate.functor
-    for declaration, source in (("dynamic", displayed_predicate), ("table", predicate)):
-        if displayed_predicate.dynamic if declaration == "dynamic" else displayed_predicate is not predicate:
-            incremental = " as incremental" if source.is_incremental else ""
-            logic.write(f":- {declaration} {logic.show(indicator(key))}{incremental}.\n\n")
-    for clause in displayed_predicate.active_clauses():
-        logic.write(clause_text(machine, modules.display_form((_NECK, clause.head, clause.body))))
+    declarations = [("dynamic", clause_owner)] if clause_owner.dynamic else []
+    # The clauses of a tabled predicate belong to a hidden one.
+    if clause_owner is not predicate:
+        declarations.append(("table", predicate))
+    for declaration, declared_predicate in declarations:
+        suffix = " as incremental" if declared_predicate.is_incremental else ""
+        logic.write(f":- {declaration} {logic.show(indicator(key))}{suffix}.\n\n")
+    for clause in clause_owner.active_clauses():
+        logic.write(format_clause(machine, modules.display_form((_NECK, clause.head, clause.body))))
     logic.write("\n")
 
 
@@ -279,38 +295,39 @@ def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
                 or modules.plain_functor(key) is not None
             ):
                 continue
-            general = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
+            most_general_head = (key, *[Var() for _ in range(key.arity)]) if key.arity else atom(key.name)
             for value in _properties(predicate):
-                if machine.unify_all((head, general), (prop, value)):
+                if machine.unify_all((head, most_general_head), (prop, value)):
                     yield None
         return
     key = head[0] if head.__class__ is tuple else atom_of(head).functor
     definition = logic.lookup(key)
-    plain = modules.plain_functor(key)
-    if definition is None and plain is not None:
-        definition = logic.lookup(plain)
+    plain_key = modules.plain_functor(key)
+    if definition is None and plain_key is not None:
+        definition = logic.lookup(plain_key)
     for value in [] if definition is None else _properties(definition):
         if machine.unify(prop, value):
             yield None
 
 
 def _properties(predicate: Predicate) -> Iterator[Term]:
+    """Yield the properties of a predicate."""
     yield atom("defined")
     yield atom("visible")
-    stored_predicate = predicate.clause_owner
-    yield atom("dynamic" if stored_predicate.dynamic else "static")
+    clause_owner = predicate.clause_owner
+    yield atom("dynamic" if clause_owner.dynamic else "static")
     if predicate.is_library_predicate:
         yield atom("system" if predicate.is_protected else "library")
         if predicate.is_protected:
             yield atom("built_in")
-    if stored_predicate.kind != "user" and not stored_predicate.dynamic:
+    if clause_owner.kind != "user" and not clause_owner.dynamic:
         yield atom("foreign")
     else:
-        stored_predicate.report_read()
-        yield (functor("number_of_clauses", 1), len(stored_predicate))
-    if stored_predicate.discontiguous:
+        clause_owner.report_read()
+        yield (functor("number_of_clauses", 1), len(clause_owner))
+    if clause_owner.discontiguous:
         yield atom("discontiguous")
-    if stored_predicate.multifile:
+    if clause_owner.multifile:
         yield atom("multifile")
     if predicate.is_incremental:
         yield atom("incremental")

@@ -62,8 +62,8 @@ def apply(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame
     """Call a goal with the items of a list as additional arguments."""
     goal = callable_of(args[0])
     modules = machine.logic.database.modules
-    extra = tuple(items(args[1]))
-    goal = add_arguments(goal, extra, modules) if extra else goal
+    added_arguments = tuple(items(args[1]))
+    goal = add_arguments(goal, added_arguments, modules) if added_arguments else goal
     return machine.logic.control.call(goal, continuation)
 
 
@@ -111,27 +111,28 @@ def call_with_time_limit(machine: Machine, args: Values, continuation: Frame) ->
     seconds = number(args[0])
     if seconds <= 0:
         raise PrologError(_TIME_LIMIT)
-    # The choice point of the guard has this position, by which `_finish_in_time` finds it.
+    # Position of the guard's choice point, by which `_finish_in_time` finds it.
     height = len(machine.choices)
     budget = machine.budget
     # Long built-ins check the budget of the goal while it runs; the guard restores the previous check.
     previous_watch = set_limit_check(budget.check_limits)
     machine.choices.append((_TIME_GUARD, budget, len(budget.alarms), previous_watch, len(machine.trail)))
     budget.add_alarm(monotonic() + seconds, CallLimitError("time", _TIME_LIMIT))
-    return machine.logic.control.once(args[1], (_FINISHED_IN_TIME, machine, height, continuation))
+    return machine.logic.control.once(args[1], (_FINISH_IN_TIME, machine, height, continuation))
 
 
 def _remove_time_limit(entry: Frame) -> None:
     """Remove the alarms that were set since the choice point was pushed, and restore the previous check."""
     budget: Budget
-    _, budget, count, previous_watch, _ = entry
-    for _, error in budget.alarms[count:]:
+    _, budget, alarm_count, previous_watch, _ = entry
+    for _, error in budget.alarms[alarm_count:]:
         error.record_end()
-    del budget.alarms[count:]
+    del budget.alarms[alarm_count:]
     set_limit_check(previous_watch)
 
 
 def _finish_in_time(frame: Frame) -> Frame:
+    """Remove the time limit and the choice points of a goal that has succeeded."""
     machine: Machine
     continuation: Frame
     _, machine, height, continuation = frame
@@ -147,7 +148,7 @@ def _finish_in_time(frame: Frame) -> Frame:
 
 _TIME_LIMIT = atom("time_limit_exceeded")
 _TIME_GUARD = Guard("call_with_time_limit", _remove_time_limit)
-_FINISHED_IN_TIME = Code("call_with_time_limit", _finish_in_time)
+_FINISH_IN_TIME = Code("call_with_time_limit", _finish_in_time)
 
 
 @control("call_with_inference_limit/3")
@@ -171,7 +172,7 @@ def within(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
     budget = machine.budget
     budget.add_ceiling(ceiling, CallLimitError("inference", ball))
     machine.choices.append((_INFERENCE_GUARD, budget, ceiling, len(machine.trail)))
-    return machine.logic.control.call(goal, (_FINISHED_WITHIN, machine, height, result, continuation))
+    return machine.logic.control.call(goal, (_FINISH_WITHIN, machine, height, result, continuation))
 
 
 def _remove_ceiling(entry: Frame) -> None:
@@ -179,11 +180,13 @@ def _remove_ceiling(entry: Frame) -> None:
     budget: Budget
     _, budget, ceiling, _ = entry
     error = budget.ceilings.pop(ceiling, None)
-    if error is not None:  # it has been removed already if the goal has exited before
+    # If the goal has left choice points, the ceiling was removed when it exited.
+    if error is not None:
         error.record_end()
 
 
 def _finish_within(frame: Frame) -> Optional[Frame]:
+    """Remove the ceiling of a goal that has succeeded; its result is ``!`` after the last solution, else ``true``."""
     machine: Machine
     continuation: Frame
     _, machine, height, result, continuation = frame
@@ -203,7 +206,7 @@ _WITHIN = functor("$within", 3)
 _INFERENCE_LIMIT = functor("$inference_limit", 1)
 _EXCEEDED, _DETERMINATE = atom("inference_limit_exceeded"), atom("!")
 _INFERENCE_GUARD = Guard("call_with_inference_limit", _remove_ceiling)
-_FINISHED_WITHIN = Code("call_with_inference_limit", _finish_within)
+_FINISH_WITHIN = Code("call_with_inference_limit", _finish_within)
 
 
 # Solutions by number
@@ -216,10 +219,12 @@ def limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame
     if count <= 0:
         return None
     height = len(machine.choices)
+    # The count is in a list because frames are immutable, and because backtracking must not undo it.
     return machine.logic.control.call(args[1], (_COUNT_SOLUTION, machine, height, [count], continuation))
 
 
 def _count_solution(frame: Frame) -> Frame:
+    """Count a solution; the last one that is wanted cuts the goal."""
     machine: Machine
     continuation: Frame
     _, machine, height, remaining, continuation = frame
@@ -306,24 +311,24 @@ def call_lambda(machine: Machine, args: Values, continuation: Frame) -> Optional
 
     Its variables are renamed for each call, except those in ``Free``, as in SWI-Prolog's ``library(yall)``.
     """
-    parameters, body, actual = deref(args[0]), args[1], args[2:]
-    fresh: Dict[Var, Term] = {}  # values of the expression's variables in this call
+    parameters, body, call_arguments = deref(args[0]), args[1], args[2:]
+    var_values: Dict[Var, Term] = {}  # values of the expression's variables in this call
     if parameters.__class__ is tuple and parameters[0] is SLASH:
-        fresh = {var: var for var in variables(parameters[1])}
+        var_values = {var: var for var in variables(parameters[1])}
         parameters = deref(parameters[2])
     parameter_count = 0
-    while parameter_count < len(actual) and parameters.__class__ is tuple and parameters[0] is CONS:
+    while parameter_count < len(call_arguments) and parameters.__class__ is tuple and parameters[0] is CONS:
         parameter = deref(parameters[1])
         # A parameter that is a variable is replaced by the argument, which is cheaper than a unification.
-        if parameter.__class__ is Var and parameter not in fresh:
-            fresh[parameter] = actual[parameter_count]
-        elif not machine.unify(copy(parameter, fresh), actual[parameter_count]):
+        if parameter.__class__ is Var and parameter not in var_values:
+            var_values[parameter] = call_arguments[parameter_count]
+        elif not machine.unify(copy(parameter, var_values), call_arguments[parameter_count]):
             return None
         parameter_count += 1
         parameters = deref(parameters[2])
-    body = deref(copy(body, fresh))
+    body = deref(copy(body, var_values))
     # Without parameters left, the remaining arguments are appended to the body of `Free/Body`.
-    extra_arguments = actual[parameter_count:]
+    extra_arguments = call_arguments[parameter_count:]
     if body.__class__ is tuple and body[0] is SLASH and extra_arguments:
         body = deref(body[2])
     goal = add_arguments(body, extra_arguments, machine.logic.database.modules) if extra_arguments else body
@@ -337,18 +342,18 @@ class _Cleanup:
     guards. On PyPy, which does not free objects immediately, the cut calls `Code.on_drop` instead.
     """
 
-    __slots__ = ("machine", "goal", "done")
+    __slots__ = ("machine", "goal", "is_done")
 
     def __init__(self, machine: Machine, goal: Term):
         self.machine = machine
         self.goal = goal
-        self.done = False
+        self.is_done = False
 
     def run(self) -> None:
         """Run the cleanup; its failure and its bindings are ignored, and its error is printed as a warning."""
-        if self.done:
+        if self.is_done:
             return
-        self.done = True
+        self.is_done = True
         machine = self.machine
         mark = len(machine.trail)
         try:
@@ -382,6 +387,7 @@ def call_cleanup(machine: Machine, args: Values, continuation: Frame) -> Optiona
 
 
 def _call_guarded(frame: Frame) -> Optional[Frame]:
+    """Call the goal of ``setup_call_cleanup/3`` above the guard with its cleanup."""
     machine: Machine
     continuation: Frame
     _, machine, goal, cleanup, continuation = frame
@@ -389,11 +395,12 @@ def _call_guarded(frame: Frame) -> Optional[Frame]:
     if deref(cleanup).__class__ is Var:
         raise instantiation_error()
     height = len(machine.choices)
-    machine.choices.append((_CLEANUP, _Cleanup(machine, cleanup), len(machine.trail)))
-    return machine.logic.control.call(goal, (_GOAL_EXITED, machine, height, continuation))
+    machine.choices.append((_CLEANUP_GUARD, _Cleanup(machine, cleanup), len(machine.trail)))
+    return machine.logic.control.call(goal, (_EXIT_GOAL, machine, height, continuation))
 
 
 def _exit_goal(frame: Frame) -> Optional[Frame]:
+    """Call the cleanup of a goal that has succeeded without leaving choice points."""
     machine: Machine
     continuation: Frame
     _, machine, height, continuation = frame
@@ -402,12 +409,12 @@ def _exit_goal(frame: Frame) -> Optional[Frame]:
         return continuation
     cleanup: _Cleanup = machine.choices.pop()[1]
     # From here on the cleanup is an ordinary goal, whose errors the program may catch.
-    cleanup.done = True
+    cleanup.is_done = True
     goal = (SEMICOLON, (ARROW, (CALL, cleanup.goal), TRUE), TRUE)
     return machine.logic.control.once(goal, continuation)
 
 
 _CALL_GUARDED = Code("setup_call_cleanup", _call_guarded)
-_GOAL_EXITED = Code("setup_call_cleanup", _exit_goal)
-_CLEANUP = Guard("setup_call_cleanup", lambda entry: entry[1].run())
-_CLEANUP.on_drop = _CLEANUP.unwind
+_EXIT_GOAL = Code("setup_call_cleanup", _exit_goal)
+_CLEANUP_GUARD = Guard("setup_call_cleanup", lambda entry: entry[1].run())
+_CLEANUP_GUARD.on_drop = _CLEANUP_GUARD.unwind

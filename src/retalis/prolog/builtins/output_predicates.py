@@ -25,7 +25,7 @@ from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, Term, Values, Va
 from ..terms.unification import unify
 from .argument_checks import integer, is_iso, option_values
 from .builtin_registry import control, deterministic
-from .format_strings import Formatter, portray_of, printed_text
+from .format_strings import Formatter, make_portray, print_to_text
 from .text_arguments import MAX_CODE, check_text_length, fill_sink, is_sink, join_texts, make_text, whole_text
 from .text_streams import OutputCapture, OutputStream, is_stream_term, streams_of
 
@@ -116,7 +116,7 @@ def _canonical_text(machine: Machine, term: Term) -> str:
 
 _WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
     "write": _writer(quoted=False, numbervars=True),
-    "print": printed_text,
+    "print": print_to_text,
     "writeln": _writer(quoted=False, numbervars=True),
     "writeq": _writer(quoted=True, numbervars=True),
     "write_canonical": _canonical_text,
@@ -239,7 +239,7 @@ def write_options(machine: Machine, options: Term) -> Dict[str, object]:
             values[name] = convert(option, value, iso)
     # The writer takes a function instead of a boolean; it is None if the program does not define `portray/1`.
     if "portray" in values:
-        values["portray"] = portray_of(machine) if values["portray"] else None
+        values["portray"] = make_portray(machine) if values["portray"] else None
     return values
 
 

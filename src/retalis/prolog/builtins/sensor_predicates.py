@@ -43,7 +43,7 @@ from ..terms.types import (
 )
 from .argument_checks import array_of, integer, natural, number
 from .builtin_registry import function
-from .pose_predicates import vector
+from .pose_predicates import parse_vector
 
 Array = Any
 """A numpy array; numpy is imported at the first use of a predicate."""
@@ -67,7 +67,7 @@ def _size_error(slot: str, value: Term, reason: str) -> PrologError:
     return domain_error(slot, value, f"{slot}: {reason}")
 
 
-def _message(term: Term, type_name: str) -> CompoundTerm:
+def _require_message(term: Term, type_name: str) -> CompoundTerm:
     """Return a message of a type, by its number of slots."""
     term = deref(term)
     if term.__class__ is tuple and len(term) == _ARITIES[type_name] + 1:
@@ -77,7 +77,7 @@ def _message(term: Term, type_name: str) -> CompoundTerm:
     raise type_error(type_name, term)
 
 
-def _nested_message(term: Term, expected: Functor, slot: str) -> CompoundTerm:
+def _require_nested_message(term: Term, expected: Functor, slot: str) -> CompoundTerm:
     """Return the message in a slot."""
     term = deref(term)
     if term.__class__ is tuple and term[0] is expected:
@@ -87,7 +87,7 @@ def _nested_message(term: Term, expected: Functor, slot: str) -> CompoundTerm:
     raise type_error(expected.name.replace("__0__", "/"), term, f"slot {slot}")
 
 
-def _number(term: Term, slot: str) -> float:
+def _read_number(term: Term, slot: str) -> float:
     """Return the number in a slot."""
     term = deref(term)
     if term.__class__ is int or term.__class__ is float:
@@ -97,7 +97,7 @@ def _number(term: Term, slot: str) -> float:
     raise type_error("number", term, f"slot {slot}")
 
 
-def _non_negative_integer(term: Term, slot: str) -> int:
+def _read_non_negative(term: Term, slot: str) -> int:
     """Return the non-negative integer in a slot."""
     term = deref(term)
     if term.__class__ is Var:
@@ -109,7 +109,7 @@ def _non_negative_integer(term: Term, slot: str) -> int:
     return term
 
 
-def _is_true(term: Term, slot: str) -> bool:
+def _read_boolean(term: Term, slot: str) -> bool:
     """Return the truth value in a slot, which may be a number as in ``sensor_msgs/Image``."""
     term = deref(term)
     if term is TRUE or term is FALSE:
@@ -121,7 +121,7 @@ def _is_true(term: Term, slot: str) -> bool:
     raise type_error("bool", term, f"slot {slot}")
 
 
-def _text(term: Term, slot: Optional[str] = None) -> str:
+def _read_text(term: Term, slot: Optional[str] = None) -> str:
     """Return a text, of a slot or an argument, without the double quotes that texts of messages have."""
     term = deref(term)
     if term.__class__ is Var:
@@ -134,14 +134,14 @@ def _text(term: Term, slot: Optional[str] = None) -> str:
     return name[1:-1] if len(name) >= 2 and name[0] == name[-1] == '"' else name
 
 
-def _bytes(term: Term) -> Array:
+def _read_bytes(term: Term) -> Array:
     """Return the bytes in the slot ``data`` as an array."""
     import numpy  # noqa: PLC0415 - takes longer to import than the whole package
 
     if lazy_array(term) is None:
         term = deref(term)
         if term.__class__ is String or (term.__class__ is Atom and term is not NIL):
-            return numpy.frombuffer(_text_bytes(term), "u1")
+            return numpy.frombuffer(_decode_text(term), "u1")
         if term.__class__ is not tuple and term is not NIL and term.__class__ is not Var:
             raise type_error("bytes", term, "slot data")
     # Programs may send a list of numbers instead of a text.
@@ -154,13 +154,15 @@ def _bytes(term: Term) -> Array:
 
 
 _MIN_CACHED_TEXT_BYTES = 1024
+"""Size from which the bytes of a text are cached."""
+
 _last_decoded_text: Tuple[Optional["ref[Atom]"], bytes] = (None, b"")
 """The long text that was decoded last, and its bytes, because several predicates usually read the same message.
 
 It is one tuple, because several threads may replace it at any time."""
 
 
-def _text_bytes(term: Term) -> bytes:
+def _decode_text(term: Term) -> bytes:
     """Return the bytes that a text in the slot ``data`` denotes."""
     global _last_decoded_text
     cached_atom, cached_bytes = _last_decoded_text
@@ -189,7 +191,17 @@ _FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8
 
 
 class _Cloud(NamedTuple):
-    """The layout and the bytes of a point cloud."""
+    """The layout and the bytes of a point cloud.
+
+    Attributes:
+        height: number of rows.
+        width: number of points of a row.
+        point_step: bytes of a point.
+        row_step: bytes of a row, with its padding.
+        data: the bytes.
+        byte_order: ``<`` or ``>``, as for numpy.
+        fields: list of the fields of a point.
+    """
 
     height: int
     width: int
@@ -199,14 +211,14 @@ class _Cloud(NamedTuple):
     byte_order: str
     fields: Term
 
-    def field(self, name: str) -> Array:
+    def read_field(self, name: str) -> Array:
         """Return the values of a field, in three dimensions: rows, columns, and values of a point."""
-        import numpy  # noqa: PLC0415 - see `_bytes`
+        import numpy  # noqa: PLC0415 - see `_read_bytes`
 
         names = []
-        for term in _field_list(self.fields):
-            field = _nested_message(term, _POINT_FIELD, "fields")
-            field_name = _text(field[1], "fields.name")
+        for term in _read_fields(self.fields):
+            field = _require_nested_message(term, _POINT_FIELD, "fields")
+            field_name = _read_text(field[1], "fields.name")
             names.append(field_name)
             if field_name == name:
                 break
@@ -214,11 +226,11 @@ class _Cloud(NamedTuple):
             reason = f"the cloud has {', '.join(names) or 'no fields'}"
             raise existence_error("field", atom(name), (CONTEXT, Var(), atom(reason)))
         offset, datatype = (
-            _non_negative_integer(field[2], "fields.offset"),
-            _non_negative_integer(field[3], "fields.datatype"),
+            _read_non_negative(field[2], "fields.offset"),
+            _read_non_negative(field[3], "fields.datatype"),
         )
         # A count of 0 is found in clouds of old drivers and means one value, as in PCL.
-        count = _non_negative_integer(field[4], "fields.count") or 1
+        count = _read_non_negative(field[4], "fields.count") or 1
         if datatype not in _FIELD_TYPES:
             raise _size_error("fields.datatype", datatype, f"{datatype} of {name}, expected 1 to 8")
         dtype = numpy.dtype(self.byte_order + _FIELD_TYPES[datatype])
@@ -233,16 +245,16 @@ class _Cloud(NamedTuple):
         strides = self.row_step, self.point_step, dtype.itemsize
         return numpy.ndarray(shape, dtype, self.data, offset, strides)
 
-    def coordinate(self, name: str) -> Array:
+    def read_coordinate(self, name: str) -> Array:
         """Return the coordinates of the points in two dimensions, rows and columns."""
-        values = self.field(name)
+        values = self.read_field(name)
         if values.shape[2] != 1:
             raise _size_error("fields.count", values.shape[2], f"{values.shape[2]} of {name}, expected 1")
         return values[:, :, 0]
 
     def blocks(self) -> Iterator[Tuple[Array, Array, Array]]:
         """Yield the coordinates x, y and z of blocks of points as float64."""
-        coordinates = [self.coordinate(name) for name in "xyz"]
+        coordinates = [self.read_coordinate(name) for name in "xyz"]
         height, width = coordinates[0].shape
         if width and self.row_step == self.width * self.point_step:
             # Without padding at the end of rows, the cloud is one row.
@@ -259,7 +271,7 @@ class _Cloud(NamedTuple):
                 yield x.astype("f8"), y.astype("f8"), z.astype("f8")
 
 
-def _field_list(term: Term) -> List[Term]:
+def _read_fields(term: Term) -> List[Term]:
     items, tail = list_parts(term)
     if tail is NIL:
         return items
@@ -268,16 +280,16 @@ def _field_list(term: Term) -> List[Term]:
     raise type_error("list", deref(term), "slot fields")
 
 
-def _cloud(term: Term) -> _Cloud:
+def _read_cloud(term: Term) -> _Cloud:
     """Return the layout of a point cloud, after its sizes have been checked."""
-    message = _message(term, _POINT_CLOUD)
-    height, width = _non_negative_integer(message[2], "height"), _non_negative_integer(message[3], "width")
-    is_bigendian = _is_true(message[5], "is_bigendian")
+    message = _require_message(term, _POINT_CLOUD)
+    height, width = _read_non_negative(message[2], "height"), _read_non_negative(message[3], "width")
+    is_bigendian = _read_boolean(message[5], "is_bigendian")
     point_step, row_step = (
-        _non_negative_integer(message[6], "point_step"),
-        _non_negative_integer(message[7], "row_step"),
+        _read_non_negative(message[6], "point_step"),
+        _read_non_negative(message[7], "row_step"),
     )
-    data = _bytes(message[8])
+    data = _read_bytes(message[8])
     if row_step < width * point_step and height:
         needed = width * point_step
         raise _size_error(
@@ -296,8 +308,8 @@ def _check_data(unit: str, size: int, expected: int, formula: str) -> None:
 @function("cloud_field/3")
 def cloud_field(cloud: Term, name: Term) -> Term:
     """Return the values of a field of all points, row by row; if a point has several values, all of them."""
-    layout = _cloud(cloud)
-    return _array_to_term(layout.field(_text(name)))
+    layout = _read_cloud(cloud)
+    return _array_to_term(layout.read_field(_read_text(name)))
 
 
 @function("cloud_near/4")
@@ -306,10 +318,10 @@ def cloud_near(cloud: Term, point: Term, radius: Term) -> Term:
 
     Points with a coordinate that is not finite are not counted.
     """
-    import numpy  # noqa: PLC0415 - see `_bytes`
+    import numpy  # noqa: PLC0415 - see `_read_bytes`
 
-    layout = _cloud(cloud)
-    px, py, pz = map(float, vector(point))
+    layout = _read_cloud(cloud)
+    px, py, pz = map(float, parse_vector(point))
     radius_value = float(number(radius))
     if radius_value < 0:
         raise domain_error("not_less_than_zero", deref(radius))
@@ -332,17 +344,17 @@ def cloud_near(cloud: Term, point: Term, radius: Term) -> Term:
 @function("cloud_box/4")
 def cloud_box(cloud: Term, lower: Term, upper: Term) -> Term:
     """Return the number of points in a box, faces included."""
-    import numpy  # noqa: PLC0415 - see `_bytes`
+    import numpy  # noqa: PLC0415 - see `_read_bytes`
 
-    layout = _cloud(cloud)
-    low, high = [tuple(map(float, vector(corner))) for corner in (lower, upper)]
+    layout = _read_cloud(cloud)
+    low, high = [tuple(map(float, parse_vector(corner))) for corner in (lower, upper)]
     count = 0
     with numpy.errstate(invalid="ignore"):
         for block in layout.blocks():
-            inside: Array = True
+            is_inside: Array = True
             for values, lower_bound, upper_bound in zip(block, low, high):
-                inside = (values >= lower_bound) & (values <= upper_bound) & inside
-            count += int(numpy.count_nonzero(inside))
+                is_inside = (values >= lower_bound) & (values <= upper_bound) & is_inside
+            count += int(numpy.count_nonzero(is_inside))
     return count
 
 
@@ -359,16 +371,16 @@ _ENCODINGS: Dict[str, Tuple[str, int]] = {
     },
     **dict.fromkeys(("yuv422", "yuv422_yuy2", "uyvy", "yuyv"), ("u1", 2)),
 }
-"""Type and number of the values of a pixel, by encoding; those of OpenCV are read by `_encoding`."""
+"""Type and number of the values of a pixel, by encoding; those of OpenCV are read by `_parse_encoding`."""
 
 _OPENCV_TYPES = {"8U": "u1", "8S": "i1", "16U": "u2", "16S": "i2", "32S": "i4", "32F": "f4", "64F": "f8"}
 _MAX_CHANNELS = 512
 """Values of a pixel in OpenCV's types (``CV_CN_MAX``)."""
 
 
-def _encoding(term: Term) -> Tuple[str, int]:
+def _parse_encoding(term: Term) -> Tuple[str, int]:
     """Return the type of the values of a pixel without its byte order, and their number."""
-    name = _text(term, "encoding")
+    name = _read_text(term, "encoding")
     type_and_count = _ENCODINGS.get(name)
     if type_and_count is not None:
         return type_and_count
@@ -397,15 +409,15 @@ class _Image(NamedTuple):
     rows: Array
 
 
-def _image(term: Term) -> _Image:
+def _read_image(term: Term) -> _Image:
     """Return the pixels of an image, after its sizes have been checked."""
-    import numpy  # noqa: PLC0415 - see `_bytes`
+    import numpy  # noqa: PLC0415 - see `_read_bytes`
 
-    message = _message(term, _IMAGE)
-    height, width = _non_negative_integer(message[2], "height"), _non_negative_integer(message[3], "width")
-    type_name, channels = _encoding(message[4])
-    byte_order = ">" if _is_true(message[5], "is_bigendian") else "<"
-    step, data = _non_negative_integer(message[6], "step"), _bytes(message[7])
+    message = _require_message(term, _IMAGE)
+    height, width = _read_non_negative(message[2], "height"), _read_non_negative(message[3], "width")
+    type_name, channels = _parse_encoding(message[4])
+    byte_order = ">" if _read_boolean(message[5], "is_bigendian") else "<"
+    step, data = _read_non_negative(message[6], "step"), _read_bytes(message[7])
     dtype = numpy.dtype(byte_order + type_name)
     needed = width * channels * dtype.itemsize
     if step < needed and height:
@@ -421,8 +433,8 @@ def _image(term: Term) -> _Image:
 
 @function("image_pixel/4")
 def image_pixel(image: Term, column: Term, row: Term) -> Optional[Term]:
-    """Return the value of a pixel, or the list of its values; None outside of the image."""
-    pixels = _image(image)
+    """Return the value of a pixel, or the list of its values; fail outside of the image."""
+    pixels = _read_image(image)
     x, y = integer(column), integer(row)
     if not (0 <= x < pixels.width and 0 <= y < pixels.height):
         return None
@@ -437,7 +449,7 @@ def image_region_mean(image: Term, left: Term, top: Term, width: Term, height: T
     The part of the rectangle outside of the image, and values that are not finite, are ignored. The predicate fails
     if no finite value remains.
     """
-    pixels = _image(image)
+    pixels = _read_image(image)
     x, y, columns, rows = integer(left), integer(top), natural(width), natural(height)
     x_end, y_end = min(x + columns, pixels.width), min(y + rows, pixels.height)
     x, y = max(x, 0), max(y, 0)
@@ -448,14 +460,14 @@ def image_region_mean(image: Term, left: Term, top: Term, width: Term, height: T
     means = (
         _finite_means(region, pixels.channels)
         if region.dtype.kind == "f"
-        else _means(region, pixels.channels)
+        else _integer_means(region, pixels.channels)
     )
     if any(mean is None for mean in means):
         return None
     return means[0] if pixels.channels == 1 else make_list(means)
 
 
-def _means(region: Array, channels: int) -> List[Any]:
+def _integer_means(region: Array, channels: int) -> List[Any]:
     """Return the mean of each channel of rows of integers."""
     count = region.size // channels
     # The rows are added first: a sum over long rows is vectorised, one over the channels of a pixel is not. Sums of
@@ -467,7 +479,7 @@ def _means(region: Array, channels: int) -> List[Any]:
 
 def _finite_means(region: Array, channels: int) -> List[Any]:
     """Return the mean of the finite values of each channel of rows of floats, None for a channel without any."""
-    import numpy  # noqa: PLC0415 - see `_bytes`
+    import numpy  # noqa: PLC0415 - see `_read_bytes`
 
     check_limits(size=9 * region.size)
     with numpy.errstate(over="ignore", invalid="ignore"):
@@ -480,7 +492,7 @@ def _finite_means(region: Array, channels: int) -> List[Any]:
 @function("image_array/2")
 def image_array(image: Term) -> Term:
     """Return all values of an image, row by row, without the padding of rows."""
-    return _array_to_term(_image(image).rows)
+    return _array_to_term(_read_image(image).rows)
 
 
 # Occupancy grids
@@ -488,15 +500,15 @@ def image_array(image: Term) -> Term:
 
 @function("map_cell/4")
 def map_cell(grid: Term, x: Term, y: Term) -> Optional[Term]:
-    """Return the value of the cell at a point, in metres in the frame of the map; None outside of the map."""
-    message = _message(grid, _GRID)
-    info = _nested_message(message[2], _MAP_META_DATA, "info")
-    resolution = _number(info[2], "info.resolution")
+    """Return the value of the cell at a point, in metres in the frame of the map; fail outside of the map."""
+    message = _require_message(grid, _GRID)
+    info = _require_nested_message(message[2], _MAP_META_DATA, "info")
+    resolution = _read_number(info[2], "info.resolution")
     if not (resolution > 0 and isfinite(resolution)):
         raise domain_error("info.resolution", deref(info[2]), "info.resolution: expected a positive number")
     width, height = (
-        _non_negative_integer(info[3], "info.width"),
-        _non_negative_integer(info[4], "info.height"),
+        _read_non_negative(info[3], "info.width"),
+        _read_non_negative(info[4], "info.height"),
     )
     local_x, local_y = _to_grid(info[5], float(number(x)), float(number(y)))
     data = array_of(message[3])
@@ -515,13 +527,13 @@ def _to_grid(origin: Term, x: float, y: float) -> Tuple[float, float]:
     The origin is the pose of the corner of the first cell. Its inverse rotation, by the transposed matrix of the
     quaternion, turns the point into the grid.
     """
-    pose = _nested_message(origin, _POSE, "info.origin")
-    position = _nested_message(pose[1], _POINT, "info.origin.position")
-    rotation = _nested_message(pose[2], _QUATERNION, "info.origin.orientation")
-    dx = x - _number(position[1], "info.origin.position.x")
-    dy = y - _number(position[2], "info.origin.position.y")
+    pose = _require_nested_message(origin, _POSE, "info.origin")
+    position = _require_nested_message(pose[1], _POINT, "info.origin.position")
+    rotation = _require_nested_message(pose[2], _QUATERNION, "info.origin.orientation")
+    dx = x - _read_number(position[1], "info.origin.position.x")
+    dy = y - _read_number(position[2], "info.origin.position.y")
     qx, qy, qz, qw = [
-        _number(part, f"info.origin.orientation.{name}") for part, name in zip(rotation[1:], "xyzw")
+        _read_number(part, f"info.origin.orientation.{name}") for part, name in zip(rotation[1:], "xyzw")
     ]
     norm = qx * qx + qy * qy + qz * qz + qw * qw
     # Many publishers leave the orientation out; rviz shows such maps without a rotation, too.

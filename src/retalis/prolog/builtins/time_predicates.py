@@ -46,8 +46,8 @@ def instant_of(term: Term) -> int:
         raise instantiation_error() if term.__class__ is Var else type_error("datime", term) from None
 
 
-def _arity(term: Term) -> int:
-    """Return the form of a timestamp: 7 or 6 for a datime, 2 for a ROS time, 0 for a number."""
+def _timestamp_arity(term: Term) -> int:
+    """Return the number of arguments of a timestamp: 7 or 6 for a datime, 2 for a ROS time, 0 for a number."""
     term = deref(term) if term.__class__ is not Lazy else term
     if term.__class__ is Lazy:
         return term.functor.arity
@@ -101,22 +101,22 @@ def equal_datime(machine: Machine, left: Term, right: Term) -> bool:
 def between_datime(machine: Machine, middle: Term, low: Term, high: Term) -> bool:
     """Test that a timestamp is between two others: exclusively for datimes, inclusively for numbers."""
     instant, first, last = instant_of(middle), instant_of(low), instant_of(high)
-    if _arity(middle) or _arity(low) or _arity(high):
+    if _timestamp_arity(middle) or _timestamp_arity(low) or _timestamp_arity(high):
         return first < instant < last
     return first <= instant <= last
 
 
-def _select_timestamp(earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
+def _select_timestamp(selects_earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
     """Return a predicate that selects the earlier, or the later, of two timestamps."""
 
     def run(machine: Machine, left: Term, right: Term, result: Term) -> bool:
         left, right = deref(left), deref(right)
         # Numbers are compared as they are: the conversion to nanoseconds would round them.
         if isinstance(left, (int, float)) and isinstance(right, (int, float)):
-            first = left <= right
+            is_left_earlier = left <= right
         else:
-            first = instant_of(left) <= instant_of(right)
-        return unify(result, left if first is earlier else right, machine.trail)
+            is_left_earlier = instant_of(left) <= instant_of(right)
+        return unify(result, left if is_left_earlier is selects_earlier else right, machine.trail)
 
     return run
 
@@ -145,7 +145,7 @@ def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: T
     if isinstance(later, (int, float)) and isinstance(earlier, (int, float)):
         return unify(seconds, later - earlier, machine.trail)
     whole, nanoseconds = divmod(distance, SECOND)
-    is_integer = _arity(later) == _arity(earlier) == 6 and not nanoseconds
+    is_integer = _timestamp_arity(later) == _timestamp_arity(earlier) == 6 and not nanoseconds
     return unify(seconds, whole if is_integer else distance / SECOND, machine.trail)
 
 
@@ -159,24 +159,24 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
     if isinstance(timestamp, (int, float)):
         return check_result(timestamp + sign * seconds)
     try:
-        moved = int(instant) + sign * timestamps.from_seconds(seconds)
-        fields = timestamps.fields(moved)
+        result_instant = int(instant) + sign * timestamps.from_seconds(seconds)
+        fields = timestamps.fields(result_instant)
     except UsageError:
         raise evaluation_error("undefined") from None
     # The result has the form of the argument, also in the type of the seconds of a `datime/6`.
-    arity = _arity(timestamp)
+    arity = _timestamp_arity(timestamp)
     if arity == 2:
-        return make_list(timestamps.to_parts(moved))
+        return make_list(timestamps.to_parts(result_instant))
     if arity == 6:
-        return _as_datime6(fields, deref(timestamp[6]).__class__ is float or seconds.__class__ is float)
+        return _datime6_term(fields, deref(timestamp[6]).__class__ is float or seconds.__class__ is float)
     return (
-        timestamps.datime(moved)
+        timestamps.datime(result_instant)
         if deref(timestamp[6]).__class__ is int
-        else timestamps.to_term(timestamps.FloatSeconds(moved))
+        else timestamps.to_term(timestamps.FloatSeconds(result_instant))
     )
 
 
-def _as_datime6(fields: Tuple[int, ...], is_float: bool) -> Term:
+def _datime6_term(fields: Tuple[int, ...], is_float: bool) -> Term:
     *date_fields, second, nanoseconds = fields
     exact: Number = second + nanoseconds / SECOND if nanoseconds else second
     return (DATIME6, *date_fields, float(exact) if is_float else exact)
@@ -227,11 +227,11 @@ def absolute_time(stamp: Term) -> Term:
 
 
 _DATE9, _DATE3 = functor("date", 9), functor("date", 3)
-_UTC, _NONE = atom("UTC"), atom("-")
+_UTC, _NO_VALUE = atom("UTC"), atom("-")
 _EPOCH = datetime(1970, 1, 1)
 
 
-def _fields_of_stamp(stamp: float) -> Tuple[datetime, float]:
+def _split_stamp(stamp: float) -> Tuple[datetime, float]:
     """Return the date and time of a stamp, and its second with the fraction."""
     try:
         full_seconds = int(stamp // 1)
@@ -241,7 +241,7 @@ def _fields_of_stamp(stamp: float) -> Tuple[datetime, float]:
     return moment, moment.second + (stamp - full_seconds)
 
 
-def _fields_of_date(term: CompoundTerm) -> Tuple[datetime, float]:
+def _split_date(term: CompoundTerm) -> Tuple[datetime, float]:
     """Return the date and time (UTC) of a date term, and its second with the fraction."""
     fields = [deref(field) for field in term[1:]]
     values: List[Number] = [0 if field.__class__ is Var else number(field) for field in fields[:6]]
@@ -252,23 +252,27 @@ def _fields_of_date(term: CompoundTerm) -> Tuple[datetime, float]:
     # As in SWI-Prolog, fields may exceed their ranges and are normalised: month 13 is January of the next year.
     year += (month - 1) // 12
     try:
-        start = datetime(year, (month - 1) % 12 + 1, 1)
-        moved = start + timedelta(days=day - 1, hours=hour, minutes=minute, seconds=offset + int(second // 1))
+        month_start = datetime(year, (month - 1) % 12 + 1, 1)
+        moment = month_start + timedelta(
+            days=day - 1, hours=hour, minutes=minute, seconds=offset + int(second // 1)
+        )
     except (OverflowError, ValueError):
         raise domain_error("date", term) from None
-    return moved, moved.second + second - second // 1
+    return moment, moment.second + second - second // 1
 
 
-def _time_of(term: Term) -> Tuple[datetime, float]:
+def _read_time(term: Term) -> Tuple[datetime, float]:
+    """Return the date and time of a date term or a stamp, and its second with the fraction."""
     term = deref(term)
     if term.__class__ is tuple and term[0] in (_DATE9, _DATE3):
-        return _fields_of_date(term)
+        return _split_date(term)
     if term.__class__ not in (Var, int, float):
         raise type_error("time", term)
-    return _fields_of_stamp(number(term))
+    return _split_stamp(number(term))
 
 
-def _stamp(moment: datetime, second: float) -> float:
+def _to_stamp(moment: datetime, second: float) -> float:
+    """Return the seconds since the epoch of a minute and a second with its fraction."""
     days = (moment - _EPOCH).days
     return float(days * 86400 + moment.hour * 3600 + moment.minute * 60) + second
 
@@ -282,14 +286,14 @@ def get_time(machine: Machine, stamp: Term) -> bool:
 @deterministic("stamp_date_time/3")
 def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> bool:
     """Unify with the date term of a stamp; local time is UTC."""
-    moment, second = _fields_of_stamp(number(stamp))
+    moment, second = _split_stamp(number(stamp))
     zone = deref(zone)
     offset = 0
-    name, dst = _UTC, _NONE
+    name, dst = _UTC, _NO_VALUE
     if zone.__class__ is Var:
         unify(zone, atom("local"), machine.trail)
     elif zone.__class__ is int:
-        offset, name = zone, _NONE
+        offset, name = zone, _NO_VALUE
         moment -= timedelta(seconds=offset)
     elif zone.__class__ is not Atom or zone.name not in ("local", "UTC"):
         raise domain_error("timezone", zone)
@@ -315,10 +319,20 @@ def date_time_stamp(machine: Machine, date: Term, stamp: Term) -> bool:
         raise instantiation_error()
     if date.__class__ is not tuple or date[0] not in (_DATE9, _DATE3):
         raise type_error("time", date)
-    return unify(stamp, _stamp(*_fields_of_date(date)), machine.trail)
+    return unify(stamp, _to_stamp(*_split_date(date)), machine.trail)
 
 
-_FIELDS = ("year", "month", "day", "hour", "minute", "second", "utc_offset", "time_zone", "daylight_saving")
+_DATE_FIELDS = (
+    "year",
+    "month",
+    "day",
+    "hour",
+    "minute",
+    "second",
+    "utc_offset",
+    "time_zone",
+    "daylight_saving",
+)
 
 
 @nondeterministic("date_time_value/3")
@@ -327,8 +341,8 @@ def date_time_value(machine: Machine, name: Term, date: Term, value: Term) -> So
     date = deref(date)
     if date.__class__ is not tuple or date[0] is not _DATE9:
         return
-    for field, part in zip(_FIELDS, date[1:]):
-        if deref(part) is not _NONE and machine.unify_all((name, atom(field)), (value, part)):
+    for field, part in zip(_DATE_FIELDS, date[1:]):
+        if deref(part) is not _NO_VALUE and machine.unify_all((name, atom(field)), (value, part)):
             yield None
     if machine.unify_all((name, atom("date")), (value, (_DATE3, *date[1:4]))):
         yield LAST
@@ -349,13 +363,15 @@ def day_of_the_week(machine: Machine, date_term: Term, number: Term) -> bool:
         raise domain_error("date", date_term) from None
 
 
-_ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?(Z|[+-]\d\d:?\d\d)?)?$")
+_ISO_8601 = re.compile(
+    r"(\d{4})-(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d+)?))?(Z|[+-]\d\d:?\d\d)?)?$"
+)
 
 
 @deterministic("parse_time/2")
 def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
     """Unify with the stamp of an ISO 8601 text; fail for another text."""
-    match = _ISO.match(text_of(text))
+    match = _ISO_8601.match(text_of(text))
     if match is None:
         return False
     year, month, day, hour, minute, second, zone = match.groups()
@@ -367,10 +383,10 @@ def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
     if zone and zone != "Z":
         sign = -1 if zone[0] == "-" else 1
         moment -= sign * timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
-    return unify(stamp, _stamp(moment, float(second or 0)), machine.trail)
+    return unify(stamp, _to_stamp(moment, float(second or 0)), machine.trail)
 
 
-def _formatted(form: str, moment: datetime, second: float) -> str:
+def _format(format_string: str, moment: datetime, second: float) -> str:
     """Return a time formatted as by C's ``strftime``; ``%3f`` is the fraction of the second with three digits."""
     fraction = second - int(second)
 
@@ -379,7 +395,7 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
         # Rounding up to 1 would need a carry into the seconds, so the largest fraction is used instead.
         return f"{fraction:.{digits}f}"[2:] if fraction < 1 - 0.5 * 10**-digits else "9" * digits
 
-    text = re.sub(r"%(\d{0,2})f", fraction_text, form)
+    text = re.sub(r"%(\d{0,2})f", fraction_text, format_string)
     text = (
         text.replace("%FT%T%:z", "%Y-%m-%dT%H:%M:%S%:z")
         .replace("%:z", "+00:00")
@@ -389,9 +405,9 @@ def _formatted(form: str, moment: datetime, second: float) -> str:
 
 
 @deterministic("format_time/3")
-def format_time(machine: Machine, sink: Term, form: Term, time_term: Term) -> bool:
+def format_time(machine: Machine, sink: Term, format_term: Term, time_term: Term) -> bool:
     """Write a formatted stamp or date to a stream, or unify it with an output specification such as ``atom(A)``."""
-    text = _formatted(text_of(form), *_time_of(time_term))
+    text = _format(text_of(format_term), *_read_time(time_term))
     sink = deref(sink)
     if is_sink(sink):
         return fill_sink(machine, sink, text)
@@ -403,7 +419,7 @@ def format_time(machine: Machine, sink: Term, form: Term, time_term: Term) -> bo
 
 # Statistics
 
-_START = time.monotonic()
+_START_SECONDS = time.monotonic()
 
 
 def _milliseconds(seconds: float) -> int:
@@ -414,14 +430,14 @@ _STATISTICS: Dict[str, Callable[[Machine], Term]] = {
     "cputime": lambda machine: time.process_time(),
     "process_cputime": lambda machine: time.process_time(),
     "inferences": lambda machine: machine.budget.inferences,
-    "epoch": lambda machine: time.time() - (time.monotonic() - _START),
+    "epoch": lambda machine: time.time() - (time.monotonic() - _START_SECONDS),
     "real_time": lambda machine: _value_and_difference(machine, "real_time", int(time.time())),
     "runtime": lambda machine: _value_and_difference(machine, "runtime", _milliseconds(time.process_time())),
     "process_runtime": lambda machine: _value_and_difference(
         machine, "runtime", _milliseconds(time.process_time())
     ),
     "walltime": lambda machine: _value_and_difference(
-        machine, "walltime", _milliseconds(time.monotonic() - _START)
+        machine, "walltime", _milliseconds(time.monotonic() - _START_SECONDS)
     ),
     "trail": lambda machine: len(machine.trail),
     "trailused": lambda machine: len(machine.trail),
@@ -431,10 +447,10 @@ _STATISTICS: Dict[str, Callable[[Machine], Term]] = {
 def _value_and_difference(machine: Machine, name: str, value: int) -> Term:
     """Return ``[Value, Difference]`` with the difference since the last call for the same key."""
     # The previous values belong to the program, so programs in one process do not affect each other.
-    last = machine.logic.state.setdefault("statistics", {})
-    since = value - last.get(name, 0)
-    last[name] = value
-    return make_list([value, since])
+    previous_values = machine.logic.state.setdefault("statistics", {})
+    difference = value - previous_values.get(name, 0)
+    previous_values[name] = value
+    return make_list([value, difference])
 
 
 @deterministic("statistics/2")
