@@ -21,8 +21,8 @@ FIRST, LAST = 60, 460
 
 SEEN_TO_AT = (
     ("events.dispatch.dispatcher", "_MIN_FILTERS_TO_SWEEP"),
-    ("events.fused.fused_join", "SPARE"),
-    ("events.network.event_rule", "SPARE"),
+    ("events.fused.fused_join", "STALE_ARRIVALS_TOLERANCE"),
+    ("events.network.event_rule", "STALE_ARRIVALS_TOLERANCE"),
     ("events.matches.expiration", "_STALE_TOLERANCE"),
     ("events.matches.negation", "_STALE_TOLERANCE"),
     ("engine.runtime.problem_reports", "_MAX_PROBLEMS"),

@@ -148,7 +148,7 @@ def test_the_graph_comes_once_and_again_when_the_program_has_changed(program, vi
 
 def listeners(program):
     """Return how many take all events whole or in part, but for the record of what events come from."""
-    return sum(one.accepts_omitted for one in program.dispatcher._listeners.get(None, ()))  # noqa: SLF001
+    return sum(one.accepts_unread for one in program.dispatcher._listeners.get(None, ()))  # noqa: SLF001
 
 
 def until(condition):

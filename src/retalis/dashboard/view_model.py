@@ -137,7 +137,7 @@ class RecentEvents:
             event = Var()
             # The variable is declared unused, so sources need not send arguments that no rule reads.
             self._listener = self._dispatcher.listen(
-                ListenerPhase.TRACE, event, self._count_event, unused={event}
+                ListenerPhase.TRACE, event, self._count_event, unread_variables={event}
             )
         elif not self._is_requested and self._listener is not None:
             self._dispatcher.remove(self._listener)

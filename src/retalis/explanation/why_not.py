@@ -47,7 +47,7 @@ from ..events.language.stream_parser import rate_operator_term, step_term, windo
 from ..events.matches.partial_matches import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
-from ..events.network.stream_compiler import rate_operator
+from ..events.network.stream_compiler import create_rate_operator
 from ..events.network.stream_node import StreamNode
 from ..events.provenance.event_log import Occurrence
 from ..events.streams.aggregates import SequenceAggregate
@@ -430,8 +430,8 @@ class WhyNot:
         results = []
         for output in outputs:
             values = None
-            if node.spec.match_values is not None:
-                values = node.spec.match_values(output.elements[-1].by, output.results)
+            if node.spec.build_match_values is not None:
+                values = node.spec.build_match_values(output.elements[-1].key_values, output.results)
             extended = (
                 None if values is None else self._extend(self._rule_variables, list(zip(node.vars, values)))
             )
@@ -473,7 +473,7 @@ class WhyNot:
 
     def _evaluate_rate_operator(self, pattern: RatePattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
-        operator = rate_operator(pattern)
+        operator = create_rate_operator(pattern)
         node = self._rule.stream_node(pattern)
         if node is not None:
             operator.set_bounds(node.stream.bounds)

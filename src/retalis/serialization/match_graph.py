@@ -158,7 +158,7 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _ColumnEncoding]]] = {
     ),
     "element": (
         StreamElement,
-        {"match": _MIXED, **_INTERVAL, "by": _DATA, "values": _DATA, "order": _DATA},
+        {"match": _MIXED, **_INTERVAL, "key_values": _DATA, "values": _DATA, "order": _DATA},
     ),
     "suppressed": (
         Suppressed,

@@ -113,9 +113,9 @@ class StreamCheck:
         """Check an element of a channel."""
         element: StreamElement = self._read_element(value)
         key_count, value_count = self._value_counts
-        if len(element.by) != key_count or len(element.values) != value_count:
+        if len(element.key_values) != key_count or len(element.values) != value_count:
             expected = f"an element with {key_count} key values and {value_count} measured values"
-            raise invalid_value((element.by, element.values), expected)
+            raise invalid_value((element.key_values, element.values), expected)
         if element.match is None:
             is_valid = not self._needs_match
         elif self._elements_are_terms:
@@ -373,7 +373,7 @@ def _make_repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
 def _make_stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
     child = node.children[0]
     keys, values = node.spec.key_and_values((1,) * len(child.vars))
-    needs_match = node.spec.match_values is None and not isinstance(
+    needs_match = node.spec.build_match_values is None and not isinstance(
         node.stream, (Throttle, DistinctUntilChanged)
     )
     shapes = [MatchShape(child) for child in node.children]

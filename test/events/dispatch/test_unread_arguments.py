@@ -179,7 +179,7 @@ def test_one_who_takes_events_as_they_come_has_nothing_made_for_it():
         found.append(term)
         return frame
 
-    engine.dispatcher.listen(ListenerPhase.TRACE, event, see, unused={event})
+    engine.dispatcher.listen(ListenerPhase.TRACE, event, see, unread_variables={event})
     assert told(engine) == {2, 3}
     engine.event_at(IMAGE(atom("a"), NOT_READ, NOT_READ), 1, 1)
     assert found[0] == IMAGE(atom("a"), NOT_READ, NOT_READ)

@@ -23,7 +23,7 @@ def plain_action(plain):
 
 def listening_unfused(listen):
     """Return what listens like `Dispatcher.listen`, but with no action that is called without values."""
-    return lambda self, stage, pattern, action, rank=(), fused=False, **rest: listen(
+    return lambda self, stage, pattern, action, rank=(), is_fused=False, **rest: listen(
         self, stage, pattern, action, rank, **rest
     )
 
@@ -33,13 +33,25 @@ PATHS = {
     "gates": (dispatcher, "PushdownFilter", OpenGate),
     "goals": (
         goal_evaluation,
-        "goal_action",
+        "compile_goal_action",
         lambda goal, inputs, rule, failed, plain, completion: plain_action(plain),
     ),
-    "questions": (pending_queries, "query_action", lambda *arguments: None),
-    "sides": (join_node, "fused_side", lambda side, pair, choice, rule, plain, emit: plain_action(plain)),
-    "negations": (join_node, "fused_negation", lambda negation, rule, whole, plain: plain_action(plain)),
-    "windows": (stream_node, "fused_window", lambda window, limit, node, plain, *rest: plain_action(plain)),
+    "questions": (pending_queries, "compile_query_action", lambda *arguments: None),
+    "sides": (
+        join_node,
+        "compile_fused_operand",
+        lambda side, pair, choice, rule, plain, emit: plain_action(plain),
+    ),
+    "negations": (
+        join_node,
+        "compile_fused_negation",
+        lambda negation, rule, whole, plain: plain_action(plain),
+    ),
+    "windows": (
+        stream_node,
+        "compile_fused_window",
+        lambda window, limit, node, plain, *rest: plain_action(plain),
+    ),
 }
 """By path: where it is bound, and what to bind there to switch it off."""
 

@@ -100,7 +100,7 @@ def test_both_ways_give_and_know_the_same(kinds, grouped, limit, events, cap, cu
 def test_what_is_common_is_fused(monkeypatch):
     """Of a hundred items in order few go the plain way, those of the beginning among them."""
     plainly = []
-    taken = stream_node.fused_window
+    taken = stream_node.compile_fused_window
 
     def counting(form, limit, node, plain, *others):
         def counted(*arguments):
@@ -109,7 +109,7 @@ def test_what_is_common_is_fused(monkeypatch):
 
         return taken(form, limit, node, counted, *others)
 
-    monkeypatch.setattr(stream_node, "fused_window", counting)
+    monkeypatch.setattr(stream_node, "compile_fused_window", counting)
     text = rule(["count", "sum(X)", "avg(X)", "min(X)", "max(Y)"], True, "")
     found = run(text, [(atom("ab"[at % 2]), 0.5, at, 1, 0) for at in range(100)], 1000, 999)[0]
     assert len(found) == 200 and len(plainly) < 15  # what begins a group, and what asks how far time may go

@@ -61,7 +61,7 @@ def test_far_matches_are_found_by_time_once_many_are_not_in_time(buffer):
         wait(buffer, 0, at, at)
     assert ends(buffer.partners(0, 999, 999, True)) == [999] and reachable(buffer, IntervalIndex)
     assert ends(buffer.partners(0, 500, 500, False)) == [500]
-    for match in buffer.all()[:999]:
+    for match in buffer.stored_matches()[:999]:
         match.discard()
     assert ends(buffer.partners(0, 999, 999, True)) == [999]
     assert buffer.rule.stored_match_count == 1
@@ -82,7 +82,7 @@ def test_a_place_forgets_a_key_without_matches(buffer):
     matches = [wait(buffer, 0, at, at) for at in range(3)]
     for match in (matches[1], matches[0], matches[2]):
         match.discard()
-    assert buffer.newest == {} and buffer.all() == []
+    assert buffer.newest == {} and buffer.stored_matches() == []
 
 
 @pytest.mark.parametrize("few", [0, 32])
@@ -117,7 +117,7 @@ def test_the_newest_of_a_name_replaces_the_older(buffer):
     buffer.set_identity_function(lambda match: match.term)
     wait(buffer, 2, 1, 5)
     wait(buffer, 2, 2, 5)
-    assert [match.start for match in buffer.all()] == [2]
+    assert [match.start for match in buffer.stored_matches()] == [2]
     assert list(buffer.newest) == [2]
 
 
@@ -126,11 +126,11 @@ def test_among_many_of_a_key_the_one_of_the_same_name_is_replaced(buffer, number
     buffer.set_identity_function(lambda match: match.start % number)
     for at in range(number * 3):
         wait(buffer, 0, at, 5)
-        assert len(buffer.all()) == min(at + 1, number)
-    assert [match.start for match in buffer.all()] == list(range(number * 2, number * 3))
+        assert len(buffer.stored_matches()) == min(at + 1, number)
+    assert [match.start for match in buffer.stored_matches()] == list(range(number * 2, number * 3))
     buffer.set_identity_function(None)
     wait(buffer, 0, 0, 5)
-    assert len(buffer.all()) == number + 1
+    assert len(buffer.stored_matches()) == number + 1
 
 
 @pytest.mark.parametrize("newest", [False, True])
@@ -186,7 +186,7 @@ def test_a_buffer_finds_what_a_plain_search_finds(operator, names):
                 assert list(buffer.partners(key, start, start + 2, newest)) == found[:: -1 if newest else 1]
                 assert [one for one in waiting if one.key == key] == buffer.matches_of_key(key)
             assert buffer.rule.stored_match_count == len(waiting)
-        assert buffer.all() == waiting
+        assert buffer.stored_matches() == waiting
 
     with few:
         changes()

@@ -183,7 +183,11 @@ def _eager_sweeps(monkeypatch):
     """Sweep after every few events, and keep nothing that is ruled out."""
     monkeypatch.setattr("retalis.events.matches.negation.MAX_RULED_OUT", 0)
     monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE_ENTRIES", 3)
-    for name, value in (("SPARE", 0), ("VISITED_SLICE_ENTRIES", 3), ("_MATCHES_PER_SWEEP_STEP", 1)):
+    for name, value in (
+        ("STALE_ARRIVALS_TOLERANCE", 0),
+        ("VISITED_SLICE_ENTRIES", 3),
+        ("_MATCHES_PER_SWEEP_STEP", 1),
+    ):
         monkeypatch.setattr(f"retalis.events.network.event_rule.{name}", value)
 
 
@@ -274,7 +278,11 @@ def test_an_absent_event_stays_for_a_first_side_with_variables_that_it_rules_out
 def test_after_many_matches_have_left_the_next_sweep_begins_earlier(monkeypatch):
     monkeypatch.setattr("retalis.events.matches.negation.MAX_RULED_OUT", 5)
     monkeypatch.setattr("retalis.events.matches.expiration.VISITED_SLICE_ENTRIES", 20)
-    for name, value in (("SPARE", 10), ("VISITED_SLICE_ENTRIES", 20), ("_MATCHES_PER_SWEEP_STEP", 1)):
+    for name, value in (
+        ("STALE_ARRIVALS_TOLERANCE", 10),
+        ("VISITED_SLICE_ENTRIES", 20),
+        ("_MATCHES_PER_SWEEP_STEP", 1),
+    ):
         monkeypatch.setattr(f"retalis.events.network.event_rule.{name}", value)
     program = Program("o(X) <- (a(X) seq b(X)) cnot c.", policy="chronological")
     for at in range(600):

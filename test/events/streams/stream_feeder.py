@@ -69,7 +69,7 @@ class Fed:
 
     def _begin(self):
         made = self.make()
-        made.tracked = True
+        made.tracks_elements = True
         return made
 
     def feed(self, arrivals):

@@ -52,7 +52,7 @@ def of(name, setting=None, at=0):
 def measured(arrivals, makers, span=SPAN):
     """Yield what is in a sliding window, in the order in which it came, and what is measured of it."""
     window = SlidingTimeWindow(lambda: [make() for make in makers], span)
-    window.tracked = True
+    window.tracks_elements = True
     for came in arrivals:
         for output in window.process(
             StreamElement(came, came.start, came.end, (came.key,), (came.value,)), 0, 0

@@ -116,7 +116,7 @@ def test_what_is_forgotten_is_the_oldest():
         for left in (4, 3, 2):
             shape.drop_oldest()
             assert len(shape) == left
-        assert [item.by for item in shape.snapshot()[-1]] == [("k3",), ("k4",)]
+        assert [item.key_values for item in shape.snapshot()[-1]] == [("k3",), ("k4",)]
 
 
 def test_the_oldest_goes_of_what_was_overtaken_too():
@@ -125,7 +125,7 @@ def test_the_oldest_goes_of_what_was_overtaken_too():
         for at in range(20):
             shape.process(item_of(Came(at, "ab"[at % 2], at, at, 1, 0, at)), at, 0)
         shape.drop_oldest()
-        assert [item.by for item in shape.snapshot()[-1]] == [("b",)]
+        assert [item.key_values for item in shape.snapshot()[-1]] == [("b",)]
         shape.drop_oldest()
         assert len(shape) == 0
         assert shape.next_deadline is None

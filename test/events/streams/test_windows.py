@@ -171,7 +171,7 @@ def test_what_was_dropped_is_held_nowhere(kind):
 def test_ends_that_are_too_far_ahead_do_not_move_the_time_on(kind):
     """One stamp of a wrong clock neither empties a window nor makes what comes after it late."""
     window = WINDOWS[kind]()
-    window.tracked, window.compute_max_timestamp = True, lambda: 1000
+    window.tracks_elements, window.compute_max_timestamp = True, lambda: 1000
     for at in range(3):
         window.process(item_of(Came(at, "a", 900 + at, 900 + at, at, 0, 900)), 900, 0)
     window.process(item_of(Came(3, "b", 9000, 9000, 3, 0, 903)), 903, 0)

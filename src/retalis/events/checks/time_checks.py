@@ -390,7 +390,7 @@ def find_unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
     """
     flags = program.rule_base.flags
     bounds = flags.key_bounds()
-    if flags.get("garbage_control") is not _OFF or bounds.idle is not None:
+    if flags.get("garbage_control") is not _OFF or bounds.max_idle_time is not None:
         return
     properties = program.rule_base.all_properties()
     for rule in program.rules:
@@ -402,9 +402,9 @@ def find_unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
         for node in _operators_without_bound(rule.definition.pattern):
             if _has_unbounded_keys(node, rule.definition):
                 yield RuleError(
-                    f"no time ends the state that is kept here for each key, up to {bounds.keys} keys; write (...) "
-                    "within SECONDS, or give the rule a label with property(ttl, SECONDS), or property(ttl, 0) if "
-                    "the keys are few",
+                    f"no time ends the state that is kept here for each key, up to {bounds.max_keys} keys; write "
+                    "(...) within SECONDS, or give the rule a label with property(ttl, SECONDS), or "
+                    "property(ttl, 0) if the keys are few",
                     _operator_place(rule, "with")
                     if isinstance(node, RatePattern)
                     else _aggregate_place(rule),

@@ -40,7 +40,7 @@ from .listeners import (
     Context,
     Listener,
     ListenerPhase,
-    unread_positions,
+    find_unread_positions,
 )
 from .matcher_compiler import Matcher, compile_matcher
 
@@ -59,7 +59,8 @@ class ListenerIndex:
     """Listeners of events, with the plans, filters and fused actions that are derived from them.
 
     Attributes:
-        fused_actions: by functor, action that takes an event without its values; see `listen`.
+        fused_actions: by functor, action of its only listener, which may be called with None for the values; see
+            `listen`.
         projection: arguments of events that no listener reads.
         on_change: called when listeners are added or removed; it must be fast and must not fail.
     """
@@ -81,8 +82,8 @@ class ListenerIndex:
         pattern: Term,
         action: EventAction,
         rank: Tuple[int, ...] = (),
-        fused: bool = False,
-        unused: AbstractSet[Var] = frozenset(),
+        is_fused: bool = False,
+        unread_variables: AbstractSet[Var] = frozenset(),
     ) -> Listener:
         """Add a listener, whose ``action`` is called for every event that unifies with ``pattern``.
 
@@ -93,17 +94,17 @@ class ListenerIndex:
             pattern: an atom, a compound term, or a variable for all events. It is copied.
             action: processes a match and returns the next frame, which is its argument ``frame`` if it is finished.
             rank: position within the phase; by default after all others.
-            fused: whether ``action`` may be called with None for the values, and then takes them from the event. This
-                is done for ground input events, if the functor has no other listener and the pattern matches all its
-                events.
-            unused: variables of the pattern whose values are not read, so that they may be `NOT_READ`. If the pattern
-                itself is such a variable, the listener gets events that contain `NOT_READ`.
+            is_fused: whether ``action`` may be called with None for the values and then takes them from the event. It
+                is called so for ground input events if the functor has no other listener and the pattern matches all
+                its events.
+            unread_variables: variables of the pattern whose values are not read, so that they may be `NOT_READ`. If
+                the pattern itself is such a variable, the listener gets events that contain `NOT_READ`.
 
         Raises:
             UsageError: if the pattern is a number or a string, which no event is.
         """
-        unread = unread_positions(pattern, unused)
-        accepts_omitted = pattern.__class__ is Var and pattern in unused
+        unread_positions = find_unread_positions(pattern, unread_variables)
+        accepts_unread = pattern.__class__ is Var and pattern in unread_variables
         # The caller may bind the variables of its own pattern later.
         pattern = copy(pattern)
         functor = _functor_of(pattern)
@@ -113,10 +114,12 @@ class ListenerIndex:
         if matcher is None:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(phase), *(rank or (next(self._numbers),)), next(self._numbers))
-        listener = Listener(order, pattern, functor, matcher, action, fused, unread, accepts_omitted)
+        listener = Listener(
+            order, pattern, functor, matcher, action, is_fused, unread_positions, accepts_unread
+        )
         self._listeners.setdefault(functor, {})[listener] = None
-        # The listener must be in the table before `reject_incomplete_events` runs; see `ArgumentProjection.announce`.
-        self.projection.reject_incomplete_events(listener)
+        # The listener must be in the table before the next call, see `ArgumentProjection.announce`.
+        self.projection.reject_events_with_unread(listener)
         self._invalidate_plans(functor)
         return listener
 
@@ -129,11 +132,11 @@ class ListenerIndex:
                 del self._listeners[listener.functor]
             self._invalidate_plans(listener.functor)
 
-    def remove_all_except(self, phase: ListenerPhase, chosen: Collection[Listener]) -> None:
-        """Remove all listeners of a phase except some."""
+    def remove_all_except(self, phase: ListenerPhase, kept: Collection[Listener]) -> None:
+        """Remove all listeners of a phase except those in ``kept``."""
         for group in list(self._listeners.values()):
             for listener in list(group):
-                if listener.order[0] == phase and listener not in chosen:
+                if listener.order[0] == phase and listener not in kept:
                     self.remove(listener)
 
     def event_filter(self, functor: Functor, positions: Tuple[int, ...] = ()) -> PushdownFilter:
@@ -160,8 +163,9 @@ class ListenerIndex:
         return any(functor is not None and functor.name == name for functor in list(self._listeners))
 
     def _invalidate_plans(self, functor: Optional[Functor]) -> None:
+        """Drop what depends on the listeners of a functor, or of all functors if it is None."""
         self.on_change()
-        # A listener for all events takes part in every plan.
+        # A listener for all events (functor None) is part of every plan.
         if functor is None:
             self._plans.clear()
             self.fused_actions.clear()
@@ -176,7 +180,7 @@ class ListenerIndex:
         filters = self._filters.get(functor)
         return [] if filters is None else [filters]
 
-    def plan(self, functor: Functor) -> Plan:
+    def build_plan(self, functor: Functor) -> Plan:
         """Build and return the plan for the events of a functor, and pass it to the filters."""
         listeners = [*self._listeners.get(functor, ()), *self._listeners.get(None, ())]
         listeners.sort(key=lambda listener: listener.order)
@@ -185,7 +189,7 @@ class ListenerIndex:
             for event_filter in list(filters.values()):
                 event_filter.plan = plan
         # Without values, an action cannot tell a match from a mismatch, so the pattern must accept all events.
-        if len(listeners) == 1 and listeners[0].fused and matches_all_events(listeners[0].pattern):
+        if len(listeners) == 1 and listeners[0].is_fused and matches_all_events(listeners[0].pattern):
             self.fused_actions[functor] = listeners[0].action
         return plan
 
@@ -272,10 +276,10 @@ class Dispatcher(ListenerIndex):
         else:
             term = deref(term)
             functor = functor_of_event(term)
-        # The cache is bounded, so a plan may have been evicted; `plan` then builds it again.
+        # The cache is bounded, so a plan may have been evicted; `build_plan` then builds it again.
         plan: Any = self._plans.get(functor)
         if plan is None:
-            plan = self.plan(functor)
+            plan = self.build_plan(functor)
         while plan.__class__ is SwitchNode:
             plan = plan.branch(term)
         if not plan:

@@ -1,9 +1,9 @@
 """Listeners and their phases, the context of the current event, and the projection of arguments that nobody reads.
 
-Argument projection (column pruning) saves work at the source. The pixels of an image are a text of a megabyte
-between the two nodes; if no listener reads that argument, the source sends `NOT_READ` in its place. A listener that
-is added later and does read the argument never sees the placeholder: its matcher rejects such events, as if they had
-come before it was added.
+Argument projection (column pruning) saves work at the source of an event. A ROS image, for example, is sent to the
+engine with a text of a megabyte for its pixels; if no listener reads that argument, the source sends `NOT_READ` in
+its place. A listener that is added later and does read the argument never sees the placeholder: its matcher rejects
+such events, as if they had come before it was added.
 """
 
 from enum import IntEnum
@@ -39,9 +39,10 @@ class Listener:
         functor: its functor; None for a variable.
         matcher: the compiled pattern.
         action: called with each match.
-        unread: arguments of the event, counted from 1, that the action does not read.
-        fused: whether the action may be called without values; see `ListenerIndex.listen`.
-        accepts_omitted: whether it takes all events, including those with `NOT_READ` arguments.
+        unread_positions: arguments of the event, counted from 1, that the action does not read.
+        is_fused: whether the action may be called without values; see `ListenerIndex.listen`.
+        accepts_unread: whether its pattern is a variable whose value is not read, so that it also takes events with
+            `NOT_READ` arguments.
     """
 
     __slots__ = (
@@ -50,9 +51,9 @@ class Listener:
         "functor",
         "matcher",
         "action",
-        "fused",
-        "unread",
-        "accepts_omitted",
+        "is_fused",
+        "unread_positions",
+        "accepts_unread",
     )
 
     def __init__(
@@ -62,18 +63,18 @@ class Listener:
         functor: Optional[Functor],
         matcher: Matcher,
         action: EventAction,
-        fused: bool,
-        unread: FrozenSet[int],
-        accepts_omitted: bool,
+        is_fused: bool,
+        unread_positions: FrozenSet[int],
+        accepts_unread: bool,
     ):
         self.order = order
         self.pattern = pattern
         self.functor = functor
         self.matcher = matcher
         self.action = action
-        self.fused = fused
-        self.unread = unread
-        self.accepts_omitted = accepts_omitted
+        self.is_fused = is_fused
+        self.unread_positions = unread_positions
+        self.accepts_unread = accepts_unread
 
 
 MAX_RECURSIVE_DEPTH = 5
@@ -159,15 +160,15 @@ MAX_PROJECTED_FUNCTORS = 1000
 """Maximum number of functors for which projections are announced."""
 
 
-def unread_positions(pattern: Term, unused: AbstractSet[Var]) -> Positions:
-    """Return the arguments of a pattern that are variables without another occurrence and without use."""
-    if pattern.__class__ is not tuple or not unused:
+def find_unread_positions(pattern: Term, unread_variables: AbstractSet[Var]) -> Positions:
+    """Return the positions of arguments that are unread variables without another occurrence in the pattern."""
+    if pattern.__class__ is not tuple or not unread_variables:
         return NO_POSITIONS
     counts = occurrences([pattern], None)
     return frozenset(
         position
         for position, argument in enumerate(map(deref, pattern[1:]), 1)
-        if argument.__class__ is Var and argument in unused and counts[argument] == 1
+        if argument.__class__ is Var and argument in unread_variables and counts[argument] == 1
     )
 
 
@@ -186,10 +187,10 @@ class ArgumentProjection:
         """Return, by functor, the arguments that sources may omit from now on.
 
         Thread-safe. The result is stored before it is checked a second time: a listener that is added concurrently is
-        either seen by the second check, or sees the stored result in `reject_incomplete_events`.
+        either seen by the second check, or sees the stored result in `reject_events_with_unread`.
         """
         # Announced positions are never withdrawn here: events with placeholders may be on their way, so
-        # `reject_incomplete_events` must know all positions that were ever announced.
+        # `reject_events_with_unread` must know all positions that were ever announced.
         for functor, positions in self._find_commonly_unread().items():
             announced = self._announced.get(functor, NO_POSITIONS)
             if positions and (announced or len(self._announced) < MAX_PROJECTED_FUNCTORS):
@@ -202,37 +203,39 @@ class ArgumentProjection:
         }
 
     def _find_commonly_unread(self) -> Dict[Functor, Positions]:
+        """Return, by functor, the arguments that no listener reads."""
+        # Copied, because other threads add listeners.
         groups = list(self._listeners.items())
         if any(
-            functor is None and not listener.accepts_omitted
+            functor is None and not listener.accepts_unread
             for functor, group in groups
             for listener in list(group)
         ):
-            # Some listener reads all arguments of all events.
+            # A listener for all events reads all of their arguments.
             return {}
         return {
-            functor: frozenset.intersection(*(listener.unread for listener in group))
+            functor: frozenset.intersection(*(listener.unread_positions for listener in group))
             for functor, group in ((functor, list(group)) for functor, group in groups)
             if functor is not None and group
         }
 
-    def reject_incomplete_events(self, listener: Listener) -> None:
+    def reject_events_with_unread(self, listener: Listener) -> None:
         """Make a new listener reject events that lack an argument that it reads.
 
         The listener must be in the table already.
         """
         functor = listener.functor
         if functor is not None:
-            missing = self._announced.get(functor, NO_POSITIONS) - listener.unread
-            if missing:
-                listener.matcher = _reject_missing(listener.matcher, sorted(missing))
+            may_be_omitted = self._announced.get(functor, NO_POSITIONS) - listener.unread_positions
+            if may_be_omitted:
+                listener.matcher = _reject_unread(listener.matcher, sorted(may_be_omitted))
                 # A fused action would bypass the guarded matcher.
-                listener.fused = False
-        elif self._announced and not listener.accepts_omitted:
-            listener.matcher = _reject_any_missing(listener.matcher)
+                listener.is_fused = False
+        elif self._announced and not listener.accepts_unread:
+            listener.matcher = _reject_any_unread(listener.matcher)
 
 
-def _reject_missing(matcher: Matcher, positions: Iterable[int]) -> Matcher:
+def _reject_unread(matcher: Matcher, positions: Iterable[int]) -> Matcher:
     def match(term: Any) -> Any:
         for position in positions:
             if term[position] is NOT_READ:
@@ -242,7 +245,7 @@ def _reject_missing(matcher: Matcher, positions: Iterable[int]) -> Matcher:
     return match
 
 
-def _reject_any_missing(matcher: Matcher) -> Matcher:
+def _reject_any_unread(matcher: Matcher) -> Matcher:
     def match(term: Any) -> Any:
         if term.__class__ is tuple and NOT_READ in term[1:]:
             return None

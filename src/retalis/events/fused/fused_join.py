@@ -33,8 +33,8 @@ from ..matches.partial_matches import (
 )
 from .fused_single_event import Continuation
 
-SPARE = 1000
-"""Number of removed matches in the list of arrivals of a rule above which the list is compacted."""
+STALE_ARRIVALS_TOLERANCE = 1000
+"""Stale entries in the list of arrivals of a rule that are tolerated in addition to twice the stored matches."""
 
 _SET_ORDER = "rule.order = match.order = event_end if event_end > rule.order else rule.order + 1"
 _RETURN_FRAME = "return frame"
@@ -42,7 +42,7 @@ _RETURN_COMPLETE = "return complete(None, pair_values, start, end, frame)"
 
 
 class FusedPair(NamedTuple):
-    """Join node, with the properties that its fused operands need.
+    """Properties of a join node that its fused operands need.
 
     Attributes:
         values_are_arguments: for the left and the right operand, whether the values of a match are the arguments of
@@ -76,7 +76,7 @@ class PartnerChoice(NamedTuple):
     Attributes:
         newest: whether the newest partner is tried first, otherwise the oldest one.
         consumes: whether one partner is joined and consumed; otherwise all partners are joined.
-        join_other: combines a match with one of the partners except the one that does not fit; see
+        join_other: joins a match with one of the partners other than the one that was tried; see
             `join_one_of_others`.
     """
 
@@ -85,7 +85,7 @@ class PartnerChoice(NamedTuple):
     join_other: Callable[..., Frame]
 
 
-def fused_side(
+def compile_fused_operand(
     side: MatchSide,
     pair: FusedPair,
     choice: Optional[PartnerChoice],
@@ -118,10 +118,10 @@ def fused_side(
     return _OperandGenerator(side, pair, rule).action(choice, names)
 
 
-def fused_negation(
+def compile_fused_negation(
     negation: NegationBuffer, rule: Any, values_are_arguments: bool, general_path: EventAction
 ) -> EventAction:
-    """Return the action for a negated event, used if no negated event is stored under its key; see `fused_side`.
+    """Return the action for a negated event; it is fused if no negated event is stored under its key.
 
     Args:
         negation: the buffer of the negated events.
@@ -157,7 +157,7 @@ def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> 
         "arrivals": rule.arrivals,
         "expiration_queue": rule.expiration_queue,
         "main_queue": rule.expiration_queue.queue,
-        "late_heap": rule.expiration_queue.late,
+        "late_heap": rule.expiration_queue.late_heap,
         "general_path": general_path,
         "new": object.__new__,
         "EventMatch": EventMatch,
@@ -165,7 +165,7 @@ def _common_names(rule: Any, buffer: MatchBuffer, general_path: EventAction) -> 
         "OrderedEventMatch": OrderedEventMatch,
         "Match": PartialMatch,
         "SELF_KEYED": SELF_KEYED,
-        "SPARE": SPARE,
+        "STALE_ARRIVALS_TOLERANCE": STALE_ARRIVALS_TOLERANCE,
     }
 
 
@@ -186,7 +186,9 @@ class _ActionGenerator:
         self.values_are_arguments = values_are_arguments
         self.values = "term[1:]" if values_are_arguments else "values"
         self.general_path = f"return general_path(term, {self.values}, event_start, event_end, frame)"
-        self.queue = "main_queue" if own_buffer.retention == rule.expiration_queue.span else "retention_queue"
+        self.queue = (
+            "main_queue" if own_buffer.retention == rule.expiration_queue.retention else "retention_queue"
+        )
 
     def compile_action(self, body: Sequence[Statement], names: Dict[str, Any], title: str) -> EventAction:
         """Return the compiled action."""
@@ -237,7 +239,7 @@ class _ActionGenerator:
                 "else:",
                 [
                     "rule.clock = event_end",
-                    f"oldest_start = event_end - {self.rule.expiration_queue.span or 0}",
+                    f"oldest_start = event_end - {self.rule.expiration_queue.retention or 0}",
                     Block(
                         "while main_queue and main_queue[0].start < oldest_start:",
                         [
@@ -247,7 +249,7 @@ class _ActionGenerator:
                         ],
                     ),
                     Block(
-                        "if late_heap.heap or late_heap.unmoved or expiration_queue.others:",
+                        "if late_heap.heap or late_heap.unmoved or expiration_queue.other_queues:",
                         ["expiration_queue.expire(event_end)"],
                     ),
                 ],
@@ -309,7 +311,8 @@ class _ActionGenerator:
             "arrivals.append(match)",
             *expiration_statements,
             Block(
-                f"if {sweep_test}stored_count > network.max_stored or len(arrivals) > 2 * stored_count + SPARE:",
+                f"if {sweep_test}stored_count > network.max_stored"
+                " or len(arrivals) > 2 * stored_count + STALE_ARRIVALS_TOLERANCE:",
                 ["rule.remove_excess()"],
             ),
         ]

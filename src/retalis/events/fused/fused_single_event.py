@@ -27,37 +27,39 @@ _PASS_ALL_FILTER = PushdownFilter((), None)
 
 
 class Continuation(NamedTuple):
-    """Action for the values of a match of one event, with properties that allow to shorten it.
+    """Action for the values of a match of one event, with properties by which generated code can shorten it.
 
     Attributes:
         action: the action.
-        fused: whether the action accepts None for the values of a pattern that matches all events of its functor.
+        is_fused: whether the action accepts None for the values of a pattern that matches all events of its functor.
         event_filter: filter for the event that the action creates; if it has no listeners, the action has no effect.
     """
 
     action: EventAction
-    fused: bool = False
+    is_fused: bool = False
     event_filter: PushdownFilter = _PASS_ALL_FILTER
 
 
-def firing_action(
+def compile_firing_action(
     head: Term,
-    order: Sequence[Var],
+    value_vars: Sequence[Var],
     rule: Any,
     event_filter: PushdownFilter,
-    failed: Callable[[UsageError, Frame], Frame],
+    on_error: Callable[[UsageError, Frame], Frame],
 ) -> EventAction:
     """Return the action that emits the head of a rule for a match.
 
     Args:
         head: the head, not an alarm.
-        order: the variables, in the order of the values of a match.
+        value_vars: the variables of the values of a match, in order.
         rule: the rule.
         event_filter: filter for the head event.
-        failed: called with the error if the head is not a valid event, and the next frame; returns a frame.
+        on_error: called with the error if the head is not a valid event, and the next frame; returns a frame.
     """
     names = codegen.BoundNames({})
-    lines, event = generate_builder(head, {var: f"values[{index}]" for index, var in enumerate(order)}, names)
+    lines, event = generate_builder(
+        head, {var: f"values[{index}]" for index, var in enumerate(value_vars)}, names
+    )
     body: List[Statement] = [
         "metrics.firing_count += 1",
         "metrics.last_end = end",
@@ -66,13 +68,13 @@ def firing_action(
         Block("if plan is NO_LISTENERS:", ["return frame"]),
         *lines,
         Block("try:", _dispatch_statements(event)),
-        Block("except UsageError as error:", ["return failed(error, frame)"]),
+        Block("except UsageError as error:", ["return on_error(error, frame)"]),
     ]
     names.values.update(
         metrics=rule.metrics,
         event_filter=event_filter,
         dispatcher=rule.network.dispatcher,
-        failed=failed,
+        on_error=on_error,
         RESTORE_CONTEXT=RESTORE_CONTEXT,
         NO_LISTENERS=NO_LISTENERS,
         UsageError=UsageError,
@@ -115,11 +117,11 @@ def _dispatch_statements(event: str) -> List[Statement]:
     ]
 
 
-def goal_action(
+def compile_goal_action(
     goal: CompiledGoal,
-    inputs: int,
+    input_count: int,
     rule: Any,
-    failed: Callable[[PrologError], None],
+    on_error: Callable[[PrologError], None],
     general_path: EventAction,
     completion: Continuation,
 ) -> EventAction:
@@ -127,9 +129,9 @@ def goal_action(
 
     Args:
         goal: the goal; its inputs are the values of the match, and it has no outputs.
-        inputs: number of inputs.
+        input_count: number of inputs.
         rule: the rule.
-        failed: called with the error of the goal.
+        on_error: called with the error of the goal.
         general_path: the general path, for any event.
         completion: action if the goal succeeds.
     """
@@ -137,7 +139,7 @@ def goal_action(
     names = {
         "code": goal.code,
         "goal": goal,
-        "failed": failed,
+        "on_error": on_error,
         "general_path": general_path,
         "solved": completion.action,
         "event_filter": completion.event_filter,
@@ -150,13 +152,13 @@ def goal_action(
         "done": machine.done,
         "undo": undo,
     }
-    action: EventAction = shared_function(_goal_source(inputs), names, "goal of a rule")
+    action: EventAction = shared_function(_goal_source(input_count), names, "goal of a rule")
     return action
 
 
-def _goal_source(inputs: int) -> str:
+def _goal_source(input_count: int) -> str:
     """Return the source of the action for a goal with a number of inputs."""
-    values = ", ".join(f"a{index}" for index in range(inputs))
+    values = ", ".join(f"a{index}" for index in range(input_count))
     body: List[Statement] = [
         "context = dispatcher.current",
         Block(
@@ -184,7 +186,7 @@ def _goal_source(inputs: int) -> str:
             [
                 "dispatcher.current = context",
                 "budget.goal = outer_goal",
-                "failed(machine.error(exc, goal_frame, mark))",
+                "on_error(machine.error(exc, goal_frame, mark))",
                 "return frame",
             ],
         ),
@@ -201,7 +203,7 @@ def _goal_source(inputs: int) -> str:
     return source_of([Block("def generated(term, values, start, end, frame):", body)])
 
 
-def query_action(
+def compile_query_action(
     dispatcher: Dispatcher,
     key: Functor,
     ground_count: int,
@@ -232,7 +234,7 @@ def query_action(
         # Exactly one listener, the query itself, may take the event; otherwise the event must exist for the others.
         plan: Any = event_filter.plan
         if plan is None:
-            plan = dispatcher.plan(key)
+            plan = dispatcher.build_plan(key)
         if (
             context is None
             or context[DEPTH] >= max_depth

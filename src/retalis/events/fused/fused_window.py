@@ -84,7 +84,7 @@ def _sum_source(number: int, position: int) -> _MeasureSource:
             ),
             Block("else:", [_GENERAL_PATH]),
         ],
-        [f"{total}.total += {scaled}", Block(f"if {is_integer}:", [f"{total}.integers += 1"])],
+        [f"{total}.total += {scaled}", Block(f"if {is_integer}:", [f"{total}.integer_count += 1"])],
         [
             f"value = old.values[{position}]",
             f"total = old_window.measures[{number}].sum",
@@ -103,7 +103,7 @@ def _mean_source(number: int, position: int) -> _MeasureSource:
     # `ExactSum.quotient` without the call, for floats only, whose average is a float in any case.
     return _sum_source(number, position)._replace(
         result=(
-            f"{total}.quotient(element_count, element_count) if {total}.integers "
+            f"{total}.quotient(element_count, element_count) if {total}.integer_count "
             f"else {total}.total / (element_count << {total}.scale)"
         )
     )
@@ -143,12 +143,12 @@ _MEASURE_SOURCES: Dict[str, Callable[[int, int], _MeasureSource]] = {
 
 def has_fused_measures(measure_names: Sequence[str]) -> bool:
     """Return whether all measures can be fused."""
-    return all(kind in _MEASURE_SOURCES for kind in measure_names)
+    return all(name in _MEASURE_SOURCES for name in measure_names)
 
 
-def fused_window(
+def compile_fused_window(
     window: FusedWindow,
-    limit: Optional[int],
+    max_span: Optional[int],
     node: Any,
     general_path: EventAction,
     complete: EventAction,
@@ -159,7 +159,7 @@ def fused_window(
 
     Args:
         window: the window.
-        limit: maximum interval of an output in ns; None for no limit.
+        max_span: maximum interval of an output in ns; None for no limit.
         node: the stream node: its ``stream`` is the `SlidingTimeWindow`, its network limits the number of elements.
         general_path: the general path.
         complete: receives the values of the key and the results.
@@ -171,7 +171,7 @@ def fused_window(
         "node": node,
         "network": node.rule.network,
         "span": window.span,
-        "limit": limit,
+        "limit": max_span,
         "general_path": general_path,
         "complete": complete,
         "on_overflow": on_overflow,
@@ -184,21 +184,21 @@ def fused_window(
         "NO_WINDOW": _NO_WINDOW,
         "OverflowError": OverflowError,
     }
-    metered = node.rule.meter is not None
-    if metered:
+    is_metered = node.rule.meter is not None
+    if is_metered:
         names["pattern_steps"] = node.rule.network.logic.machine.budget.pattern_steps
-    source = _window_source(window, values_are_arguments, limit is not None, metered)
+    source = _window_source(window, values_are_arguments, max_span is not None, is_metered)
     action: EventAction = shared_function(source, names, "window")
     return action
 
 
-def _window_source(window: FusedWindow, values_are_arguments: bool, limited: bool, metered: bool) -> str:
+def _window_source(window: FusedWindow, values_are_arguments: bool, has_limit: bool, is_metered: bool) -> str:
     """Return the source; of the program, it contains only numbers and indices."""
     measures = []
-    for number, measure_kind in enumerate(window.measure_names):
+    for number, measure_name in enumerate(window.measure_names):
         # `StreamElement.values` contains the values of those measures that have one.
         position = sum(index is not None for index in window.value_positions[:number])
-        measures.append(_MEASURE_SOURCES[measure_kind](number, position))
+        measures.append(_MEASURE_SOURCES[measure_name](number, position))
     results = [
         *(f"k{number}" for number in range(len(window.key_positions))),
         *(measure.result for measure in measures),
@@ -212,13 +212,13 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
         # The general path must not run in the handler: errors of listeners would be logged with this one.
         Block("except KeyError:", ["keyed_window = NO_WINDOW"]),
         Block(f"if {_NEEDS_GENERAL_PATH}:", [_GENERAL_PATH]),
-        *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if metered else []),
+        *([Block(f"if pattern_steps[0] < {_METERED_STEPS}:", [_GENERAL_PATH])] if is_metered else []),
         *(statement for measure in measures for statement in measure.check),
-        *([f"pattern_steps[0] -= {_METERED_STEPS}"] if metered else []),
+        *([f"pattern_steps[0] -= {_METERED_STEPS}"] if is_metered else []),
         # All checks are done: from here on nothing calls the general path.
         "stream.clock = end",
         "elements = keyed_window.elements",
-        "by = elements[-1].by",
+        "key_values = elements[-1].key_values",
         "min_start = end - span",
         "element = None",
         Block(
@@ -248,7 +248,7 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
         "element.match = None",
         "element.start = start",
         "element.end = end",
-        "element.by = by",
+        "element.key_values = key_values",
         "element.key = key",
         f"element.values = {tuple_source(_value_names(window))}",
         "element.order = stream.last_order = order = stream.last_order + 1",
@@ -261,7 +261,7 @@ def _window_source(window: FusedWindow, values_are_arguments: bool, limited: boo
         *(statement for measure in measures for statement in measure.add),
         Block("try:", [f"results = {tuple_source(results)}"]),
         Block("except OverflowError:", ["return on_overflow(keyed_window, frame)"]),
-        *([Block("if end - elements[0].start > limit:", ["return frame"])] if limited else []),
+        *([Block("if end - elements[0].start > limit:", ["return frame"])] if has_limit else []),
         "return complete(None, results, elements[0].start, end, frame)",
     ]
     source = source_of([Block("def generated(term, values, start, end, frame):", body)])

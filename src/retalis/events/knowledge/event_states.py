@@ -175,8 +175,10 @@ class DeclaredState:
         """
         listen, (begin_vars, end_vars) = self._dispatcher.listen, self._unused_vars
         self.listeners = [
-            listen(ListenerPhase.STATES, self.form.ends, self._process_end_event, unused=end_vars),
-            listen(ListenerPhase.STATES, self.form.begins, self._process_begin_event, unused=begin_vars),
+            listen(ListenerPhase.STATES, self.form.ends, self._process_end_event, unread_variables=end_vars),
+            listen(
+                ListenerPhase.STATES, self.form.begins, self._process_begin_event, unread_variables=begin_vars
+            ),
         ]
 
     def unlisten(self) -> None:

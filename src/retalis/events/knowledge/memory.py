@@ -623,7 +623,9 @@ class Recorder:
         self._on_update = on_update
         self._updates = dispatcher.event_filter(UPDATED)
         self._records_all_events = pattern.__class__ is Var
-        self.listener = dispatcher.listen(ListenerPhase.MEMORIES, pattern, self._record_event, unused=unused)
+        self.listener = dispatcher.listen(
+            ListenerPhase.MEMORIES, pattern, self._record_event, unread_variables=unused
+        )
 
     @property
     def pattern(self) -> Term:

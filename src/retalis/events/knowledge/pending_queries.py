@@ -48,7 +48,7 @@ from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, V
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..fused.fused_single_event import query_action
+from ..fused.fused_single_event import compile_query_action
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances
@@ -713,7 +713,7 @@ class PendingQueries:
             return compiled_query.execute(values, start, end, next_frame)
 
         ground_count = rule.ground_value_count
-        return query_action(
+        return compile_query_action(
             self._dispatcher, key, ground_count, execute_or_register, default_action, rule.meter
         )
 

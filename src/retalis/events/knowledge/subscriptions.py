@@ -32,7 +32,7 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.partial_matches import NetworkOptions
-from ..network.stream_compiler import rate_node_spec
+from ..network.stream_compiler import compile_rate_spec
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput
 from .memory import Recording, Warn, compile_recording, key_of, record_event, unused_variables
 
@@ -84,7 +84,7 @@ class OutputRateLimiter:
         warn: Warn,
         position: int,
     ):
-        self._spec = rate_node_spec(rate_pattern, pattern_variables)
+        self._spec = compile_rate_spec(rate_pattern, pattern_variables)
         self.value_counts = (len(rate_pattern.keys), int(rate_pattern.value is not None))
         self._title = title
         self._rules = rules
@@ -126,7 +126,7 @@ class OutputRateLimiter:
             start: start of its interval.
             end: end of its interval.
         """
-        now = self._rules.alarm_time() if self._spec.clocked else 0
+        now = self._rules.alarm_time() if self._spec.uses_clock else 0
         stream = self._stream
         previous_late_count = stream.late_count
         # A flag may have changed the bounds, which are replaced as a whole.
@@ -151,7 +151,7 @@ class OutputRateLimiter:
             self.dropped_count += stream.evicted_count - self._evicted_count
             self._evicted_count = stream.evicted_count
             reason = (
-                f"more than {stream.bounds.keys} keys are held; "
+                f"more than {stream.bounds.max_keys} keys are held; "
                 f"{self.dropped_count} of the oldest have been dropped"
             )
             self._warn(f"{self._title}: {reason} so far", ("dropped", self._title))
@@ -316,7 +316,7 @@ class Subscriptions:
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
             self._create_event_action(recording, sent_counter, topic_text, subscription_id, rate_limiter),
-            unused=unused_variables(
+            unread_variables=unused_variables(
                 pattern,
                 conditions,
                 template,

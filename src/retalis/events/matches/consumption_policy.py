@@ -52,13 +52,17 @@ if TYPE_CHECKING:
     from ..provenance.lineage import LineageTracker
 
 Emit = Callable[[PartialMatch, Frame], Frame]
+"""Takes a match and the frame to continue with; returns the next frame."""
 _MAX_COMPLETED_EVENTS = 2000
+"""Maximum number of events that are remembered because they have completed a pair; see `join_one_partner`."""
 MAX_RETAINED_MATCHES = 10_000
 """Maximum number of second operands that are retained in one buffer."""
 Join = Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]
+"""Returns the result of an arriving match and a partner; None if they do not satisfy the join."""
 _FinishJoin = Callable[[PartialMatch, Hashable, PartialMatch, PartialMatch, Frame], Frame]
 """Takes a match, its key, a partner, their result and the next frame."""
 _JoinFirstOf = Callable[[PartialMatch, Hashable, Iterator[PartialMatch], Frame], Frame]
+"""Takes a match, its key, the possible partners, and the next frame."""
 _JoinOtherThan = Callable[[PartialMatch, Hashable, PartialMatch, Frame], Frame]
 """Takes a match, its key, a partner that does not satisfy the join, and the next frame."""
 T = TypeVar("T")
@@ -90,7 +94,7 @@ class MatchSide(NamedTuple):
 
 def store_only(side: MatchSide) -> Emit:
     """Return the action for a match that is only stored, because no stored partner can complete it."""
-    store, key_of = side.own_buffer.add, side.own_buffer.key
+    store, key_of = side.own_buffer.add, side.own_buffer.compute_key
 
     def on_match(match: PartialMatch, frame: Frame) -> Frame:
         try:
@@ -126,8 +130,8 @@ def join_one_partner(
         side.join,
         side.stores_unmatched,
     )
-    key_of = own_buffer.key
-    waiting = other_buffer.newest
+    key_of = own_buffer.compute_key
+    newest_partners = other_buffer.newest
     store = own_buffer.add if side.store is None else side.store
     finish_join = _finish_join(side, consumes, emit, completed)
     join_first_of = _join_first_of(side, finish_join)
@@ -143,19 +147,19 @@ def join_one_partner(
                 match, None, other_buffer.partners(None, match.start, match.end, newest), frame
             )
         # Stored matches with variables in shared values are candidates for every key; `partners` merges both rings.
-        if None in waiting:
+        if None in newest_partners:
             return join_first_of(
                 match, key, other_buffer.partners(key, match.start, match.end, newest), frame
             )
-        last = waiting.get(key)
+        newest_partner = newest_partners.get(key)
         # The common case is written out: if the first candidate satisfies the join, no iterator is created.
-        if last is not None:
-            partner = last if newest else last.newer
+        if newest_partner is not None:
+            partner = newest_partner if newest else newest_partner.newer
             result = join(match, partner)
             # The join may call conditions that make events, and those may remove the partner; check it again.
             if result is not None and partner.buffer is not None:
                 return finish_join(match, key, partner, result, frame)
-            if last.older is not last:
+            if newest_partner.older is not newest_partner:
                 return try_others(match, key, partner, frame)
         if stores_unmatched:
             store(match, key)
@@ -317,7 +321,7 @@ def join_all_at_once(side: MatchSide, consumes: bool, emit: Emit) -> Emit:
 def unify_and_join(
     side: MatchSide, match: PartialMatch, key: Hashable, partner: PartialMatch
 ) -> Optional[PartialMatch]:
-    """Join two matches whose shared values may contain variables."""
+    """Return the result of two matches, whose shared values are unified if they may contain variables."""
     if has_equal_key(key, partner):
         return side.join(match, partner)
     sides = unify_sides(match, partner, side.shared)
@@ -325,7 +329,7 @@ def unify_and_join(
 
 
 def is_valid(match: Optional[PartialMatch]) -> bool:
-    """Return whether there is a match and none of its events was retracted."""
+    """Return whether a match is given and none of its events was retracted."""
     return match is not None and not any(
         getattr(token, "retracted", False) for token in lineage_sources(match)
     )
@@ -355,10 +359,7 @@ class RetainedMatches:
 
 
 def is_revived(tracker: "LineageTracker", arrival_number: int) -> bool:
-    """Return whether a match that was complete at event ``arrival_number`` is revived.
-
-    It lacks the event that is being served.
-    """
+    """Return whether a match whose last event has a number is revived: it does not contain the current event."""
     return arrival_number < tracker.current_number()
 
 
@@ -368,7 +369,7 @@ def join_revived_first(
     """Return the action for a first operand: it is stored, or joins with later second operands if it is revived.
 
     Args:
-        tracker: knows the number of the event that is being served.
+        tracker: returns the number of the current event.
         side: the first operand, with the buffer of the partners to search.
         consumes: whether the policy consumes partners.
         joins_all: whether a second operand joins with all stored first ones and is not consumed by them.

@@ -31,21 +31,23 @@ class Retention(NamedTuple):
 
     Attributes:
         in_order: if the first operands of sequences never arrive late.
-        late: if they may arrive late.
-        part: the longest interval of a useful match, for a pattern that is a part of the rule's match. None also for
-            a negated pattern.
+        out_of_order: if they may arrive late.
+        max_interval: the longest interval of a useful match, for a pattern that is a part of the rule's match; None
+            also for a negated pattern.
     """
 
     in_order: Optional[int] = None
-    late: Optional[int] = None
-    part: Optional[int] = None
+    out_of_order: Optional[int] = None
+    max_interval: Optional[int] = None
 
     def within(self, span: Optional[int]) -> "Retention":
         """Return the retention below a ``within`` of ``span`` nanoseconds, or this one if there is no bound."""
         if span is None:
             return self
         return Retention(
-            smaller_bound(self.in_order, span), smaller_bound(self.late, span), smaller_bound(self.part, span)
+            smaller_bound(self.in_order, span),
+            smaller_bound(self.out_of_order, span),
+            smaller_bound(self.max_interval, span),
         )
 
     def of_negated(self, span: Optional[int]) -> "Retention":
@@ -54,7 +56,7 @@ class Retention(NamedTuple):
         Args:
             span: the longest time in ns that the two operands can span together; None if unbounded.
         """
-        return Retention(self.in_order, retention_for_late(span, self.late))
+        return Retention(self.in_order, retention_for_late(span, self.out_of_order))
 
 
 UNLIMITED = Retention()
@@ -146,15 +148,15 @@ class ExpirationQueue:
     Matches that are added in the order of their instants form a queue; the others form a heap.
     """
 
-    __slots__ = ("_late", "_queue", "_next_slice_start")
+    __slots__ = ("_late_heap", "_queue", "_next_slice_start")
 
     def __init__(self) -> None:
         self._queue: Deque[Tuple[int, PartialMatch]] = deque()
         self._next_slice_start = 0
-        self._late = _LateHeap()
+        self._late_heap = _LateHeap()
 
     def __len__(self) -> int:
-        return len(self._queue) + len(self._late)
+        return len(self._queue) + len(self._late_heap)
 
     def add(self, instant: int, match: PartialMatch, stored_count: int) -> None:
         """Add a match.
@@ -169,19 +171,19 @@ class ExpirationQueue:
         if not queue or queue[-1][0] <= instant:
             queue.append((instant, match))
         else:
-            self._late.add(instant, match)
+            self._late_heap.add(instant, match)
         if len(self) > 2 * stored_count + _STALE_TOLERANCE:
             start, entries = _remove_slice(queue, self._next_slice_start, SLICE_ENTRIES)
             stored = [entry for entry in entries if entry[1].buffer is not None]
             self._next_slice_start = _insert_slice(queue, start, stored) or 0
-            self._late.remove_stale(stored_count)
+            self._late_heap.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
         """Remove all matches whose instant is before ``clock`` from their buffers."""
         queue = self._queue
         while queue and queue[0][0] < clock:
             queue.popleft()[1].discard()
-        for match in self._late.pop_before(clock):
+        for match in self._late_heap.pop_before(clock):
             match.discard()
 
     def pop_expired(self, clock: int) -> List[PartialMatch]:
@@ -190,7 +192,7 @@ class ExpirationQueue:
         queue = self._queue
         while queue and queue[0][0] < clock:
             expired.append(queue.popleft()[1])
-        expired += self._late.pop_before(clock)
+        expired += self._late_heap.pop_before(clock)
         return [match for match in expired if match.buffer is not None]
 
 
@@ -198,78 +200,78 @@ class StartExpirationQueue:
     """Stored matches ordered by start and retention time.
 
     Most matches of a rule have one retention time, and arrive in the order of their starts. These form a queue that
-    holds only the matches: the instant of expiration follows from the start. Matches with another retention time
+    contains only the matches: the instant of expiration follows from the start. Matches with another retention time
     have a queue of their own, and matches that are added out of order go to a heap.
 
-    Generated code binds ``queue`` and ``late``, so these attributes are never assigned again.
+    Generated code binds ``queue`` and ``late_heap``, so these attributes are never assigned again.
 
     Attributes:
-        span: retention time of most matches after their start, in ns; None if none expire.
+        retention: retention time of most matches after their start, in ns; None if none expire.
         queue: the matches with that retention time.
-        others: the matches with other retention times, by retention time.
-        late: the matches that were added out of order.
+        other_queues: the matches with other retention times, by retention time.
+        late_heap: the matches that were added out of order.
     """
 
-    __slots__ = ("span", "queue", "others", "late", "_next_slice_start")
+    __slots__ = ("retention", "queue", "other_queues", "late_heap", "_next_slice_start")
 
-    def __init__(self, span: Optional[int]) -> None:
-        self.span = span
+    def __init__(self, retention: Optional[int]) -> None:
+        self.retention = retention
         self.queue: Deque[PartialMatch] = deque()
-        self.others: Dict[int, Deque[PartialMatch]] = {}
-        self.late = _LateHeap()
+        self.other_queues: Dict[int, Deque[PartialMatch]] = {}
+        self.late_heap = _LateHeap()
         self._next_slice_start: Dict[Optional[int], int] = {}
         """By retention time: the position in the queue at which the next slice begins."""
 
     def __len__(self) -> int:
-        return len(self.queue) + sum(len(queue) for queue in self.others.values()) + len(self.late)
+        return len(self.queue) + sum(len(queue) for queue in self.other_queues.values()) + len(self.late_heap)
 
-    def reset(self, span: Optional[int]) -> None:
+    def reset(self, retention: Optional[int]) -> None:
         """Remove all entries and set the retention time of most matches."""
-        self.span = span
+        self.retention = retention
         self.queue.clear()
-        self.others.clear()
-        self.late.clear()
+        self.other_queues.clear()
+        self.late_heap.clear()
         self._next_slice_start.clear()
 
-    def queue_for(self, span: int) -> Deque[PartialMatch]:
+    def queue_for(self, retention: int) -> Deque[PartialMatch]:
         """Return the queue of a retention time."""
-        if span == self.span:
+        if retention == self.retention:
             return self.queue
-        queue = self.others.get(span)
+        queue = self.other_queues.get(retention)
         if queue is None:
-            queue = self.others[span] = deque()
+            queue = self.other_queues[retention] = deque()
         return queue
 
-    def add(self, span: int, match: PartialMatch, stored_count: int) -> None:
+    def add(self, retention: int, match: PartialMatch, stored_count: int) -> None:
         """Add a stored match.
 
         Args:
-            span: its retention time after its start, in ns.
+            retention: its retention time after its start, in ns.
             match: the match.
             stored_count: number of stored matches in total; see `ExpirationQueue.add`.
         """
-        queue = self.queue_for(span)
+        queue = self.queue_for(retention)
         if not queue or queue[-1].start <= match.start:
             queue.append(match)
         else:
-            self.late.add(match.start + span, match)
+            self.late_heap.add(match.start + retention, match)
         if len(self) > 2 * stored_count + _STALE_TOLERANCE:
             self.remove_stale(stored_count)
 
     def remove_stale(self, stored_count: int) -> None:
         """Remove some stale entries; ``stored_count`` is the number of stored matches in total."""
-        for span, queue in [(self.span, self.queue), *self.others.items()]:
-            self._next_slice_start[span] = (
-                remove_stale_entries(queue, self._next_slice_start.get(span, 0)) or 0
+        for retention, queue in [(self.retention, self.queue), *self.other_queues.items()]:
+            self._next_slice_start[retention] = (
+                remove_stale_entries(queue, self._next_slice_start.get(retention, 0)) or 0
             )
-        self.late.remove_stale(stored_count)
+        self.late_heap.remove_stale(stored_count)
 
     def expire(self, clock: int) -> None:
         """Remove all matches that expire before ``clock`` from their buffers."""
-        for span, queue in [(self.span, self.queue), *self.others.items()]:
-            while queue and queue[0].start + (span or 0) < clock:
+        for retention, queue in [(self.retention, self.queue), *self.other_queues.items()]:
+            while queue and queue[0].start + (retention or 0) < clock:
                 queue.popleft().discard()
-        for match in self.late.pop_before(clock):
+        for match in self.late_heap.pop_before(clock):
             match.discard()
 
 

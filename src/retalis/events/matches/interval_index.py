@@ -149,8 +149,8 @@ class IntervalIndex:
             _TreeNode(entries[position : position + half], None) for position in range(0, len(entries), half)
         ]
         while len(nodes) > 1:
-            parts = [nodes[position : position + half] for position in range(0, len(nodes), half)]
-            nodes = [_TreeNode([node.keys[0][:3] for node in part], part) for part in parts]
+            groups = [nodes[position : position + half] for position in range(0, len(nodes), half)]
+            nodes = [_TreeNode([node.keys[0][:3] for node in group], group) for group in groups]
         self._root = nodes[0]
 
     def _entry(self, match: PartialMatch) -> _IndexEntry:
@@ -199,7 +199,7 @@ class IntervalIndex:
         # after the last result. `last` excludes matches that are added meanwhile.
         while self.changes != changes:
             self.last_search = changes = self.changes
-            for match in self._within(limits, newest, boundary_order):
+            for match in self._search_tree(limits, newest, boundary_order):
                 if match.order > last:
                     return
                 boundary_order = match.order
@@ -207,7 +207,7 @@ class IntervalIndex:
                 if self.changes != changes:
                     break
 
-    def _within(self, limits: TimeBounds, newest: bool, boundary_order: int) -> Iterator[PartialMatch]:
+    def _search_tree(self, limits: TimeBounds, newest: bool, boundary_order: int) -> Iterator[PartialMatch]:
         if self.by_end:
             low, high, lower, upper = limits
         else:
@@ -248,7 +248,7 @@ def gc_paused() -> Iterator[None]:
             gc.enable()
 
 
-_MIRRORED = {"<": ">", "<=": ">=", "==": "=="}
+_MIRRORED_SIGNS = {"<": ">", "<=": ">=", "==": "=="}
 
 
 class IntervalBounds(NamedTuple):
@@ -279,24 +279,30 @@ def interval_bounds(name: str, span: Optional[int], is_left: bool) -> Optional[I
         is_left: whether the match is the left operand.
     """
     operator = PAIR_OPERATORS[name]
-    lower, upper = _bounds(operator, span, "1" if is_left else "2")
+    lower, upper = _bound_sources(operator, span, "1" if is_left else "2")
     if not any((*lower.values(), *upper.values())):
         return None
     # The bounds are compiled to one expression, because they are computed for every match that arrives.
-    parts = []
+    bounds = []
+    # The bounds of the start, then those of the end, as in `TimeBounds`.
     for instant in "se":
-        parts += [_tightest("max", lower[instant]) or "LEAST", _tightest("min", upper[instant]) or "MOST"]
+        bounds += [
+            _tightest_source("max", lower[instant]) or "MIN_VALUE",
+            _tightest_source("min", upper[instant]) or "MAX_VALUE",
+        ]
     parameters = "s1, e1" if is_left else "s2, e2"
-    source = f"def generated({parameters}):\n    return ({', '.join(parts)})\n"
-    limits = shared_function(source, {"LEAST": MIN_VALUE, "MOST": MAX_VALUE}, f"partners of {operator.name}")
+    source = f"def generated({parameters}):\n    return ({', '.join(bounds)})\n"
+    limits = shared_function(
+        source, {"MIN_VALUE": MIN_VALUE, "MAX_VALUE": MAX_VALUE}, f"partners of {operator.name}"
+    )
     by_end = len(lower["e"]) + len(upper["e"]) > len(lower["s"]) + len(upper["s"])
     return IntervalBounds(limits, by_end)
 
 
-def _bounds(
+def _bound_sources(
     operator: EventOperator, span: Optional[int], own_side: str
 ) -> Tuple[Dict[str, List[str]], Dict[str, List[str]]]:
-    """Return the lower and upper bounds of the start and end of a partner, as source expressions."""
+    """Return lower and upper bounds of the start (``s``) and end (``e``) of a partner, as source expressions."""
     lower: Dict[str, List[str]] = {"s": [], "e": []}
     upper: Dict[str, List[str]] = {"s": [], "e": []}
     for comparison in operator.comparisons:
@@ -305,7 +311,7 @@ def _bounds(
         if first[1] == second[1]:
             continue
         if first[1] == own_side:
-            first, sign, second = second, _MIRRORED[sign], first
+            first, sign, second = second, _MIRRORED_SIGNS[sign], first
         if sign in ("<", "<=", "=="):
             upper[first[0]].append(f"{second} - 1" if sign == "<" else second)
         if sign in (">", ">=", "=="):
@@ -317,5 +323,6 @@ def _bounds(
     return lower, upper
 
 
-def _tightest(function: str, expressions: List[str]) -> str:
+def _tightest_source(function: str, expressions: List[str]) -> str:
+    """Return the source of the tightest of several bounds; empty if there are none."""
     return f"{function}({', '.join(expressions)})" if len(expressions) > 1 else "".join(expressions)

@@ -38,8 +38,13 @@ class MatchBuffer:
     The matches of one key form a ring: ``older`` of each match is the one before it, and ``older`` of the oldest is
     the newest.
 
+    Args:
+        rule: the rule that owns the buffer.
+        shared_positions: positions of the shared variables in the values of a match.
+
     Attributes:
         rule: the rule that owns the buffer; it counts and limits the stored matches.
+        compute_key: returns the key of the values of a match; raises ValueError if a shared value contains variables.
         newest: newest match by key. The key None holds the matches with variables in their shared values, which are
             unified with every partner.
         retention: retention time of stored matches, in ns; None for no bound.
@@ -56,9 +61,9 @@ class MatchBuffer:
 
     is_negated = False
 
-    def __init__(self, rule: "EventRule", shared: Tuple[int, ...]):
+    def __init__(self, rule: "EventRule", shared_positions: Tuple[int, ...]):
         self.rule = rule
-        self.key = key_function(shared)
+        self.compute_key = key_function(shared_positions)
         self.newest: Dict[Hashable, PartialMatch] = {}
         self.retention: Optional[int] = None
         self.identity_of: Optional[Callable[[PartialMatch], Hashable]] = None
@@ -71,7 +76,7 @@ class MatchBuffer:
     def key_of(self, match: PartialMatch) -> Hashable:
         """Return the key of a match; None if a shared value contains variables."""
         try:
-            return self.key(match.values)
+            return self.compute_key(match.values)
         except ValueError:
             return None
 
@@ -154,7 +159,7 @@ class MatchBuffer:
 
     def expand(self) -> Dict[PartialMatch, PartialMatch]:
         """Replace the matches that cannot hold all attributes of a `PartialMatch`; return the new ones by the old."""
-        stored = self.all()
+        stored = self.stored_matches()
         expanded = {match: _expanded(match) for match in stored if not isinstance(match, PartialMatch)}
         if expanded:
             self.newest.clear()
@@ -172,32 +177,32 @@ class MatchBuffer:
         for key, newest_match in list(self.newest.items()):
             # An interrupt may come between any two assignments. The attribute `buffer` decides whether a match is
             # stored; rings and indices are derived from it.
-            waiting = sorted(
+            stored_matches = sorted(
                 (match for match in _reachable(newest_match) if match.buffer is self), key=_order
             )
-            if not waiting:
+            if not stored_matches:
                 del self.newest[key]
                 continue
-            self._link(key, waiting)
-            matches += waiting
+            self._link(key, stored_matches)
+            matches += stored_matches
         self.indices = {}
         self.by_identity = {}
         self.on_repair()
         return sorted(matches, key=_order)
 
-    def _link(self, key: Hashable, waiting: List[PartialMatch]) -> None:
+    def _link(self, key: Hashable, stored_matches: List[PartialMatch]) -> None:
         """Link the matches of a key, given oldest first, to a ring."""
-        for older, newer in zip(waiting, [*waiting[1:], waiting[0]]):
+        for older, newer in zip(stored_matches, [*stored_matches[1:], stored_matches[0]]):
             older.newer, newer.older = newer, older
-        self.newest[key] = waiting[-1]
+        self.newest[key] = stored_matches[-1]
 
-    def put_back(self, waiting: Sequence[PartialMatch]) -> None:
+    def put_back(self, stored_matches: Sequence[PartialMatch]) -> None:
         """Store matches whose ``order`` is set in an empty buffer, as they were stored in another one."""
         groups: Dict[Hashable, List[PartialMatch]] = {}
-        for match in sorted(waiting, key=_order):
+        for match in sorted(stored_matches, key=_order):
             match.buffer = self
             try:
-                match.key = self.key(match.values_with_key)
+                match.key = self.compute_key(match.values_with_key)
             except ValueError:
                 match.key = None
             if self.identity_of is not None:
@@ -255,7 +260,7 @@ class MatchBuffer:
         matches.reverse()
         return matches
 
-    def all(self) -> List[PartialMatch]:
+    def stored_matches(self) -> List[PartialMatch]:
         """Return all stored matches, oldest first."""
         return sorted((match for key in self.newest for match in self.matches_of_key(key)), key=_order)
 
@@ -272,7 +277,7 @@ class MatchBuffer:
             newest: whether the newest match is yielded first, else the oldest.
         """
         if key is None:
-            matches = self.all()
+            matches = self.stored_matches()
             return reversed(matches) if newest else iter(matches)
         limits = _UNBOUNDED if self.partner_bounds is None else self.partner_bounds.limits(start, end)
         if self.min_end_for is not None:
@@ -362,7 +367,7 @@ class MatchBuffer:
         self.identity_of = identity_of
         self.by_identity = {}
         if identity_of is not None:
-            for match in self.all():
+            for match in self.stored_matches():
                 self._identify_match(match)
 
 

@@ -236,7 +236,7 @@ class NegationBuffer:
             self.frontiers.clear()
             return False
         try:
-            key = self.pair_buffer.key(values)
+            key = self.pair_buffer.compute_key(values)
         except ValueError:
             key = None
         if key is not None and not self.is_unbounded and None not in buffer.newest and self.uses_frontiers():

@@ -9,7 +9,7 @@ in Flink CEP:
 One event can complete several matches of a rule. All of them are completed before anything is discarded, because the
 order of the nodes must not decide which of them fires. Stored matches that are skipped are therefore discarded when
 the next event is dispatched. Rules may emit events while an event is dispatched. A stack of events in progress
-(`ServedEvent`) distinguishes a nested event, which belongs to the same step, from the next event.
+(`EventInProgress`) distinguishes a nested event, which belongs to the same step, from the next event.
 """
 
 from typing import TYPE_CHECKING, Any, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set, Tuple
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 _BEFORE_ALL_INSTANTS = -(1 << 80)
-# Stale entries that are tolerated in addition to the number of stored matches.
 _STALE_TOLERANCE = 1000
+"""Stale entries that are tolerated in addition to twice the number of stored matches."""
 
 
-class ServedEvent(NamedTuple):
+class EventInProgress(NamedTuple):
     """An event whose dispatch has not finished; it may be nested in the dispatch of another event.
 
     Attributes:
@@ -62,7 +62,7 @@ class AfterMatchSkip:
         self.strategy = strategy
         self.last_match_end = self.skipped_until = _BEFORE_ALL_INSTANTS
         self._skipped_starts: Set[int] = set()
-        self._served: List[ServedEvent] = []
+        self._events_in_progress: List[EventInProgress] = []
         self._action: Optional[ActionNode] = None
         self.clear_entries()
 
@@ -90,7 +90,7 @@ class AfterMatchSkip:
     @property
     def entry_count(self) -> int:
         """Number of entries for matches and events, including stale ones."""
-        return len(self._expiration_queue) + self._start_entry_count + len(self._served)
+        return len(self._expiration_queue) + self._start_entry_count + len(self._events_in_progress)
 
     def rebuild_entries(self, stored_matches: Iterable[PartialMatch]) -> None:
         """Replace all entries by those of the given matches."""
@@ -117,15 +117,15 @@ class AfterMatchSkip:
 
     def begin_event(self, token: Hashable) -> None:
         """Discard the skipped matches if the dispatch of a new event begins."""
-        served = self._served
-        if served and served[-1].token == token:
+        in_progress = self._events_in_progress
+        if in_progress and in_progress[-1].token == token:
             return
         depth = self._rule.network.dispatcher.current[DEPTH]
         # Events that are as deep as this one or deeper are complete: dispatch is depth-first.
-        while served and served[-1].token != token and served[-1].depth >= depth:
-            served.pop()
-        if not served or served[-1].token != token:
-            served.append(ServedEvent(depth, token, set()))
+        while in_progress and in_progress[-1].token != token and in_progress[-1].depth >= depth:
+            in_progress.pop()
+        if not in_progress or in_progress[-1].token != token:
+            in_progress.append(EventInProgress(depth, token, set()))
         self._discard_skipped()
 
     def _discard_skipped(self) -> None:
@@ -162,16 +162,18 @@ class AfterMatchSkip:
 
     def begin_alarm(self) -> None:
         """Discard the skipped matches when an alarm of a node is due; all results of the alarm belong to one step."""
-        self._served = [ServedEvent(0, self, set())]
+        self._events_in_progress = [EventInProgress(0, self, set())]
         self._discard_skipped()
 
-    def _current_event(self) -> ServedEvent:
+    def _current_event(self) -> EventInProgress:
+        """Return the entry of the event, or alarm, that is being processed."""
         dispatcher = self._rule.network.dispatcher
         if dispatcher.current is not None:
             self.begin_event(dispatcher.token())
         else:
-            del self._served[1:]
-        return self._served[-1]
+            # An alarm is being processed; `begin_alarm` has made it the first entry.
+            del self._events_in_progress[1:]
+        return self._events_in_progress[-1]
 
     def connect(self, root: NetworkNode, complete: Emit, options: NetworkOptions) -> None:
         """Connect the nodes of the rule, so that only matches that may fire reach ``complete``.
@@ -179,7 +181,7 @@ class AfterMatchSkip:
         The goal of the whole pattern is called only for matches that may fire. All results of ``event_multiply`` for
         a match count as one match.
         """
-        self._action = action = first_action_node(root)
+        self._action = action = find_first_action_node(root)
         may_fire = self.may_fire
         if action is not None:
             action.may_fire = may_fire
@@ -201,7 +203,7 @@ class AfterMatchSkip:
             self._action.may_fire = None
 
 
-def first_action_node(root: NetworkNode) -> Optional[ActionNode]:
+def find_first_action_node(root: NetworkNode) -> Optional[ActionNode]:
     """Return the node of the goal that is called first when the whole pattern has matched; None if there is none."""
     action, node = None, root
     while isinstance(node, (ActionNode, FilterNode)):
@@ -210,10 +212,10 @@ def first_action_node(root: NetworkNode) -> Optional[ActionNode]:
     return action
 
 
-def skip_state_for(rule: "EventRule", options: NetworkOptions) -> Optional[AfterMatchSkip]:
-    """Return the skip state of a rule for the given options; None if it skips nothing.
+def select_skip_state(rule: "EventRule", options: NetworkOptions) -> Optional[AfterMatchSkip]:
+    """Return the skip state of a rule for the given options, the previous one if the strategy does not change.
 
-    If the strategy does not change, the previous state is returned.
+    None if the strategy skips nothing.
     """
     previous: Optional[AfterMatchSkip] = rule.skip_state
     if previous is not None:

@@ -15,7 +15,7 @@ advance it. ``arrivals`` lists the stored matches in order of arrival; matches t
 the list until they are the larger part of it, and are then removed in slices.
 
 A complete match fires the head of the rule: it dispatches an event, or sets an alarm for one. If neither a window
-nor tracking needs the match, its values go directly to generated code (`firing_action`).
+nor tracking needs the match, its values go directly to generated code (`compile_firing_action`).
 """
 
 from collections import deque
@@ -27,8 +27,8 @@ from ...prolog.terms.term_traversal import is_larger
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
-from ..fused.fused_join import SPARE
-from ..fused.fused_single_event import Continuation, firing_action
+from ..fused.fused_join import STALE_ARRIVALS_TOLERANCE
+from ..fused.fused_single_event import Continuation, compile_firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition
 from ..language.rule_head_parser import resolve_alarm
 from ..matches.consumption_policy import Emit
@@ -42,7 +42,7 @@ from ..matches.expiration import (
 from ..matches.match_buffer import MatchBuffer
 from ..matches.negation import RuledOutSweep
 from ..matches.partial_matches import NetworkOptions, PartialMatch, check_policy
-from .after_match_skip import AfterMatchSkip, skip_state_for
+from .after_match_skip import AfterMatchSkip, select_skip_state
 from .pattern_nodes import EventNode
 from .rule_compiler import RuleCompiler
 from .stream_node import StreamNode
@@ -92,9 +92,9 @@ class RuleState(NamedTuple):
     skipped: Any
 
 
-# Before all instants.
 _BEFORE_ALL_INSTANTS = -(1 << 63)
 _NO_SWEEP = 1 << 62
+"""Sweep threshold of a rule without sweeps, which no number of matches exceeds."""
 
 MATCH_BYTES = 930
 """Memory of a partial match with two small arguments, in bytes; measured with tracemalloc on CPython 3.11."""
@@ -110,7 +110,7 @@ class EventRule:
         name: its name in reports.
         serial: position among the rules; older ones receive events first.
         meter: counts its pattern work; None if nothing is counted.
-        from_outside: whether it was added by a service or topic instead of the program.
+        from_outside: whether it was added by a service or topic, not by the program.
         options: its options, see `configure`.
         skip_state: state of its after-match skip strategy; None if it skips nothing.
         window: longest interval that its label allows, in ns; None for no bound.
@@ -118,7 +118,7 @@ class EventRule:
         listeners: the listeners of its event nodes.
         is_connected: whether its nodes are connected for the current options; false after an interrupt during
             `configure`.
-        waiting: number of stored partial matches.
+        stored_match_count: number of matches that are stored in buffers and run groups.
         arrivals: these, oldest first, together with stale entries. Never assigned again, because generated code
             binds it.
         metrics: its counters.
@@ -160,12 +160,12 @@ class EventRule:
         self.completion: Optional[Continuation] = None
         self.order = 0
         self.arrivals: Deque[PartialMatch] = deque()
-        self._visited = 0
+        self._next_slice_start = 0
         self.expiration_queue = StartExpirationQueue(None)
         self.sweep_threshold = _NO_SWEEP
-        self._sweeping = False
+        self._is_sweeping = False
         self._sweeps: List[RuledOutSweep] = []
-        self._visits_remain = False
+        self._has_unvisited_matches = False
         self._main_retention: Optional[int] = None
         self._last_collection: Optional[int] = None
         self._garbage_control: Optional[Tuple[int, int]] = None
@@ -200,14 +200,14 @@ class EventRule:
         self.is_connected = False
         self.store_deferred()
         self.options = options
-        self.skip_state = skip_state = skip_state_for(self, options)
+        self.skip_state = skip_state = select_skip_state(self, options)
         self.window = window
         self._garbage_control = garbage
         self.idle = None if garbage is None else garbage[0]
         # Operators on streams have clocks of their own.
         self.maintains_clock = garbage is not None and not root.is_single_event
-        for node, span, retentions in self.nodes:
-            retention = retentions.late if options.out_of_order else retentions.in_order
+        for node, span, retention_times in self.nodes:
+            retention = retention_times.out_of_order if options.out_of_order else retention_times.in_order
             node.set_span(
                 smaller_bound(span, window) if node.tests_label_window else span,
                 smaller_bound(retention, window),
@@ -215,8 +215,9 @@ class EventRule:
             self.maintains_clock = self.maintains_clock or any(
                 buffer.retention is not None for buffer in node.buffers()
             )
-        spans = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
-        self._main_retention = max(spans, key=spans.count) if spans else None
+        retentions = [buffer.retention for buffer in self._buffers() if buffer.retention is not None]
+        # The most frequent retention time has the queue that generated code uses.
+        self._main_retention = max(retentions, key=retentions.count) if retentions else None
         self._tracks_stored = self.maintains_clock or options.tracks_events or skip_state is not None
         # Sweeps are for matches that never expire. One with a retention time may be needed until that has passed.
         sweeps = [
@@ -242,7 +243,7 @@ class EventRule:
         if skip_state is not None:
             skip_state.connect(root, complete_root, options)
         elif root.is_single_event and not self.maintains_clock and not options.tracks_events:
-            # Match objects would take 12 % more time, and goals are fused only here.
+            # Creating match objects would take 12 % more time, and goals are fused only here.
             root.bind_values(completion)
         else:
             root.bind(complete_root, options)
@@ -250,12 +251,12 @@ class EventRule:
 
     def _expand_matches(self) -> None:
         """Replace stored matches that cannot hold all attributes, which tracking sets."""
-        full: Dict[PartialMatch, PartialMatch] = {}
+        expanded_by_match: Dict[PartialMatch, PartialMatch] = {}
         for buffer in self._buffers():
             if isinstance(buffer, MatchBuffer):
-                full.update(buffer.expand())
-        if full:
-            self._reset_arrivals([full.get(match, match) for match in self.arrivals])
+                expanded_by_match.update(buffer.expand())
+        if expanded_by_match:
+            self._reset_arrivals([expanded_by_match.get(match, match) for match in self.arrivals])
 
     def stream_node(self, pattern: Pattern) -> Optional[StreamNode]:
         """Return the node that evaluates an operator on streams; None if there is none for this pattern."""
@@ -307,13 +308,14 @@ class EventRule:
             if saved is not None:
                 node.restore(saved)
         buffers = self._buffers()
-        waiting: Dict[int, Dict[PartialMatch, None]] = {}
+        matches_by_buffer: Dict[int, Dict[PartialMatch, None]] = {}
         stored, positions, orders = state.arrivals
         for match, position, order in zip(stored, positions, orders):
             # Orders are set before the matches are put back: buffers link them in this order.
             match.order = order
-            waiting.setdefault(position, {})[match] = None
-        for position, matches in waiting.items():
+            matches_by_buffer.setdefault(position, {})[match] = None
+        for position, matches in matches_by_buffer.items():
+            # The node has restored the matches of its run groups (position -1).
             if position >= 0:
                 buffers[position].put_back(list(matches))
         self._reset_arrivals(stored)
@@ -328,21 +330,21 @@ class EventRule:
     def repair(self) -> None:
         """Repair the stored matches after an interrupt."""
         # The buffers decide which matches are stored; counters and queues are derived from them.
-        waiting = [
+        stored_matches = [
             match for node, _, _ in self.nodes for buffer in node.buffers() for match in buffer.repair()
         ]
-        waiting.sort(key=lambda match: match.order)
-        for match in waiting:
+        stored_matches.sort(key=lambda match: match.order)
+        for match in stored_matches:
             match.repair()
-        self.stored_match_count = len(waiting)
-        self._reset_arrivals(waiting)
+        self.stored_match_count = len(stored_matches)
+        self._reset_arrivals(stored_matches)
         self._enqueue_all_expirations()
         for node, _, _ in self.nodes:
             node.repair()
 
-    def _reset_arrivals(self, waiting: List[PartialMatch]) -> None:
+    def _reset_arrivals(self, stored_matches: List[PartialMatch]) -> None:
         self.arrivals.clear()
-        self.arrivals.extend(waiting)
+        self.arrivals.extend(stored_matches)
         self._end_sweep()
 
     def _enqueue_all_expirations(self) -> None:
@@ -358,12 +360,12 @@ class EventRule:
         self.expiration_queue.reset(self._main_retention)
         self._end_queue = ExpirationQueue()
 
-    def listen(self, leaf: EventNode, action: EventAction, fused: bool = False) -> None:
+    def listen(self, leaf: EventNode, action: EventAction, is_fused: bool = False) -> None:
         """Register the action of an event node; see `Dispatcher.listen`."""
         listen = self.network.dispatcher.listen
         rank = (self.serial, leaf.rank)
         self.listeners.append(
-            listen(ListenerPhase.RULES, leaf.term, action, rank, fused, unused=self._unused)
+            listen(ListenerPhase.RULES, leaf.term, action, rank, is_fused, unread_variables=self._unused)
         )
 
     @property
@@ -455,11 +457,11 @@ class EventRule:
         if self.skip_state is not None:
             self.skip_state.begin_event(event)
 
-    def store_deferred(self, only: Optional[MatchBuffer] = None) -> None:
-        """Store all deferred matches; with ``only``, those of one buffer."""
+    def store_deferred(self, only_in: Optional[MatchBuffer] = None) -> None:
+        """Store all deferred matches; with ``only_in``, only those of that buffer."""
         for entry in list(self.deferred_matches):
             buffer, match, key = entry
-            if only is None or buffer is only:
+            if only_in is None or buffer is only_in:
                 # Not None if an interrupt came between the next two lines.
                 if match.buffer is None:
                     buffer.add(match, key)
@@ -490,37 +492,40 @@ class EventRule:
         for match in self._end_queue.pop_expired(clock - window):
             if match.latest_end < clock - window:
                 match.discard()
-            else:  # a run that was extended since it was entered
+            # A run that was extended since it was entered has a later end now.
+            else:
                 self._end_queue.add(match.latest_end, match, self.stored_match_count)
 
-    def count_stored(self, match: PartialMatch, span: Optional[int]) -> None:
+    def count_stored(self, match: PartialMatch, retention: Optional[int]) -> None:
         """Count a match that has been stored; if there are too many, drop the oldest."""
         self.stored_match_count += 1
         arrivals = self.arrivals
         arrivals.append(match)
         # Most rules need none of this: no expiration, no tracking, no skip strategy.
         if self._tracks_stored:
-            self._track_stored(match, span)
-        number = self.stored_match_count
+            self._track_stored(match, retention)
+        stored_count = self.stored_match_count
         if (
-            number > self.sweep_threshold
-            or number > self.network.max_stored
-            or len(arrivals) > 2 * number + SPARE
+            stored_count > self.sweep_threshold
+            or stored_count > self.network.max_stored
+            or len(arrivals) > 2 * stored_count + STALE_ARRIVALS_TOLERANCE
         ):
             self.remove_excess()
 
     def remove_excess(self) -> None:
         """Drop the oldest match if there are too many; remove stale entries if they are the larger part."""
-        max_entries = 2 * self.stored_match_count + SPARE
+        max_entries = 2 * self.stored_match_count + STALE_ARRIVALS_TOLERANCE
         if self.stored_match_count > self.sweep_threshold or (
-            self._sweeping and len(self.arrivals) > max_entries
+            self._is_sweeping and len(self.arrivals) > max_entries
         ):
             self._sweep()
         elif len(self.arrivals) > max_entries:
-            self._visited = remove_stale_entries(self.arrivals, self._visited) or 0
+            self._next_slice_start = remove_stale_entries(self.arrivals, self._next_slice_start) or 0
             # Fewer matches are stored than at the last pass, so the next one begins earlier.
             if self._sweeps:
-                self.sweep_threshold = min(self.sweep_threshold, 2 * (self.stored_match_count + SPARE))
+                self.sweep_threshold = min(
+                    self.sweep_threshold, 2 * (self.stored_match_count + STALE_ARRIVALS_TOLERANCE)
+                )
         if self.stored_match_count > self.network.max_stored:
             self._drop_oldest()
         if len(self.expiration_queue) > max_entries:
@@ -532,51 +537,53 @@ class EventRule:
         A pass visits the stored matches slice by slice, then removes negated matches in slices. The next pass begins
         when twice as many matches are stored, so each match is visited a constant number of times on average.
         """
-        if not self._sweeping:
-            self._sweeping = self._visits_remain = True
-            self._visited = 0
+        if not self._is_sweeping:
+            self._is_sweeping = self._has_unvisited_matches = True
+            self._next_slice_start = 0
             for sweep in self._sweeps:
                 sweep.begin_pass(self.order)
-        # First operands are visited completely before any negated match is removed; see `RuledOutSweep.begin`.
-        if self._visits_remain:
-            next_start = remove_stale_entries(self.arrivals, self._visited, self._visit)
-            self._visits_remain = next_start is not None
-            self._visited = next_start or 0
-        if not self._visits_remain and all(
+        # First operands are visited completely before any negated match is removed; see `RuledOutSweep.begin_pass`.
+        if self._has_unvisited_matches:
+            next_start = remove_stale_entries(self.arrivals, self._next_slice_start, self._visit_match)
+            self._has_unvisited_matches = next_start is not None
+            self._next_slice_start = next_start or 0
+        if not self._has_unvisited_matches and all(
             sweep.drop_negated(VISITED_SLICE_ENTRIES) for sweep in self._sweeps
         ):
             self._end_sweep()
         else:
             self.sweep_threshold = self.stored_match_count + _MATCHES_PER_SWEEP_STEP
 
-    def _visit(self, match: PartialMatch) -> None:
+    def _visit_match(self, match: PartialMatch) -> None:
         for sweep in self._sweeps:
             sweep.visit_match(match)
 
     def _end_sweep(self) -> None:
         """End the current pass, if any, and set the number of matches at which the next one begins."""
-        self._sweeping = self._visits_remain = False
+        self._is_sweeping = self._has_unvisited_matches = False
         for sweep in self._sweeps:
             sweep.begin_pass(self.order)
-        self.sweep_threshold = 2 * (self.stored_match_count + SPARE) if self._sweeps else _NO_SWEEP
+        self.sweep_threshold = (
+            2 * (self.stored_match_count + STALE_ARRIVALS_TOLERANCE) if self._sweeps else _NO_SWEEP
+        )
 
-    def _track_stored(self, match: PartialMatch, span: Optional[int]) -> None:
+    def _track_stored(self, match: PartialMatch, retention: Optional[int]) -> None:
         """Enter a stored match into the expiration queues, and register it with the events that it contains."""
         # A match that arrives after its retention time cannot be part of a result.
-        if span is not None and match.start + span < self.clock:
+        if retention is not None and match.start + retention < self.clock:
             match.discard()
             return
         network = self.network
         if network.options.tracks_events:
             network.tracker.register_match(match)
         if self.maintains_clock and match.buffer is not None:
-            self._enqueue_expiration(match, span)
+            self._enqueue_expiration(match, retention)
         if self.skip_state is not None:
             self.skip_state.add_entry(match)
 
-    def _enqueue_expiration(self, match: PartialMatch, span: Optional[int]) -> None:
-        if span is not None:
-            self.expiration_queue.add(span, match, self.stored_match_count)
+    def _enqueue_expiration(self, match: PartialMatch, retention: Optional[int]) -> None:
+        if retention is not None:
+            self.expiration_queue.add(retention, match, self.stored_match_count)
         if self._garbage_control is not None:
             self._end_queue.add(match.latest_end, match, self.stored_match_count)
 
@@ -587,8 +594,8 @@ class EventRule:
         for _ in range(max_visits):
             oldest = arrivals.popleft()
             # The slice of `remove_stale_entries` begins at this position, which moves with the first entry.
-            if self._visited:
-                self._visited -= 1
+            if self._next_slice_start:
+                self._next_slice_start -= 1
             if oldest.buffer is not None:
                 oldest.discard()
                 self.dropped_count += 1
@@ -637,12 +644,12 @@ class EventRule:
             self.network.report_rule_error(self, RuleError(error.message))
             return frame
 
-        complete = firing_action(head, self.root.vars, self, event_filter, on_failure)
-        make_replacement = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
-        replacement = make_replacement and make_replacement(self, complete)
+        complete = compile_firing_action(head, self.root.vars, self, event_filter, on_failure)
+        make_shortcut = dispatcher.shortcuts.get(head[0]) if head.__class__ is tuple else None
+        shortcut = make_shortcut and make_shortcut(self, complete)
         return (
-            Continuation(replacement, True, event_filter)
-            if replacement
+            Continuation(shortcut, True, event_filter)
+            if shortcut
             else Continuation(complete, False, event_filter)
         )
 

@@ -26,7 +26,7 @@ from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, deref, functor
-from ..fused.fused_single_event import Continuation, goal_action
+from ..fused.fused_single_event import Continuation, compile_goal_action
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.partial_matches import PartialMatch
 from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, value_error
@@ -189,7 +189,7 @@ class RuleGoal:
         if self.outputs or not self._takes_all_values or not self.match_vars:
             return Continuation(act_on_event)
         return Continuation(
-            goal_action(
+            compile_goal_action(
                 self._ground_goal,
                 len(self.match_vars),
                 self.rule,

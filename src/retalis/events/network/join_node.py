@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, Li
 from ...foundation.codegen import shared_function
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Var
-from ..fused.fused_join import FusedPair, PartnerChoice, fused_negation, fused_side
+from ..fused.fused_join import FusedPair, PartnerChoice, compile_fused_negation, compile_fused_operand
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
     Emit,
@@ -344,7 +344,7 @@ class JoinNode(NetworkNode):
         )
         newest, consumes = options.policy.prefers_newest, options.policy.consumes_partners
         choice = PartnerChoice(newest, consumes, join_one_of_others(side, newest, emit)) if joins else None
-        return lambda general_path: fused_side(side, pair, choice, rule, general_path, emit)
+        return lambda general_path: compile_fused_operand(side, pair, choice, rule, general_path, emit)
 
     def _may_fuse(self, options: NetworkOptions) -> bool:
         """Return whether nothing inspects the events of the matches, so that no match object is needed."""
@@ -363,7 +363,9 @@ class JoinNode(NetworkNode):
         rule = self.rule
         if not self._may_fuse(options):
             return None
-        return lambda general_path: fused_negation(negation, rule, negated.values_are_arguments, general_path)
+        return lambda general_path: compile_fused_negation(
+            negation, rule, negated.values_are_arguments, general_path
+        )
 
     def _store_later(self, match: PartialMatch, key: Hashable) -> None:
         """Store a right operand when its event has been tried as a left operand too.

@@ -283,14 +283,14 @@ class EventNode(NetworkNode):
             if fuse is None:
                 rule.listen(self, event_action)
             else:
-                rule.listen(self, fuse(event_action), fused=True)
+                rule.listen(self, fuse(event_action), is_fused=True)
         else:
             accepts_start = (lambda start: True) if self.is_negated else rule.skip_state.accepts_start
             rule.listen(self, on_event_unskipped)
 
     def bind_values(self, completion: Continuation) -> None:
         """Listen to events for a rule whose pattern is a single event; see `NetworkNode.is_single_event`."""
-        self.rule.listen(self, completion.action, completion.fused)
+        self.rule.listen(self, completion.action, completion.is_fused)
 
 
 class FilterNode(NetworkNode):

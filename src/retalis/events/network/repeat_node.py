@@ -146,7 +146,7 @@ class RepeatNode(NetworkNode):
         else:
             self._is_grouped = True
             for length, buffer in self._buffers.items():
-                for match in buffer.all() if length > 1 else ():
+                for match in buffer.stored_matches() if length > 1 else ():
                     set_slice_parts(match, length)
                 self._configure_buffer(buffer, length)
                 for key in buffer.newest:
@@ -406,7 +406,7 @@ class RepeatNode(NetworkNode):
         self._separate_lengths_by_key = {}
         self._is_grouped = False
         for length, buffer in self._buffers.items():
-            for stored in buffer.all() if length > 1 else ():
+            for stored in buffer.stored_matches() if length > 1 else ():
                 set_join_parts(stored, length)
         if not self._join_nodes:
             shared_vars = frozenset(self.vars)

@@ -183,7 +183,7 @@ class RuleCompiler(StreamCompiler):
         elif isinstance(pattern, NotPattern):
             built = self._build_not(pattern, context, retention)
         elif isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern)):
-            built = self._build_stream(pattern, context, retention.part)
+            built = self._build_stream(pattern, context, retention.max_interval)
         else:
             assert isinstance(pattern, ActionPattern)
             below = self._build(pattern.pattern, context, retention)

@@ -59,7 +59,7 @@ from ..streams.windows import (
 from .deferred_conditions import BuiltPattern, NegatedPattern, VarSet, create_negation_buffer
 from .goal_evaluation import Evaluate, Evaluators, FoldFunction, GoalTest
 from .pattern_nodes import MatchKeys
-from .stream_node import Result, StreamNode, StreamNodeSpec
+from .stream_node import MatchValuesBuilder, StreamNode, StreamNodeSpec
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -69,13 +69,13 @@ GoalTestFactory = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def compile_row_pattern(window: WindowSpec, value_count: int, goal_test: GoalTestFactory) -> RowPatternNFA:
+def compile_row_pattern(window: WindowSpec, value_count: int, compile_test: GoalTestFactory) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:
         window: the window.
         value_count: number of values of an element that precede those that conditions use.
-        goal_test: returns a function that calls a goal.
+        compile_test: returns a function that calls a goal.
     """
     position_of = {var: position for position, var in enumerate(window.navigated_vars, value_count)}
     step_names = [step_form.name for step_form in window.steps]
@@ -85,13 +85,13 @@ def compile_row_pattern(window: WindowSpec, value_count: int, goal_test: GoalTes
         tests = []
         for condition in split_condition(goal, step_names, position, position_of):
             own_vars = [var for var in variables(condition.goal) if var in position_of]
-            is_satisfied = goal_test(
+            is_satisfied = compile_test(
                 condition.goal,
                 [*own_vars, *(navigation.placeholder for navigation in condition.navigations)],
                 title,
             )
-            # Each navigation (PREV, LAST of a step) is registered once for the whole pattern, and conditions refer
-            # to it by number.
+            # Each navigation (PREV, LAST of a step) is registered once for the whole pattern; conditions refer to it
+            # by its number.
             navigations = [
                 navigation_numbers.setdefault(
                     StepNavigation(navigation.kind, -1 if navigation.kind == "prev" else navigation.step),
@@ -99,11 +99,11 @@ def compile_row_pattern(window: WindowSpec, value_count: int, goal_test: GoalTes
                 )
                 for navigation in condition.navigations
             ]
-            values = (
+            value_positions = (
                 [position_of[var] for var in own_vars],
                 [position_of[navigation.var] for navigation in condition.navigations],
             )
-            tests.append(StepTest(tuple(navigations), partial(_holds_for, is_satisfied, *values)))
+            tests.append(StepTest(tuple(navigations), partial(_holds_for, is_satisfied, *value_positions)))
         return tuple(tests)
 
     def compile_step(position: int, step_form: RowPatternStep) -> RowPatternVariable:
@@ -121,13 +121,13 @@ def compile_row_pattern(window: WindowSpec, value_count: int, goal_test: GoalTes
 
 def _holds_for(
     is_satisfied: GoalTest,
-    own_vars: Sequence[int],
+    own_positions: Sequence[int],
     navigation_positions: Sequence[int],
     element: StreamElement,
     targets: Sequence[StreamElement],
 ) -> bool:
     """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
-    values = [element.values[position] for position in own_vars]
+    values = [element.values[position] for position in own_positions]
     if navigation_positions:
         values += [target.values[position] for target, position in zip(targets, navigation_positions)]
     return is_satisfied(tuple(values))
@@ -154,39 +154,41 @@ _RATE_OPERATORS: Dict[str, Callable[[int], StreamOperator]] = {
     "debounce": lambda span: Debounce(span),
     "change": lambda span: DistinctUntilChanged(),
 }
-# Reports of events that arrive too late, by operator.
-_LATE = "an event is too late and is not measured: its window has ended"
-_LATE_DEBOUNCED = "an event is too late and is ignored: the time in which a newer one could follow has passed"
-_LATE_AWAITED = "an event is too late and is ignored: the time in which nothing may follow it has passed"
+# Reports of events that arrive too late.
+_LATE_FOR_WINDOW = "an event is too late and is not measured: its window has ended"
+_LATE_FOR_DEBOUNCE = (
+    "an event is too late and is ignored: the time in which a newer one could follow has passed"
+)
+_LATE_FOR_ABSENCE = "an event is too late and is ignored: the time in which nothing may follow it has passed"
 
 
-def rate_operator(rate_pattern: RatePattern) -> StreamOperator:
+def create_rate_operator(rate_pattern: RatePattern) -> StreamOperator:
     """Return the operator of ``P with S``."""
     return _RATE_OPERATORS[rate_pattern.operator](rate_pattern.span)
 
 
-def rate_node_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> StreamNodeSpec:
+def compile_rate_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> StreamNodeSpec:
     """Return the specification of a node of ``P with S``, given the variables of P's matches."""
-    build_key = _builder(rate_pattern.keys, value_vars)
-    build_values = _builder(() if rate_pattern.value is None else (rate_pattern.value,), value_vars)
+    build_key = _compile_builder(rate_pattern.keys, value_vars)
+    build_values = _compile_builder(() if rate_pattern.value is None else (rate_pattern.value,), value_vars)
 
     def key_and_values(values: Values) -> Tuple[Values, Values]:
         return build_key(values), build_values(values)
 
     return StreamNodeSpec(
-        lambda options: rate_operator(rate_pattern),
+        lambda options: create_rate_operator(rate_pattern),
         key_and_values,
         None,
         rate_pattern.operator == "debounce",
-        _LATE_DEBOUNCED,
+        _LATE_FOR_DEBOUNCE,
     )
 
 
-def window_node_spec(
+def compile_window_spec(
     window_pattern: WindowPattern,
     value_vars: Sequence[Var],
     key_vars: Sequence[Var],
-    result: Result,
+    build_match_values: MatchValuesBuilder,
     evaluators: Evaluators,
 ) -> StreamNodeSpec:
     """Return the specification of a node of ``aggregate(K, Q, R, W)``, given the variables of Q's matches.
@@ -195,7 +197,7 @@ def window_node_spec(
         window_pattern: the pattern.
         value_vars: variables of Q's matches.
         key_vars: those that are used elsewhere in the rule; they are the key.
-        result: returns the values of its matches.
+        build_match_values: builds the values of its matches.
         evaluators: compiles the goals.
     """
     position_of = positions(value_vars)
@@ -204,11 +206,11 @@ def window_node_spec(
     measured_terms = [value for value in window_pattern.values if value is not None]
     navigated_vars = window_pattern.window.navigated_vars
     build, navigated_positions = (
-        _builder(measured_terms, value_vars),
+        _compile_builder(measured_terms, value_vars),
         [position_of[var] for var in navigated_vars],
     )
     evaluate_values = [
-        _lenient_evaluation(
+        _make_lenient(
             evaluators.compile_expression(kind, value, value_vars, AGGREGATES[kind].accepts_arrays), scope
         )
         if AGGREGATES[kind].is_numeric
@@ -239,35 +241,44 @@ def window_node_spec(
             else tuple([values[position] for position in key_positions])
         ), measured
 
-    measures = _measures(window_pattern, evaluators.compile_fold)
+    make_accumulators = _accumulator_factory(window_pattern, evaluators.compile_fold)
     window = window_pattern.window
     if window.kind == "steps":
         nfa = compile_row_pattern(window, len(measured_terms), evaluators.compile_test)
         return StreamNodeSpec(
-            lambda options: RowPatternWindow(measures, window_pattern.scopes, nfa),
+            lambda options: RowPatternWindow(make_accumulators, window_pattern.scopes, nfa),
             key_and_values,
-            result,
+            build_match_values,
             False,
-            _LATE,
+            _LATE_FOR_WINDOW,
             any(variable.tests or variable.until for variable in nfa.steps),
         )
-    create_operator = partial(_WINDOWS[window.kind], measures, window)
-    clocked = window.kind == "first" or (window.kind == "every" and not window.running)
-    calls, fused = "fold" in window_pattern.kinds, _fusible_window(window_pattern, position_of, key_vars)
+    create_operator = partial(_WINDOWS[window.kind], make_accumulators, window)
+    uses_clock = window.kind == "first" or (window.kind == "every" and not window.running)
+    calls_goals, fusible_window = (
+        "fold" in window_pattern.kinds,
+        _find_fusible_window(window_pattern, position_of, key_vars),
+    )
     return StreamNodeSpec(
-        lambda options: create_operator(), key_and_values, result, clocked, _LATE, calls, fused
+        lambda options: create_operator(),
+        key_and_values,
+        build_match_values,
+        uses_clock,
+        _LATE_FOR_WINDOW,
+        calls_goals,
+        fusible_window,
     )
 
 
-def _fusible_window(
+def _find_fusible_window(
     window_pattern: WindowPattern, position_of: Dict[Var, int], key_vars: Sequence[Var]
 ) -> Optional[FusedWindow]:
-    """Return a window for `fused_window`, or None if it cannot be fused: only variables may be measured."""
+    """Return a window for `compile_fused_window`, or None if it cannot be fused: only variables may be measured."""
     if (
         window_pattern.window.kind != "last"
         or window_pattern.is_listed
         or not has_fused_measures(window_pattern.kinds)
-        or _distinct_new_vars(window_pattern, key_vars) is None
+        or _find_distinct_new_vars(window_pattern, key_vars) is None
     ):
         return None
     values: List[Optional[int]] = []
@@ -281,13 +292,13 @@ def _fusible_window(
     )
 
 
-def _distinct_new_vars(window_pattern: WindowPattern, key_vars: Sequence[Var]) -> Optional[List[Var]]:
+def _find_distinct_new_vars(window_pattern: WindowPattern, key_vars: Sequence[Var]) -> Optional[List[Var]]:
     """Return the terms of the results if these are different new variables, else None."""
     new_vars = [term for term in window_pattern.results if term.__class__ is Var and term not in key_vars]
     return new_vars if len(set(new_vars)) == len(window_pattern.results) else None
 
 
-def _lenient_evaluation(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
+def _make_lenient(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
     """Return the evaluation of an expression.
 
     For a measure of one step, an expression without a value is returned as it is.
@@ -309,23 +320,23 @@ def _evaluate_unless_number(value: Term, evaluate: Optional[Evaluate], values: V
     return value if evaluate is None or value.__class__ in (int, float) else evaluate(value, values)
 
 
-def _measures(
+def _accumulator_factory(
     window_pattern: WindowPattern, compile_fold: Callable[[Any], FoldFunction]
 ) -> Callable[[], List[Any]]:
     """Return a function that creates the accumulators of one key."""
-    factories = []
+    accumulator_factories = []
     position = 0
     for kind, setting, value in zip(window_pattern.kinds, window_pattern.settings, window_pattern.values):
         if kind == "rate":
             setting = Fraction(window_pattern.window.span, SECOND) if window_pattern.window.span else None
         elif kind == "fold":
             setting = compile_fold(setting)
-        factories.append(partial(AGGREGATES[kind].make_accumulator, position, setting))
+        accumulator_factories.append(partial(AGGREGATES[kind].make_accumulator, position, setting))
         position += value is not None
-    return lambda: [make_accumulator() for make_accumulator in factories]
+    return lambda: [make_accumulator() for make_accumulator in accumulator_factories]
 
 
-def absence_node_spec(
+def compile_absence_spec(
     span: int,
     value_vars: Sequence[Var],
     negated_vars: Sequence[Var],
@@ -343,14 +354,14 @@ def absence_node_spec(
     """
     position_of = positions(value_vars)
     shared = [(position, position_of[var]) for position, var in enumerate(negated_vars) if var in position_of]
-    keys = [
+    key_functions = [
         key_function(tuple(match_position for _, match_position in shared)),
         key_function(tuple(absent_position for absent_position, _ in shared)),
     ]
 
-    def key(match: PartialMatch, channel: int) -> Hashable:
+    def key_of(match: PartialMatch, channel: int) -> Hashable:
         try:
-            return keys[channel](match.values)
+            return key_functions[channel](match.values)
         except ValueError:
             return None
 
@@ -362,16 +373,16 @@ def absence_node_spec(
 
     def create_operator(options: NetworkOptions) -> StreamOperator:
         correlation = Correlation(
-            key, cancels, condition is None, identity_of if options.policy.replaces_identical else None
+            key_of, cancels, condition is None, identity_of if options.policy.replaces_identical else None
         )
         return AbsenceTimeout(span, correlation)
 
     return StreamNodeSpec(
-        create_operator, lambda values: ((), ()), None, True, _LATE_AWAITED, condition is not None
+        create_operator, lambda values: ((), ()), None, True, _LATE_FOR_ABSENCE, condition is not None
     )
 
 
-def _builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Values], Values]:
+def _compile_builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Values], Values]:
     """Return a function that makes the values of terms from those of variables."""
     builders = [compile_builder(term, list(value_vars), "operator on a stream") for term in terms]
     if not builders:
@@ -382,18 +393,20 @@ def _builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Valu
     return lambda values: tuple([build(values) for build in builders])
 
 
-def window_result(window_pattern: WindowPattern, key_vars: Sequence[Var]) -> Tuple[List[Var], Result]:
+def compile_window_result(
+    window_pattern: WindowPattern, key_vars: Sequence[Var]
+) -> Tuple[List[Var], MatchValuesBuilder]:
     """Return the variables of a window's matches, and the function that makes their values.
 
     The function takes the values of the key and the results. It returns None if the term of a result does not unify
     with it.
     """
     is_listed, terms, known_vars = window_pattern.is_listed, window_pattern.results, set(key_vars)
-    new_vars = _distinct_new_vars(window_pattern, key_vars)
+    new_vars = _find_distinct_new_vars(window_pattern, key_vars)
     if new_vars is not None:
         if is_listed:
-            return [*key_vars, *new_vars], lambda by, output: (*by, make_list(list(output)))
-        return [*key_vars, *new_vars], lambda by, output: (*by, *output)
+            return [*key_vars, *new_vars], lambda key_values, output: (*key_values, make_list(list(output)))
+        return [*key_vars, *new_vars], lambda key_values, output: (*key_values, *output)
     unknown_vars = [
         var
         for var in dict.fromkeys(element for term in terms for element in variables(term))
@@ -402,8 +415,8 @@ def window_result(window_pattern: WindowPattern, key_vars: Sequence[Var]) -> Tup
     value_vars = [*key_vars, *unknown_vars]
     builders = [compile_builder(term, value_vars, "result of an aggregate") for term in terms]
 
-    def unify_results(by: Values, output: Values) -> Optional[Values]:
-        result_values = (*by, *(Var() for _ in unknown_vars))
+    def unify_results(key_values: Values, output: Values) -> Optional[Values]:
+        result_values = (*key_values, *(Var() for _ in unknown_vars))
         results = (make_list(list(output)),) if is_listed else output
         trail: List[Any] = []
         unified = None
@@ -441,58 +454,64 @@ class StreamCompiler:
 
     def _build_stream(
         self,
-        core: Union[WindowPattern, RatePattern, AbsencePattern],
+        operator: Union[WindowPattern, RatePattern, AbsencePattern],
         context: VarSet,
         max_interval: Optional[int],
     ) -> BuiltPattern:
         """Build an operator on streams.
 
         Args:
-            core: the operator.
+            operator: the operator.
             context: variables of the patterns to its left.
             max_interval: longest interval of a useful match, in ns; None for no bound.
         """
-        if isinstance(core, AbsencePattern):
-            return self._build_absence(core, context)
-        pattern = core.collected if isinstance(core, WindowPattern) else core.pattern
+        if isinstance(operator, AbsencePattern):
+            return self._build_absence(operator, context)
+        pattern = operator.collected if isinstance(operator, WindowPattern) else operator.pattern
         below = self._build(pattern, context, UNLIMITED)
         # A window has no partner further left at the time when its elements are measured, so such conditions cannot
         # be deferred.
         if below.deferred:
             subject = (
-                "what is measured" if isinstance(core, WindowPattern) else f"the pattern of {core.operator}"
+                "what is measured"
+                if isinstance(operator, WindowPattern)
+                else f"the pattern of {operator.operator}"
             )
             raise RuleError(f"a condition in {subject} uses a pattern to the left of it", self.rule.place)
         value_vars = below.node.vars
-        if isinstance(core, RatePattern):
-            node = StreamNode(self.rule, [below.node], value_vars, rate_node_spec(core, value_vars), core)
-            built = below if core.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
+        if isinstance(operator, RatePattern):
+            node = StreamNode(
+                self.rule, [below.node], value_vars, compile_rate_spec(operator, value_vars), operator
+            )
+            built = below if operator.operator != "debounce" else BuiltPattern(node, [], below.leaves, [])
             return built._replace(node=self._add(node, None, Retention(max_interval, max_interval)))
         if any(
-            var in context and var not in value_vars for goal in core.window.goals for var in variables(goal)
+            var in context and var not in value_vars
+            for goal in operator.window.goals
+            for var in variables(goal)
         ):
             raise RuleError(
                 "a condition of a step uses a pattern to the left of what is measured", self.rule.place
             )
-        values = [value for value in core.values if value is not None]
-        outside_vars = self._find_outside_vars(pattern, [*values, *core.window.navigated_vars])
+        values = [value for value in operator.values if value is not None]
+        outside_vars = self._find_outside_vars(pattern, [*values, *operator.window.navigated_vars])
         key_vars = [var for var in value_vars if var in outside_vars]
-        own_vars, result = window_result(core, key_vars)
+        own_vars, build_match_values = compile_window_result(operator, key_vars)
         evaluators = Evaluators(self.rule)
-        spec = window_node_spec(core, value_vars, key_vars, result, evaluators)
+        spec = compile_window_spec(operator, value_vars, key_vars, build_match_values, evaluators)
         node = self._add(
-            StreamNode(self.rule, [below.node], own_vars, spec, core),
+            StreamNode(self.rule, [below.node], own_vars, spec, operator),
             None,
             Retention(max_interval, max_interval),
         )
         return BuiltPattern(node, [], below.leaves, [])
 
-    def _build_absence(self, core: AbsencePattern, context: VarSet) -> BuiltPattern:
+    def _build_absence(self, operator: AbsencePattern, context: VarSet) -> BuiltPattern:
         """Build a pattern after which another one must not happen for some time."""
-        below = self._build(core.pattern, context, UNLIMITED)
-        inner_context = context | frozenset(bound_by(core.pattern))
-        negated = self._make_negated(core, inner_context, UNLIMITED)
-        always_bound = always_bound_by(core.pattern, False, True)
+        below = self._build(operator.pattern, context, UNLIMITED)
+        inner_context = context | frozenset(bound_by(operator.pattern))
+        negated = self._make_negated(operator, inner_context, UNLIMITED)
+        always_bound = always_bound_by(operator.pattern, False, True)
         value_vars = below.node.vars
         # The timeout has no left operand whose variables could become known later.
         if negated.find_missing_vars(inner_context, set(value_vars)) | negated.find_missing_vars(
@@ -502,9 +521,11 @@ class StreamCompiler:
             raise RuleError(message, self.rule.place)
         built = negated.next_copy()
         negation = create_negation_buffer(self.rule, built, value_vars, False)
-        identity_of = self._match_keys.identity_function(value_vars, core.pattern)
-        spec = absence_node_spec(core.span, value_vars, built.node.vars, negation.condition, identity_of)
-        node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, core)
+        identity_of = self._match_keys.identity_function(value_vars, operator.pattern)
+        spec = compile_absence_spec(
+            operator.span, value_vars, built.node.vars, negation.condition, identity_of
+        )
+        node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, operator)
         node.deferred_negations = negation.deferred_negations
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -10,7 +10,7 @@ and emits a match for each of its outputs. Operators that produce output when ti
 * *Revision*: if events may be retracted, `Replay` records the elements that the operator has received and its
   outputs. After a retraction it runs a new operator over the remaining elements; outputs that are missing then are
   retracted, and new ones are emitted. Elements beyond a limit become part of an initial state and are final.
-* *Fusion*: for a plain event, the node and the operator are compiled to one function (`fused_window`).
+* *Fusion*: for a plain event, the node and the operator are compiled to one function (`compile_fused_window`).
 """
 
 from collections import Counter, deque
@@ -38,7 +38,7 @@ from ...prolog.terms.timestamps import FloatSeconds
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
 from ..dispatch.dispatcher import Dispatcher
 from ..fused.fused_single_event import Continuation
-from ..fused.fused_window import FusedWindow, fused_window
+from ..fused.fused_window import FusedWindow, compile_fused_window
 from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.expiration import smaller_bound
@@ -67,7 +67,7 @@ DeferredWork = Callable[[Frame], Frame]
 
 
 class ReentrancyQueue:
-    """Deferred work of one node; as frame code it executes the work in order.
+    """Deferred work of one node. It is also the code of a frame that executes the work in order.
 
     Each piece of work runs as part of the event that was being dispatched when it was deferred, so the limit on
     chains of events applies to it.
@@ -240,7 +240,7 @@ class Replay:
 
 def _fresh_element(element: StreamElement) -> StreamElement:
     """Return a copy of an element as it was received."""
-    return StreamElement(element.match, element.start, element.end, element.by, element.values)
+    return StreamElement(element.match, element.start, element.end, element.key_values, element.values)
 
 
 def _copy_state(data: Any) -> Any:
@@ -276,13 +276,15 @@ def _without_retracted(data: Any) -> Any:
 def _output_key(output: StreamOutput) -> Hashable:
     """Return the identity of an output: its last element, its interval, and its results."""
     last = output.elements[-1]
-    key_values = last.by if output.results else ()
+    key_values = last.key_values if output.results else ()
     results = tuple([term_key(term) for term in (*key_values, *output.results)])
     return (id(last.match) if not output.results else None, output.start, output.end, results)
 
 
-Result = Callable[[Values, Values], Optional[Values]]
+MatchValuesBuilder = Callable[[Values, Values], Optional[Values]]
+"""Returns the values of a match from the key and the results; None if they do not unify with the rule's terms."""
 OperatorInput = Callable[[Optional[PartialMatch], Values, int, int], List[StreamOutput]]
+"""Passes a match, or None, with its values, start and end to the operator; returns the outputs."""
 
 
 class StreamNodeSpec(NamedTuple):
@@ -291,21 +293,20 @@ class StreamNodeSpec(NamedTuple):
     Attributes:
         create_operator: creates the operator for the options of the network.
         key_and_values: returns the key and the values of an element from the values of a match.
-        match_values: returns the values of a match from the key and the results, or None if these do not unify with
-            the terms of the rule; None if the node emits the matches that it received.
-        clocked: whether elements are processed at the present instant.
+        build_match_values: builds the values of a match; None if the node emits the matches that it received.
+        uses_clock: whether the operator needs the present time of the clock with each element.
         late_report: text of reports about elements that arrive too late.
         calls_goals: whether the operator calls goals of the program.
-        fused: the window, if it can be fused; else None.
+        fusible_window: the window, if it can be fused; else None.
     """
 
     create_operator: Callable[[NetworkOptions], StreamOperator]
     key_and_values: Callable[[Values], Tuple[Values, Values]]
-    match_values: "Optional[Result]"
-    clocked: bool
+    build_match_values: Optional[MatchValuesBuilder]
+    uses_clock: bool
     late_report: str
     calls_goals: bool = False
-    fused: Optional[FusedWindow] = None
+    fusible_window: Optional[FusedWindow] = None
 
 
 class StreamNode(NetworkNode):
@@ -358,7 +359,7 @@ class StreamNode(NetworkNode):
     def _create_operator(self, options: NetworkOptions, meter: Optional[Meter]) -> StreamOperator:
         stream = self.spec.create_operator(options)
         stream.meter = meter
-        stream.tracked = options.tracks_events
+        stream.tracks_elements = options.tracks_events
         stream.compute_max_timestamp = self.rule.network.compute_max_timestamp
         stream.set_bounds(self._bounds)
         return stream
@@ -367,7 +368,9 @@ class StreamNode(NetworkNode):
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
         self.span = span
         rule = self.rule
-        self._bounds = KeyBounds(retention, smaller_bound(retention, rule.idle), rule.network.key_bounds.keys)
+        self._bounds = KeyBounds(
+            retention, smaller_bound(retention, rule.idle), rule.network.key_bounds.max_keys
+        )
         self.stream.set_bounds(self._bounds)
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
@@ -385,17 +388,17 @@ class StreamNode(NetworkNode):
             lambda match, frame: complete(match.term, match.values, match.start, match.end, frame),
             self.rule.options,
         )
-        result, process = self.spec.match_values, self._operator_input(0, self.rule.options)
+        build_match_values, process = self.spec.build_match_values, self._operator_input(0, self.rule.options)
 
         def on_match(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:
-            match = PartialMatch(values, start, end, None, term, None) if result is None else None
+            match = PartialMatch(values, start, end, None, term, None) if build_match_values is None else None
             outputs = process(match, values, start, end)
             if not outputs:
                 return frame
-            if result is None or len(outputs) > 1 or outputs[0].error is not None:
+            if build_match_values is None or len(outputs) > 1 or outputs[0].error is not None:
                 return self._emit_outputs(outputs, frame)
             output = outputs[0]
-            result_values = result(output.elements[-1].by, output.results)
+            result_values = build_match_values(output.elements[-1].key_values, output.results)
             if result_values is None or (self.span is not None and output.end - output.start > self.span):
                 return frame
             return complete(None, result_values, output.start, output.end, frame)  # type: ignore[arg-type]
@@ -404,15 +407,15 @@ class StreamNode(NetworkNode):
             output = keyed_window.output(False)
             return frame if output is None else self._emit_outputs([output], frame)
 
-        fused = self.spec.fused
+        fusible_window = self.spec.fusible_window
         action: EventAction = on_match
-        # Without fusion an event takes twice the time.
-        if fused is not None and not self.rule.options.emits_revisions:
+        # The general path takes twice the time per event.
+        if fusible_window is not None and not self.rule.options.emits_revisions:
             values_are_arguments = self.children[0].values_are_arguments
-            action = fused_window(
-                fused, self.span, self, on_match, complete, on_overflow, values_are_arguments
+            action = compile_fused_window(
+                fusible_window, self.span, self, on_match, complete, on_overflow, values_are_arguments
             )
-        self.children[0].bind_values(Continuation(action, fused=action is not on_match))
+        self.children[0].bind_values(Continuation(action, is_fused=action is not on_match))
 
     def _connect(self, emit: Emit, options: NetworkOptions) -> None:
         """Set the action for results, and the options; the operator's state remains."""
@@ -470,11 +473,11 @@ class StreamNode(NetworkNode):
     def _input_action(self, channel: int, options: NetworkOptions) -> Emit:
         """Return the action for the matches of one pattern."""
         process = self._operator_input(channel, options)
-        with_match = options.tracks_events or self.spec.match_values is None
+        passes_match = options.tracks_events or self.spec.build_match_values is None
         reentrancy = self._reentrancy
 
         def on_match(match: PartialMatch, frame: Frame) -> Frame:
-            element_match = match if with_match else None
+            element_match = match if passes_match else None
             if reentrancy is None:
                 outputs = process(element_match, match.values, match.start, match.end)
             elif reentrancy.is_running:
@@ -499,7 +502,7 @@ class StreamNode(NetworkNode):
 
         The match itself is optional; its values and interval are required.
         """
-        key_and_values, clocked = self.spec.key_and_values, self.spec.clocked or options.emits_revisions
+        key_and_values, uses_clock = self.spec.key_and_values, self.spec.uses_clock or options.emits_revisions
         network = self.rule.network
         meter = self.rule.meter
 
@@ -509,7 +512,7 @@ class StreamNode(NetworkNode):
             if meter is not None and meter(1):
                 return []
             # Reading the clock is avoided for operators that depend on time stamps only.
-            now = network.alarm_time() if clocked else 0
+            now = network.alarm_time() if uses_clock else 0
             stream = self.stream
             pruned_count = stream.pruned_count
             if self.replay is not None:
@@ -579,7 +582,7 @@ class StreamNode(NetworkNode):
         if self.stream.evicted_count != self.evicted_count:
             self._report_dropped()
         self._set_alarm()
-        arrival_number = self.rule.network.tracker.next_alarm_number() if self.stream.tracked else 0
+        arrival_number = self.rule.network.tracker.next_alarm_number() if self.stream.tracks_elements else 0
         return self._emit_outputs(outputs, frame, arrival_number)
 
     def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:
@@ -606,21 +609,23 @@ class StreamNode(NetworkNode):
         if output.error is not None:
             self.rule.network.report_rule_error(self.rule, output.error)
             return None
-        last = output.elements[-1]
-        result = self.spec.match_values
-        values = () if result is None else result(last.by, output.results)
+        newest = output.elements[-1]
+        build_match_values = self.spec.build_match_values
+        values = () if build_match_values is None else build_match_values(newest.key_values, output.results)
         if values is None:
             return None
         # Each output has its own lineage object, so it can be retracted without the others that contain the same
         # matches.
-        repetition_chain = self._create_lineage_chain(output, arrival_number) if self.stream.tracked else ()
-        if result is not None:
+        repetition_chain = (
+            self._create_lineage_chain(output, arrival_number) if self.stream.tracks_elements else ()
+        )
+        if build_match_values is not None:
             start, end = output.start, output.end
             # Instants that the operator has computed have integer seconds.
-            if end is not last.end or end.__class__ is FloatSeconds:
+            if end is not newest.end or end.__class__ is FloatSeconds:
                 start, end = int(start), int(end)
             return PartialMatch(values, start, end, None, None, (ComputedValues(values), *repetition_chain))
-        match: PartialMatch = last.match
+        match: PartialMatch = newest.match
         if output.end != match.end:
             return PartialMatch(
                 match.values, match.start, int(output.end), None, None, (match, *repetition_chain)
@@ -633,9 +638,8 @@ class StreamNode(NetworkNode):
 
     def _create_lineage_chain(self, output: StreamOutput, arrival_number: int) -> Tuple[RepetitionChain, ...]:
         """Return the lineage object of an output, which refers to the matches that it consists of."""
-        parts = tuple(
-            [element.match for element in output.elements if element.match is not None]
-        )  # untracked elements have no match
+        # Elements that arrived while events were not tracked have no match.
+        parts = tuple([element.match for element in output.elements if element.match is not None])
         repetition_chain = RepetitionChain(
             PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS
         )
@@ -678,7 +682,7 @@ class StreamNode(NetworkNode):
         return list(self._matches_of(self.replay.pop_new_outputs()))
 
     def retry(self, match: PartialMatch, frame: Frame) -> Frame:
-        """Emit such a match."""
+        """Emit a match that `recompute_results` has returned, unless its events were retracted meanwhile."""
         return frame if is_retracted(match) else self.emit(match, frame)
 
     # ---- state ---------------------------------------------------------------------------------------
@@ -721,8 +725,8 @@ class StreamNode(NetworkNode):
 
     def restore(self, saved: Any) -> None:
         """Set the state of the node; see `NetworkNode.restore`."""
-        operator_state, self.late_count, replayed = saved
+        operator_state, self.late_count, replay_state = saved
         self.stream.restore(operator_state)
-        if self.replay is not None and replayed is not None:
-            self.replay.restore(replayed)
+        if self.replay is not None and replay_state is not None:
+            self.replay.restore(replay_state)
         self._set_alarm()

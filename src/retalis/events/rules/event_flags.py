@@ -177,7 +177,7 @@ class Flags:
 
         A time to live acts as garbage control with that window and step 0: each event removes everything older.
         """
-        ttl = self.key_bounds().idle
+        ttl = self.key_bounds().max_idle_time
         # A property of the label overrides the flag; 0 turns the time to live off.
         if "ttl" in properties:
             ttl = min([time for time in properties["ttl"] if time], default=None)

@@ -537,8 +537,8 @@ class RuleBase:
     def report_dropped_keys(self, rule: EventRule) -> None:
         """Report that keys of a rule were dropped."""
         text = (
-            f" has more than {self.key_bounds.keys} keys; {rule.dropped_count} of the least recently used have been "
-            "dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
+            f" has more than {self.key_bounds.max_keys} keys; {rule.dropped_count} of the least recently used have "
+            "been dropped so far; flag max_keys sets the number, property(ttl, SECONDS) of a label ends idle keys"
         )
         self._warn_rarely(rule, rule.dropped_count, text)
 

@@ -14,7 +14,7 @@ dropped earlier if its neighbours in time cancel every pending element that it w
 import heapq
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Tuple
 
-from .stream_operators import NEVER, OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
 
 _MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
@@ -24,42 +24,48 @@ class Correlation(NamedTuple):
     """Correlation of pending and forbidden elements.
 
     Attributes:
-        key: returns the values that a match shares with the other channel, given the match and its channel; None if
-            these contain variables, so that all elements must be compared.
+        key_of: returns the values that a match of a channel shares with the other channel, given the match and the
+            channel; None if these contain variables, so that all elements must be compared.
         cancels: returns whether a forbidden match that lies in the span cancels a pending match.
         key_is_sufficient: whether equal keys without variables are sufficient to cancel.
-        replacement_key: returns a key under which a new match replaces a pending one; None if no match replaces
+        replacement_key_of: returns a key under which a new match replaces a pending one; None if no match replaces
             another.
     """
 
-    key: Callable[[Any, int], Hashable]
+    key_of: Callable[[Any, int], Hashable]
     cancels: Callable[[Any, Any], bool]
     key_is_sufficient: bool
-    replacement_key: Optional[Callable[[Any], Hashable]]
+    replacement_key_of: Optional[Callable[[Any], Hashable]]
 
 
 class _ForbiddenElements:
-    """Forbidden elements of one key, without those that are made redundant by their neighbours."""
+    """Forbidden elements of one key in order of arrival, without those that their neighbours make redundant."""
 
-    __slots__ = ("elements", "element_count", "newest")
+    __slots__ = ("elements", "element_count", "latest_start")
 
     def __init__(self) -> None:
         # The list may contain dropped elements, see `count_removal`.
         self.elements: List[StreamElement] = []
         self.element_count = 0
-        self.newest = NEVER
+        self.latest_start = BEFORE_ALL_INSTANTS
 
     def add(self, element: StreamElement, span: int, drops_redundant: bool) -> List[StreamElement]:
         """Add an element, and return the elements that it makes redundant."""
         elements = self.elements
-        # A bound for quick rejection; it need not shrink when elements are dropped.
-        self.newest = max(self.newest, element.start)
+        # An upper bound, by which `_is_cancelled` skips the key; it need not shrink when elements are dropped.
+        self.latest_start = max(self.latest_start, element.start)
         if drops_redundant and len(elements) > 1:
             first, middle = elements[-2], elements[-1]
-            rising = first.start <= middle.start <= element.start and first.end <= middle.end <= element.end
-            # Three elements with rising starts and ends, within one span: every pending element that the middle one
-            # cancels is also cancelled by the first or the last one.
-            if rising and element.end - first.start < span and not (first.is_removed or middle.is_removed):
+            is_in_order = (
+                first.start <= middle.start <= element.start and first.end <= middle.end <= element.end
+            )
+            # Three elements with increasing starts and ends, within one span: every pending element that the middle
+            # one cancels is also cancelled by the first or the last one.
+            if (
+                is_in_order
+                and element.end - first.start < span
+                and not (first.is_removed or middle.is_removed)
+            ):
                 elements[-1] = element
                 return [middle]
         elements.append(element)
@@ -67,14 +73,14 @@ class _ForbiddenElements:
         return []
 
     def count_removal(self) -> None:
-        """Count an element that was dropped; long lists are compacted only if half of them was dropped."""
+        """Count an element that was dropped; compact a long list only if half of its elements were dropped."""
         self.element_count -= 1
         if self.element_count < _MAX_ALWAYS_COMPACTED or len(self.elements) > 2 * self.element_count:
             self.elements = [element for element in self.elements if not element.is_removed]
 
 
 class AbsenceTimeout(StreamOperator):
-    """Operator that emits an element ``span`` ns after its end unless a forbidden element lies wholly in between.
+    """Operator that emits an element ``span`` ns after its end unless a forbidden element lies strictly in between.
 
     The `StreamElement.key` of a pending element is a pair: its correlation key, and its replacement key or arrival
     number. For a forbidden element it is the correlation key alone.
@@ -94,9 +100,9 @@ class AbsenceTimeout(StreamOperator):
         self._pending: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
         self._forbidden: Dict[Hashable, _ForbiddenElements] = {}
         self._stored_count = 0
-        self._latest_now = NEVER
+        self._latest_now = BEFORE_ALL_INSTANTS
         self._deadlines: List[Tuple[int, int, StreamElement]] = []
-        self._by_start: List[Tuple[int, int, StreamElement]] = []
+        self._forbidden_by_start: List[Tuple[int, int, StreamElement]] = []
         self._order = 0
 
     def __len__(self) -> int:
@@ -114,9 +120,9 @@ class AbsenceTimeout(StreamOperator):
             self._drop_pending(self._deadlines[0][2])
             self._update_deadline()
         else:
-            while self._by_start[0][2].is_removed:
-                heapq.heappop(self._by_start)
-            self._drop_forbidden_before(self._by_start[0][0])
+            while self._forbidden_by_start[0][2].is_removed:
+                heapq.heappop(self._forbidden_by_start)
+            self._drop_forbidden_before(self._forbidden_by_start[0][0])
         return []
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
@@ -129,7 +135,7 @@ class AbsenceTimeout(StreamOperator):
         self._drop_forbidden_before(self._latest_now - self.span)
         self._order += 1
         element.order = self._order
-        key = self.correlation.key(element.match, channel)
+        key = self.correlation.key_of(element.match, channel)
         if channel:
             self._cancel_pending(element, key)
             self._store_forbidden(element, key)
@@ -147,42 +153,42 @@ class AbsenceTimeout(StreamOperator):
         """See `StreamOperator.advance_to`."""
         outputs = []
         while self.next_deadline is not None and self.next_deadline <= instant:
-            due, _, element = self._deadlines[0]
+            deadline, _, element = self._deadlines[0]
             self._drop_pending(element)
-            outputs.append(StreamOutput((element,), element.start, due))
+            outputs.append(StreamOutput((element,), element.start, deadline))
             self._update_deadline()
         return outputs
 
     def snapshot(self) -> OperatorState:
         """See `StreamOperator.snapshot`."""
         pending = [element for _, _, element in self._deadlines if not element.is_removed]
-        forbidden = [element for _, _, element in self._by_start if not element.is_removed]
-        return (self._order, self._latest_now, sorted(pending, key=_order), sorted(forbidden, key=_order))
+        forbidden = [element for _, _, element in self._forbidden_by_start if not element.is_removed]
+        return (
+            self._order,
+            self._latest_now,
+            sorted(pending, key=_arrival_order),
+            sorted(forbidden, key=_arrival_order),
+        )
 
     def restore(self, saved: OperatorState) -> None:
         """See `StreamOperator.restore`."""
         self._order, self._latest_now, pending, forbidden = saved
-        self._pending, self._forbidden, self._deadlines, self._by_start, self._stored_count = (
-            {},
-            {},
-            [],
-            [],
-            0,
-        )
+        self._pending, self._forbidden = {}, {}
+        self._deadlines, self._forbidden_by_start, self._stored_count = [], [], 0
         for element in [*pending, *forbidden]:
             # Keys are not part of the saved state: they follow from the values.
             element.restore_key()
         for element in pending:
-            self._set_pending_key(element, self.correlation.key(element.match, 0))
+            self._set_pending_key(element, self.correlation.key_of(element.match, 0))
             self._add_pending(element)
         for element in forbidden:
-            self._store_forbidden(element, self.correlation.key(element.match, 1))
+            self._store_forbidden(element, self.correlation.key_of(element.match, 1))
         self._update_deadline()
 
     def _set_pending_key(self, element: StreamElement, key: Hashable) -> None:
         """Set the key of an element, and drop the pending element that it replaces."""
-        make_key = self.correlation.replacement_key
-        replacement_key = element.order if make_key is None else make_key(element.match)
+        replacement_key_of = self.correlation.replacement_key_of
+        replacement_key = element.order if replacement_key_of is None else replacement_key_of(element.match)
         element.key = (key, replacement_key)
         replaced = self._pending.get(key, {}).get(replacement_key)
         if replaced is not None:
@@ -204,14 +210,14 @@ class AbsenceTimeout(StreamOperator):
         self._stored_count -= 1
 
     def _update_deadline(self) -> None:
-        """Remove dropped elements from the top of the heap, and set the next deadline."""
+        """Remove dropped elements from the top of the heap of deadlines, and set the next deadline."""
         while self._deadlines and self._deadlines[0][2].is_removed:
             heapq.heappop(self._deadlines)
         self.next_deadline = self._deadlines[0][0] if self._deadlines else None
 
     def _cancel_pending(self, forbidden: StreamElement, key: Hashable) -> None:
         """Drop all pending elements that a forbidden one cancels."""
-        pending = list(self._candidates(key))
+        pending = list(self._find_candidates(key))
         if self.meter is not None:
             # The work is counted before the loop: an interrupt within it would leave cancelled elements pending.
             self.meter(len(pending))
@@ -219,7 +225,7 @@ class AbsenceTimeout(StreamOperator):
             if self._cancels(forbidden, element):
                 self._drop_pending(element)
 
-    def _candidates(self, key: Hashable) -> Iterator[StreamElement]:
+    def _find_candidates(self, key: Hashable) -> Iterator[StreamElement]:
         # A key of None may correlate with every key, so elements without a key are candidates for each search.
         for candidate_key in list(self._pending) if key is None else [key, None]:
             yield from self._pending.get(candidate_key, {}).values()
@@ -235,12 +241,13 @@ class AbsenceTimeout(StreamOperator):
         return any(
             self._cancels(forbidden, element)
             for forbidden_elements in forbidden_groups
-            if forbidden_elements.newest > element.end
+            if forbidden_elements.latest_start > element.end
             for forbidden in forbidden_elements.elements
             if not forbidden.is_removed
         )
 
     def _cancels(self, forbidden: StreamElement, element: StreamElement) -> bool:
+        """Return whether a forbidden element lies in the span after another element and correlates with it."""
         if not (element.end < forbidden.start and forbidden.end < element.end + self.span):
             return False
         correlation = self.correlation
@@ -258,12 +265,12 @@ class AbsenceTimeout(StreamOperator):
         for redundant in forbidden_elements.add(element, self.span, drops_redundant):
             redundant.is_removed = True
             self._stored_count -= 1
-        _push(self._by_start, element.start, element, self._stored_count)
+        _push(self._forbidden_by_start, element.start, element, self._stored_count)
 
     def _drop_forbidden_before(self, min_start: int) -> None:
         """Drop the forbidden elements that started too long ago to cancel a pending one."""
-        while self._by_start and self._by_start[0][0] <= min_start:
-            element = heapq.heappop(self._by_start)[2]
+        while self._forbidden_by_start and self._forbidden_by_start[0][0] <= min_start:
+            element = heapq.heappop(self._forbidden_by_start)[2]
             if not element.is_removed:
                 element.is_removed = True
                 self._stored_count -= 1
@@ -273,14 +280,14 @@ class AbsenceTimeout(StreamOperator):
                     del self._forbidden[element.key]
 
 
-def _order(element: StreamElement) -> int:
+def _arrival_order(element: StreamElement) -> int:
     return element.order
 
 
 def _push(
     heap: List[Tuple[int, int, StreamElement]], instant: int, element: StreamElement, element_count: int
 ) -> None:
-    """Push an element on a heap, and compact the heap if more than half of it was dropped."""
+    """Push an element on a heap; compact the heap if more than half of its elements were dropped."""
     heapq.heappush(heap, (instant, element.order, element))
     if len(heap) > 2 * element_count + 64:
         heap[:] = [entry for entry in heap if not entry[2].is_removed]

@@ -99,15 +99,15 @@ def is_number(value: Term) -> bool:
 def is_number_expression(value: Term) -> bool:
     """Return whether a value is a number, or an arithmetic expression of numbers."""
     stack = [value]
-    seen: Set[int] = set()
+    visited_ids: Set[int] = set()
     while stack:
         term: Any = deref(stack.pop())
-        if is_number(term) or id(term) in seen:
+        if is_number(term) or id(term) in visited_ids:
             continue
         if term.__class__ is not tuple or term[0] not in EVALUABLE:
             return False
         # Shared subterms are visited once.
-        seen.add(id(term))
+        visited_ids.add(id(term))
         stack.extend(term[1:])
     return True
 
@@ -117,9 +117,9 @@ def array_length(value: Term) -> Optional[int]:
 
     A timestamp [Sec,NSec] counts as a number, not as an array.
     """
-    lazy = list_array(value)
-    if lazy is not None:
-        return element_count(lazy)
+    array = list_array(value)
+    if array is not None:
+        return element_count(array)
     term: Any = deref(value)
     if term is NIL:
         return 0
@@ -158,7 +158,7 @@ WindowElements = Deque[StreamElement]
 
 def present_elements(elements: WindowElements) -> Iterator[StreamElement]:
     """Yield the elements that are in the window, the oldest first."""
-    return (item for item in elements if not item.is_removed)
+    return (element for element in elements if not element.is_removed)
 
 
 class Accumulator:
@@ -168,6 +168,9 @@ class Accumulator:
     accumulator half updated.
 
     Attributes:
+        index: index of the aggregated value in `StreamElement.values`.
+        name: name of the aggregate.
+        setting: see `Setting`.
         value_rule: the values that the aggregate accepts.
         accepts_arrays: whether arrays are accepted as well as numbers.
         accepts_empty: whether an empty window has a result.
@@ -189,7 +192,7 @@ class Accumulator:
         """True if `check` rejects some values."""
         return self.value_rule.check is not None
 
-    def check(self, item: StreamElement) -> Optional[bool]:
+    def check(self, element: StreamElement) -> Optional[bool]:
         """Check the value of an element; return True if it is an array.
 
         Raises:
@@ -197,14 +200,14 @@ class Accumulator:
         """
         check = self.value_rule.check
         if check is not None:
-            check(item.values[self.index], self.name)
+            check(element.values[self.index], self.name)
         return None
 
-    def add(self, item: StreamElement) -> Optional[bool]:
+    def add(self, element: StreamElement) -> Optional[bool]:
         """Add an element; return True if its value is an array."""
         return None
 
-    def remove(self, item: StreamElement) -> None:
+    def remove(self, element: StreamElement) -> None:
         """Remove an element that is marked as removed."""
 
     def result(self, elements: WindowElements, count: int) -> Optional[Term]:
@@ -241,8 +244,8 @@ class _ElementwiseAccumulator(Accumulator):
         self.array_count = 0
         self.array_length = 0
 
-    def check(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
+    def check(self, element: StreamElement) -> Optional[bool]:
+        value = element.values[self.index]
         if self.array_count or value.__class__ not in _NUMBER_CLASSES:
             return self.check_array(value)
         self.check_number(value, self.name)
@@ -270,7 +273,7 @@ class _ElementwiseAccumulator(Accumulator):
     def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         if not self.array_count:
             return self.result_of_numbers(count)
-        values = [item.values[self.index] for item in present_elements(elements)]
+        values = [element.values[self.index] for element in present_elements(elements)]
         # A row pattern checks its elements one by one, so elements that do not fit together are detected here.
         if len(values) > self.array_count:
             array = next(value for value in values if value.__class__ not in _NUMBER_CLASSES)
@@ -292,7 +295,7 @@ class _ElementwiseAccumulator(Accumulator):
         raise NotImplementedError
 
 
-def _sum_of_arrays(arrays: "List[Array]") -> "Array":
+def _add_arrays(arrays: "List[Array]") -> "Array":
     """Return the sum of arrays of equal length: of integers if all are, otherwise of doubles.
 
     Raises:
@@ -321,15 +324,15 @@ class _SumAccumulator(_ElementwiseAccumulator):
         super().__init__(index, name, setting)
         self.sum = ExactSum()
 
-    def add(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
+    def add(self, element: StreamElement) -> Optional[bool]:
+        value = element.values[self.index]
         if value.__class__ not in _NUMBER_CLASSES:
             return self.add_array(value)
         self.sum.add_multiple(value, 1)
         return None
 
-    def remove(self, item: StreamElement) -> None:
-        value = item.values[self.index]
+    def remove(self, element: StreamElement) -> None:
+        value = element.values[self.index]
         if value.__class__ in _NUMBER_CLASSES:
             self.sum.add_multiple(value, -1)
         else:
@@ -339,7 +342,7 @@ class _SumAccumulator(_ElementwiseAccumulator):
         return self.sum.quotient(1, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
-        return _sum_of_arrays(arrays)
+        return _add_arrays(arrays)
 
 
 class _AverageAccumulator(_SumAccumulator):
@@ -349,7 +352,7 @@ class _AverageAccumulator(_SumAccumulator):
         return self.sum.quotient(count, count)
 
     def combine(self, arrays: "List[Array]") -> "Array":
-        return _sum_of_arrays(arrays) / len(arrays)
+        return _add_arrays(arrays) / len(arrays)
 
 
 class _DeviationAccumulator(_SumAccumulator):
@@ -359,20 +362,20 @@ class _DeviationAccumulator(_SumAccumulator):
         super().__init__(index, name, setting)
         self.squares = ExactSum()
 
-    def _add_square(self, item: StreamElement, times: int) -> None:
-        numerator, denominator = item.values[self.index].as_integer_ratio()
+    def _add_square(self, element: StreamElement, times: int) -> None:
+        numerator, denominator = element.values[self.index].as_integer_ratio()
         self.squares.add_fraction(numerator * numerator, 2 * (denominator.bit_length() - 1), times)
 
-    def add(self, item: StreamElement) -> Optional[bool]:
-        is_array = super().add(item)
+    def add(self, element: StreamElement) -> Optional[bool]:
+        is_array = super().add(element)
         if not is_array:
-            self._add_square(item, 1)
+            self._add_square(element, 1)
         return is_array
 
-    def remove(self, item: StreamElement) -> None:
-        super().remove(item)
-        if item.values[self.index].__class__ in _NUMBER_CLASSES:
-            self._add_square(item, -1)
+    def remove(self, element: StreamElement) -> None:
+        super().remove(element)
+        if element.values[self.index].__class__ in _NUMBER_CLASSES:
+            self._add_square(element, -1)
 
     def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         return super().result(elements, count) if count > 1 else None
@@ -396,15 +399,15 @@ class _MinimumAccumulator(_ElementwiseAccumulator):
         super().__init__(index, name, setting)
         self.heap = LazyMinHeap()
 
-    def add(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
+    def add(self, element: StreamElement) -> Optional[bool]:
+        value = element.values[self.index]
         if value.__class__ not in _NUMBER_CLASSES:
             return self.add_array(value)
-        self.heap.add(self.sign * value, item)
+        self.heap.add(self.sign * value, element)
         return None
 
-    def remove(self, item: StreamElement) -> None:
-        if item.values[self.index].__class__ in _NUMBER_CLASSES:
+    def remove(self, element: StreamElement) -> None:
+        if element.values[self.index].__class__ in _NUMBER_CLASSES:
             self.heap.remove()
         else:
             self.array_count -= 1
@@ -437,16 +440,16 @@ class _QuantileAccumulator(_ElementwiseAccumulator):
         super().__init__(index, name, setting)
         self.heaps = QuantileHeaps(setting)
 
-    def add(self, item: StreamElement) -> Optional[bool]:
-        value = item.values[self.index]
+    def add(self, element: StreamElement) -> Optional[bool]:
+        value = element.values[self.index]
         if value.__class__ not in _NUMBER_CLASSES:
             return self.add_array(value)
-        self.heaps.add(value, item)
+        self.heaps.add(value, element)
         return None
 
-    def remove(self, item: StreamElement) -> None:
-        if item.values[self.index].__class__ in _NUMBER_CLASSES:
-            self.heaps.remove(item)
+    def remove(self, element: StreamElement) -> None:
+        if element.values[self.index].__class__ in _NUMBER_CLASSES:
+            self.heaps.remove(element)
         else:
             self.array_count -= 1
 
@@ -481,7 +484,9 @@ class _FirstAccumulator(Accumulator):
 
 class _LastAccumulator(Accumulator):
     def result(self, elements: WindowElements, count: int) -> Optional[Term]:
-        value: Term = next(item for item in reversed(elements) if not item.is_removed).values[self.index]
+        value: Term = next(element for element in reversed(elements) if not element.is_removed).values[
+            self.index
+        ]
         return value
 
 
@@ -490,7 +495,7 @@ class _ListAccumulator(Accumulator):
     scans_window = True
 
     def result(self, elements: WindowElements, count: int) -> Optional[Term]:
-        return make_list([item.values[self.index] for item in present_elements(elements)])
+        return make_list([element.values[self.index] for element in present_elements(elements)])
 
 
 class _CountDistinctAccumulator(Accumulator):
@@ -500,13 +505,13 @@ class _CountDistinctAccumulator(Accumulator):
         super().__init__(index, name, setting)
         self.counts: Dict[Hashable, int] = {}
 
-    def add(self, item: StreamElement) -> None:
-        key = term_key(item.values[self.index])
+    def add(self, element: StreamElement) -> None:
+        key = term_key(element.values[self.index])
         # A value is removed when its last element is removed.
         self.counts[key] = self.counts.get(key, 0) + 1
 
-    def remove(self, item: StreamElement) -> None:
-        key = term_key(item.values[self.index])
+    def remove(self, element: StreamElement) -> None:
+        key = term_key(element.values[self.index])
         self.counts[key] -= 1
         if not self.counts[key]:
             del self.counts[key]
@@ -516,7 +521,13 @@ class _CountDistinctAccumulator(Accumulator):
 
 
 class _ElementsWithValue:
-    """Elements with one value in order of arrival; the first that was not removed has the index ``first_index``."""
+    """Elements with one value in order of arrival.
+
+    Attributes:
+        entries: order of arrival and element, also of some elements that were removed.
+        first_index: index of the first entry whose element was not removed.
+        count: number of elements that were not removed.
+    """
 
     __slots__ = ("entries", "first_index", "count")
 
@@ -525,8 +536,8 @@ class _ElementsWithValue:
         self.first_index = 0
         self.count = 0
 
-    def add(self, order: int, item: StreamElement) -> None:
-        self.entries.append((order, item))
+    def add(self, order: int, element: StreamElement) -> None:
+        self.entries.append((order, element))
         self.count += 1
 
     def count_removal(self) -> None:
@@ -556,14 +567,14 @@ class _DistinctAccumulator(Accumulator):
         self.by_value: Dict[Hashable, _ElementsWithValue] = {}
         self._order = 0
 
-    def add(self, item: StreamElement) -> None:
+    def add(self, element: StreamElement) -> None:
         self._order += 1
-        self.by_value.setdefault(term_key(item.values[self.index]), _ElementsWithValue()).add(
-            self._order, item
+        self.by_value.setdefault(term_key(element.values[self.index]), _ElementsWithValue()).add(
+            self._order, element
         )
 
-    def remove(self, item: StreamElement) -> None:
-        key = term_key(item.values[self.index])
+    def remove(self, element: StreamElement) -> None:
+        key = term_key(element.values[self.index])
         elements_with_value = self.by_value[key]
         elements_with_value.count_removal()
         if not elements_with_value.count:
@@ -575,7 +586,7 @@ class _DistinctAccumulator(Accumulator):
             [elements_with_value.first() for elements_with_value in self.by_value.values()],
             key=_arrival_order,
         )
-        return make_list([item.values[self.index] for _, item in first_elements])
+        return make_list([element.values[self.index] for _, element in first_elements])
 
 
 def _arrival_order(entry: Tuple[int, StreamElement]) -> int:
@@ -593,13 +604,13 @@ class _RateAccumulator(Accumulator):
         self.seconds = Fraction(setting) if setting else None
         self.earliest_ends, self.latest_ends = LazyMinHeap(), LazyMinHeap()
 
-    def add(self, item: StreamElement) -> None:
+    def add(self, element: StreamElement) -> None:
         if self.seconds is None:
             # The first and last end are kept in heaps, because elements may arrive out of order.
-            self.earliest_ends.add(item.end, item)
-            self.latest_ends.add(-item.end, item)
+            self.earliest_ends.add(element.end, element)
+            self.latest_ends.add(-element.end, element)
 
-    def remove(self, item: StreamElement) -> None:
+    def remove(self, element: StreamElement) -> None:
         if self.seconds is None:
             self.earliest_ends.remove()
             self.latest_ends.remove()
@@ -622,7 +633,7 @@ class _UserFoldAccumulator(Accumulator):
 
     def result(self, elements: WindowElements, count: int) -> Optional[Term]:
         result: Optional[Term] = self.setting(
-            [item.values[self.index] for item in present_elements(elements)]
+            [element.values[self.index] for element in present_elements(elements)]
         )
         return result
 
@@ -643,19 +654,19 @@ class Fold(NamedTuple):
     result: Callable[[Any], Term]
 
 
-def _state_result(state: Term) -> Term:
+def _get_state(state: Term) -> Term:
     return state
 
 
-def _minimum(state: Any, value: Any) -> Any:
+def _choose_smaller(state: Any, value: Any) -> Any:
     return value if state is None or value < state else state
 
 
-def _maximum(state: Any, value: Any) -> Any:
+def _choose_larger(state: Any, value: Any) -> Any:
     return value if state is None or value > state else state
 
 
-def _sum(state: Any, value: Any) -> Any:
+def _add_finite(state: Any, value: Any) -> Any:
     """Return the sum of two finite numbers.
 
     Raises:
@@ -668,7 +679,7 @@ def _sum(state: Any, value: Any) -> Any:
     return total
 
 
-def _average(state: Tuple[float, int]) -> Term:
+def _compute_average(state: Tuple[float, int]) -> Term:
     total, count = state
     # Integers whose average is an integer stay exact, as `avg` of integers of any size.
     if total.__class__ is int and total % count == 0:
@@ -676,7 +687,7 @@ def _average(state: Tuple[float, int]) -> Term:
     return total / count
 
 
-def _list_result(state: Any) -> Term:
+def _make_list_of_state(state: Any) -> Term:
     """Return the list of a state, which is nested pairs, newest value outermost: adding takes constant time."""
     items = []
     while state:
@@ -737,17 +748,24 @@ AGGREGATES: Dict[str, AggregateFunction] = {
             "count",
             "count",
             _CountAccumulator,
-            Fold(0, 0, lambda count, value: count + 1, _state_result),
+            Fold(0, 0, lambda count, value: count + 1, _get_state),
             has_value=False,
         ),
-        AggregateFunction("sum", "sum(X)", _SumAccumulator, Fold(0, 0, _sum, _state_result)),
-        AggregateFunction("min", "min(X)", _MinimumAccumulator, Fold(None, None, _minimum, _state_result)),
-        AggregateFunction("max", "max(X)", _MaximumAccumulator, Fold(None, None, _maximum, _state_result)),
+        AggregateFunction("sum", "sum(X)", _SumAccumulator, Fold(0, 0, _add_finite, _get_state)),
+        AggregateFunction(
+            "min", "min(X)", _MinimumAccumulator, Fold(None, None, _choose_smaller, _get_state)
+        ),
+        AggregateFunction("max", "max(X)", _MaximumAccumulator, Fold(None, None, _choose_larger, _get_state)),
         AggregateFunction(
             "avg",
             "avg(X)",
             _AverageAccumulator,
-            Fold((0, 0), None, lambda state, value: (_sum(state[0], value), state[1] + 1), _average),
+            Fold(
+                (0, 0),
+                None,
+                lambda state, value: (_add_finite(state[0], value), state[1] + 1),
+                _compute_average,
+            ),
         ),
         AggregateFunction("stddev", "stddev(X)", _DeviationAccumulator),
         AggregateFunction("median", "median(X)", _MedianAccumulator),
@@ -758,7 +776,7 @@ AGGREGATES: Dict[str, AggregateFunction] = {
             "list",
             "list(X)",
             _ListAccumulator,
-            Fold((), NIL, lambda values, value: (values, value), _list_result),
+            Fold((), NIL, lambda state, value: (state, value), _make_list_of_state),
         ),
         AggregateFunction("distinct", "distinct(X)", _DistinctAccumulator),
         AggregateFunction("count_distinct", "count_distinct(X)", _CountDistinctAccumulator),
@@ -776,18 +794,20 @@ class SequenceAggregate:
 
     Args:
         name: name of the function, in `SEQUENCE_AGGREGATES`.
-        value: returns the aggregated term from the values of a match.
+        build_value: returns the aggregated term from the values of a match.
         evaluate: returns the number that an arithmetic expression has with the values of the match.
     """
 
-    def __init__(self, name: str, value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]):
+    def __init__(
+        self, name: str, build_value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]
+    ):
         function = SEQUENCE_AGGREGATES[name]
         # The table contains only functions with a fold.
         assert function.fold is not None
         self.name = name
         self.initial_state, self.empty_result, self._add, self.result = function.fold
         self._check = function.value_rule.check
-        self._value = value
+        self._build_value = build_value
         self._evaluate = evaluate
 
     def is_state(self, state: Any) -> bool:
@@ -819,7 +839,7 @@ class SequenceAggregate:
         Raises:
             RuleError: if a numeric aggregate gets a value that is not a number.
         """
-        value = self._value(values)
+        value = self._build_value(values)
         check = self._check
         if check is not None:
             # Plain numbers are by far the most frequent values, and need no evaluation.

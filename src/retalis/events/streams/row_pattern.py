@@ -19,7 +19,7 @@ from typing import Any, Callable, Deque, Dict, Hashable, List, NamedTuple, Optio
 
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator
-from .stream_operators import NEVER, OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
 from .windows import MAX_TRACKED_ELEMENTS, results_or_error
 
 NavigatedElements = Sequence[StreamElement]
@@ -298,7 +298,7 @@ class PartitionState:
         self.elements: Deque[StreamElement] = deque()
         self.states = states
         self.counted_states = 0
-        self.reference_time = NEVER
+        self.reference_time = BEFORE_ALL_INSTANTS
         self.completed: Deque[_CompletedMatch] = deque()
 
     def advance(
@@ -389,7 +389,7 @@ class RowPatternWindow(StreamOperator):
         self._element_count = 0
         self._state_count = 0
         self._order = 0
-        self._end = NEVER
+        self._end = BEFORE_ALL_INSTANTS
 
     def __len__(self) -> int:
         """Return the number of elements or of states, whichever is larger."""
@@ -402,7 +402,7 @@ class RowPatternWindow(StreamOperator):
         """See `StreamOperator.process`."""
         for check in self._checks:
             check(element)
-        clock, end, span, idle = self.clock, element.end, self._max_span, self._idle
+        clock, end, span, idle = self.clock, element.end, self._max_span, self._max_idle_time
         if clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             clock = end
         partition = self.states.get(element.key)
@@ -605,7 +605,7 @@ class RowPatternWindow(StreamOperator):
         elements = [element for element, _ in pairs]
         start = min(element.start for element in elements)
         end = max(self._end, *(element.end for element in elements))
-        contributors = tuple(elements[-MAX_TRACKED_ELEMENTS:]) if self.tracked else (elements[-1],)
+        contributors = tuple(elements[-MAX_TRACKED_ELEMENTS:]) if self.tracks_elements else (elements[-1],)
         results, error = results_or_error(lambda: self._results(pairs))
         return None if results is None else StreamOutput(contributors, start, end, results, error)
 

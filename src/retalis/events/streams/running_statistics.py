@@ -12,7 +12,9 @@ from typing import Any, List, Optional, Tuple, Union
 
 Number = Union[int, float]
 _MIN_EXACT_ROOT, _MAX_EXACT_ROOT = 1e-290, 1e290
+"""Range of variances whose floating-point square root is exact enough."""
 _MAX_EXPONENT = 1024
+"""Smallest power of two that is too large for a float."""
 
 
 class ExactSum:
@@ -25,22 +27,22 @@ class ExactSum:
         scale: the exponent, which never decreases.
         factor: two to the power of ``scale`` as a float, or nan if that is too large. The product of this factor and
             a float is exact if it is an integer.
-        integers: number of integers among the numbers.
+        integer_count: number of integers among the numbers.
     """
 
-    __slots__ = ("total", "scale", "factor", "integers")
+    __slots__ = ("total", "scale", "factor", "integer_count")
 
     def __init__(self) -> None:
         self.total = 0
         self.scale = 0
         self.factor = 1.0
-        self.integers = 0
+        self.integer_count = 0
 
     def add_multiple(self, value: Number, times: int) -> None:
         """Add a number ``times`` times; -1 removes it."""
         if value.__class__ is int:
             self.total += times * int(value) << self.scale
-            self.integers += times
+            self.integer_count += times
             return
         numerator, denominator = value.as_integer_ratio()
         self.add_fraction(numerator, denominator.bit_length() - 1, times)
@@ -60,7 +62,7 @@ class ExactSum:
         The result is an integer if it is exact and no number is a float.
         """
         denominator = divisor << self.scale
-        if self.integers == count:
+        if self.integer_count == count:
             quotient, remainder = divmod(self.total, denominator)
             if not remainder:
                 # Integers stay exact, of any size.
@@ -149,14 +151,14 @@ class QuantileHeaps:
         quantile: the quantile, from 0 to 1; 0.5 is the median.
     """
 
-    __slots__ = ("quantile", "below", "above", "_is_below")
+    __slots__ = ("quantile", "below", "above", "_is_below_by_order")
 
     def __init__(self, quantile: float):
         self.quantile = quantile
         # Numbers are negated, so the highest is on top.
         self.below = LazyMinHeap()
         self.above = LazyMinHeap()
-        self._is_below: Any = {}
+        self._is_below_by_order: Any = {}
 
     def add(self, value: Number, element: Any) -> None:
         """Add the number of an element."""
@@ -168,11 +170,11 @@ class QuantileHeaps:
 
     def remove(self, element: Any) -> None:
         """Remove an element that is marked as removed."""
-        (self.below if self._is_below.pop(element.order) else self.above).remove()
+        (self.below if self._is_below_by_order.pop(element.order) else self.above).remove()
         self._balance()
 
     def _add_to_heap(self, value: Number, element: Any, is_low: bool) -> None:
-        self._is_below[element.order] = is_low
+        self._is_below_by_order[element.order] = is_low
         if is_low:
             self.below.add(-value, element)
         else:

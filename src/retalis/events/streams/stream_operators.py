@@ -21,41 +21,45 @@ from ...prolog.terms.types import Values
 
 
 class StreamElement:
-    """Match in a stream.
+    """Element of a stream: a match, with its key and the values that the operator processes.
 
     Attributes:
-        match: the match, if it is emitted or tracked.
+        match: the match; None if the operator does not emit it and events are not tracked.
         start: start of its interval in ns.
         end: end of its interval in ns.
-        by: values of the key terms.
-        key: hashable form of ``by``.
+        key_values: values of the key terms.
+        key: hashable form of ``key_values``.
         values: processed values: one per measure of a window, or the value that may change.
         order: number in the order of arrival.
         is_removed: whether the element has left its operator; containers with lazy deletion skip it.
     """
 
-    __slots__ = ("match", "start", "end", "by", "key", "values", "order", "is_removed")
+    __slots__ = ("match", "start", "end", "key_values", "key", "values", "order", "is_removed")
 
-    def __init__(self, match: Any, start: int, end: int, by: Values, values: Tuple[Any, ...]):
+    def __init__(self, match: Any, start: int, end: int, key_values: Values, values: Tuple[Any, ...]):
         self.match = match
         self.start = start
         self.end = end
-        self.by = by
+        self.key_values = key_values
         self.values = values
         self.order = 0
         self.is_removed = False
-        if len(by) == 1:
+        if len(key_values) == 1:
             # Plain terms are their own keys, which saves a call for the most frequent case, one key term.
-            single = by[0]
+            single = key_values[0]
             self.key: Hashable = single if single.__class__ in SELF_KEYED else term_key(single)
         else:
-            self.key = tuple([term_key(value) for value in by])
+            self.key = tuple([term_key(value) for value in key_values])
 
     def restore_key(self) -> None:
-        """Mark the element as present, and compute its key from ``by``."""
+        """Mark the element as present, and compute its key from ``key_values``."""
         self.is_removed = False
-        by = self.by
-        self.key = term_key(by[0]) if len(by) == 1 else tuple([term_key(value) for value in by])
+        key_values = self.key_values
+        self.key = (
+            term_key(key_values[0])
+            if len(key_values) == 1
+            else tuple([term_key(value) for value in key_values])
+        )
 
 
 class StreamOutput(NamedTuple):
@@ -77,8 +81,8 @@ class StreamOutput(NamedTuple):
 
 
 OperatorState = Tuple[Any, ...]
-"""State of an operator as numbers, terms, elements and lists of them."""
-NEVER = -(1 << 63)
+"""State of an operator: a tuple of numbers, terms, elements and lists of these."""
+BEFORE_ALL_INSTANTS = -(1 << 63)
 """Instant before all others."""
 
 
@@ -86,14 +90,14 @@ class KeyBounds(NamedTuple):
     """Bounds for the states of keys.
 
     Attributes:
-        span: longest interval of an output that can be used, in ns; None for no bound.
-        idle: time in ns after which a key without a new element is dropped; None for no bound.
-        keys: maximum number of keys.
+        max_span: longest interval of an output that can be used, in ns; None for no bound.
+        max_idle_time: time in ns after which a key without a new element is dropped; None for no bound.
+        max_keys: maximum number of keys.
     """
 
-    span: Optional[int] = None
-    idle: Optional[int] = None
-    keys: int = 1 << 62
+    max_span: Optional[int] = None
+    max_idle_time: Optional[int] = None
+    max_keys: int = 1 << 62
 
 
 class StreamOperator:
@@ -103,13 +107,14 @@ class StreamOperator:
     give the same outputs. Revision relies on this: when an event is retracted, the operator is run again without it.
 
     Attributes:
-        next_deadline: instant at which `advance_to` has an output; None if only elements cause outputs.
+        next_deadline: next instant at which `advance_to` may have an output; None if only elements cause outputs.
         late_count: number of elements that arrived too late.
         pruned_count: number of partial matches of a row pattern that were discarded because too many had the same
             start.
         evicted_count: number of keys that were dropped because there were too many.
         bounds: bounds for the states of keys.
-        tracked: whether outputs contain up to 100 of the elements that they are made of, not only the newest one.
+        tracks_elements: whether outputs contain up to 100 of the elements that they are made of, not only the newest
+            one.
         meter: counts visited elements as pattern work; None if nothing is counted.
         compute_max_timestamp: returns the latest end that may advance the time of the stream.
         clock: the newest end of the elements so far, without ends that are too far in the future, in ns.
@@ -126,11 +131,11 @@ class StreamOperator:
     def __init__(self) -> None:
         self.next_deadline: Optional[int] = None
         self.late_count = self.pruned_count = self.evicted_count = 0
-        self.tracked = False
+        self.tracks_elements = False
         self.meter: Optional[Meter] = None
         self.compute_max_timestamp: Callable[[], int] = lambda: 1 << 64
         self.set_bounds(KeyBounds())
-        self.clock = self.max_timestamp = NEVER
+        self.clock = self.max_timestamp = BEFORE_ALL_INSTANTS
         # Finding the first key of a plain dict takes time linear in the number of keys deleted before it.
         self.states: OrderedDict[Hashable, Any] = OrderedDict()
 
@@ -138,7 +143,7 @@ class StreamOperator:
         """Set the bounds for the states of keys from the next element on."""
         self.bounds = bounds
         # Local copies, read for each element.
-        self._max_span, self._idle, self._max_keys = bounds
+        self._max_span, self._max_idle_time, self._max_keys = bounds
 
     def __len__(self) -> int:
         """Return the number of stored elements or keys."""
@@ -198,9 +203,9 @@ class StreamOperator:
 
     def _drop_idle_keys(self) -> None:
         """Drop the keys whose last use is too long ago."""
-        if self._idle is None:
+        if self._max_idle_time is None:
             return
-        states, min_reference_time = self.states, self.clock - self._idle
+        states, min_reference_time = self.states, self.clock - self._max_idle_time
         while states:
             key = next(iter(states))
             # Keys are ordered by last use, so the first key in use ends the search.
@@ -251,14 +256,14 @@ class Throttle(StreamOperator):
         self._advance(element.end)
         self._drop_expired()
         previous = self.states.get(element.key)
-        # States older than ``span`` were dropped, so an element passes exactly if its key has no state.
+        # States older than ``span`` were dropped, so an element passes if and only if its key has no state.
         if previous is None or (self.is_debounce and element.end > previous.end):
             self._store(element)
         return [StreamOutput((element,), element.start, element.end)] if previous is None else []
 
     def _store(self, element: StreamElement) -> None:
         # Without the match, which would keep its events alive.
-        stored = StreamElement(None, element.start, element.end, element.by, ())
+        stored = StreamElement(None, element.start, element.end, element.key_values, ())
         self._order += 1
         stored.order = self._order
         self.states[stored.key] = stored
@@ -320,7 +325,7 @@ class DistinctUntilChanged(StreamOperator):
         end, key, states = element.end, element.key, self.states
         if self.clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             self.clock = end
-        if self._idle is not None:
+        if self._max_idle_time is not None:
             self._drop_idle_keys()
         state = states.get(key)
         # The use of a key is recorded even if the value is unchanged, so that it does not become idle.
@@ -329,7 +334,9 @@ class DistinctUntilChanged(StreamOperator):
             state.reference_time = self.clock
             if state.value == value:
                 return []
-        self._store(value, StreamElement(None, element.start, element.end, element.by, element.values))
+        self._store(
+            value, StreamElement(None, element.start, element.end, element.key_values, element.values)
+        )
         return [StreamOutput((element,), element.start, element.end)]
 
     def _store(self, value: Hashable, element: StreamElement) -> None:
@@ -359,7 +366,7 @@ class Debounce(StreamOperator):
     def __init__(self, span: int):
         super().__init__()
         self.span = span
-        self._latest_now = NEVER
+        self._latest_now = BEFORE_ALL_INSTANTS
         self.pending: Dict[Hashable, List[StreamElement]] = {}
         self._pending_count = 0
         self._deadlines: List[Tuple[int, int, StreamElement]] = []
@@ -391,8 +398,8 @@ class Debounce(StreamOperator):
             return []
         is_superseded = False
         for pending in list(self.pending.get(element.key, ())):
-            # The order of arrival is not the order of ends: a pending element is replaced by a later one, and the new
-            # element is dropped if a pending one is later.
+            # Elements may arrive out of order. The later of two elements replaces the other one, whichever of them is
+            # pending.
             if pending.end <= end < pending.end + span:
                 self._drop_pending(pending)
             elif end < pending.end < end + span:
@@ -408,9 +415,9 @@ class Debounce(StreamOperator):
         """See `StreamOperator.advance_to`."""
         outputs = []
         while self.next_deadline is not None and self.next_deadline <= instant:
-            due, _, element = self._deadlines[0]
+            deadline, _, element = self._deadlines[0]
             self._drop_pending(element)
-            outputs.append(StreamOutput((element,), element.start, due))
+            outputs.append(StreamOutput((element,), element.start, deadline))
             self._update_deadline()
         return outputs
 

@@ -24,7 +24,7 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.types import Values
 from .aggregates import Accumulator, value_error
 from .running_statistics import LazyMinHeap
-from .stream_operators import OperatorState, StreamElement, StreamOperator, StreamOutput
+from .stream_operators import BEFORE_ALL_INSTANTS, OperatorState, StreamElement, StreamOperator, StreamOutput
 
 MAX_TRACKED_ELEMENTS = 100
 """Maximum number of elements in a tracked output, the newest ones, so that long windows stay cheap."""
@@ -276,7 +276,7 @@ class Window(StreamOperator):
         end = element.end
         if self.clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             self.clock = end
-        if self._idle is not None:
+        if self._max_idle_time is not None:
             self._drop_idle_keys()
             # The idle keys that were dropped may include the key of this element.
             if keyed_window.element_count and element.key not in self.states:
@@ -325,7 +325,7 @@ class Window(StreamOperator):
             keyed_window.element_count if self._scans_window or keyed_window.has_arrays else 1
         ):
             return []
-        output = keyed_window.output(self.tracked, start, end)
+        output = keyed_window.output(self.tracks_elements, start, end)
         return [] if output is None else [output]
 
 
@@ -418,9 +418,9 @@ class TumblingCountWindow(Window):
             keyed_window = self._most_recent_window(element)
         self._number_element(element)
         self._insert(element, keyed_window)
-        full = keyed_window.element_count >= self.size
-        outputs = self._emit(keyed_window) if full or self.running else []
-        if full:
+        is_full = keyed_window.element_count >= self.size
+        outputs = self._emit(keyed_window) if is_full or self.running else []
+        if is_full:
             self._clear_key(keyed_window, element.key)
         return outputs
 
@@ -443,7 +443,7 @@ class AnchoredTumblingWindow(Window):
         super().__init__(make_accumulators)
         self.span = span
         self.running = running
-        self._latest_now = -(1 << 63)
+        self._latest_now = BEFORE_ALL_INSTANTS
         self._open: List[Tuple[int, int, Hashable, KeyedWindow]] = []
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
@@ -550,7 +550,7 @@ class HoppingWindow(Window):
         super().__init__(make_accumulators)
         self.span = span
         self.slide = slide
-        self._latest_now = -(1 << 63)
+        self._latest_now = BEFORE_ALL_INSTANTS
         self._future_elements: List[Tuple[int, int, StreamElement]] = []
         self._by_end: List[Tuple[int, int, StreamElement]] = []
 
