@@ -308,7 +308,7 @@ def test_a_latched_topic_without_a_message_sends_nothing_to_who_comes(outlet, li
 
 
 def test_texts_go_out_together_in_order(outlet, link, monkeypatch):
-    monkeypatch.setattr(late_joiners, "nodes_offering", lambda service: {link.endpoint_id})
+    monkeypatch.setattr(late_joiners, "find_nodes_offering", lambda service: {link.endpoint_id})
     it, turn = EventTextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
     it.start_identification(turn, set)
     it.add("a")
@@ -348,7 +348,7 @@ def test_outputs_go_to_the_interface_in_order(outlet, link, monkeypatch):
         asked.append(service)
         return {link.endpoint_id}
 
-    monkeypatch.setattr(late_joiners, "nodes_offering", offering)
+    monkeypatch.setattr(late_joiners, "find_nodes_offering", offering)
     it = OutputTextPublisher("/topic", 1000, Reports(), ["out", "foo bar"], [])
     for topic, text in (("out", "a"), ("watched", "b"), ("/out", "c"), ("not a name", "d")):
         it.send(topic, text.__str__)
@@ -374,7 +374,9 @@ def test_outputs_that_the_interface_publishes_wait_for_it_and_others_are_not_eve
     assert (written, reports.warnings) == (["s", "a", "b"], 1)  # the queue holds two
     for after in (b"sab", b"sc"):
         link = Link()
-        monkeypatch.setattr(late_joiners, "nodes_offering", lambda service, name=link.endpoint_id: {name})
+        monkeypatch.setattr(
+            late_joiners, "find_nodes_offering", lambda service, name=link.endpoint_id: {name}
+        )
         connections[:] = []
         if after == b"sc":
             it.send("out", write("c"))

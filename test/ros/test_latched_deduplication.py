@@ -14,7 +14,7 @@ from retalis.ros.latched_deduplication import (  # noqa: E402
     LatchedMessageDeduplicator,
     parse_latched_mark,
 )
-from retalis.ros.text_topics import epoch_mark, text_handler_factory  # noqa: E402
+from retalis.ros.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
 
 MAP = ("/map", "/map_server", "http://robot:4711/")
 
@@ -100,13 +100,13 @@ def test_marks_read_back():
 )
 def test_what_only_looks_like_a_mark_is_an_event(text):
     taken = []
-    text_handler_factory(taken.append, None, LatchedMessageDeduplicator())(None)(frame(text))
+    make_text_handler_factory(taken.append, None, LatchedMessageDeduplicator())(None)(frame(text))
     assert taken == [text]
 
 
 def test_a_text_is_taken_once_whichever_connection_it_comes_on():
     taken = []
-    taker = text_handler_factory(taken.append, None, LatchedMessageDeduplicator())
+    taker = make_text_handler_factory(taken.append, None, LatchedMessageDeduplicator())
     for _ in range(2):  # an interface, and the one that is started after it was killed
         receive, connection = taker(None), LatchedConnection(*MAP)
         for text in ("event(a)", "event(b)", "event(b)"):
@@ -126,9 +126,18 @@ def test_a_text_that_waits_for_its_run_is_compared_when_it_is_taken():
     epochs = ClockEpochs(Reports(), lambda: 0, lambda: None)
     epochs.update_clock(9_000_000_000)
     inputs = LatchedMessageDeduplicator(lambda: epochs.epoch)
-    receive = text_handler_factory(taken.append, epochs, inputs)(None)
+    receive = make_text_handler_factory(taken.append, epochs, inputs)(None)
     mark = LatchedConnection(*MAP).describe_message(b"a").to_mark()
-    for text in (epoch_mark(0), mark, "event(a)", epoch_mark(1), mark, "event(a)", mark, "event(a)"):
+    for text in (
+        format_epoch_mark(0),
+        mark,
+        "event(a)",
+        format_epoch_mark(1),
+        mark,
+        "event(a)",
+        mark,
+        "event(a)",
+    ):
         receive(frame(text))
     assert taken == ["event(a)"]
     epochs.update_clock(0)

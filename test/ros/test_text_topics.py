@@ -8,7 +8,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports  # noqa: E402
 from retalis.engine.runtime.clock_epochs import ClockEpochs  # noqa: E402
-from retalis.ros.text_topics import epoch_mark, text_handler_factory  # noqa: E402
+from retalis.ros.text_topics import format_epoch_mark, make_text_handler_factory  # noqa: E402
 
 
 def message(text):
@@ -29,8 +29,8 @@ def epochs():
 
 
 def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, epochs):
-    receive = text_handler_factory(taken.append, epochs)(None)
-    for text in (epoch_mark(0), "event(a)", epoch_mark(1), "event(b)"):
+    receive = make_text_handler_factory(taken.append, epochs)(None)
+    for text in (format_epoch_mark(0), "event(a)", format_epoch_mark(1), "event(b)"):
         receive(message(text))
     assert taken == ["event(a)"]
     epochs.update_clock(0)
@@ -39,15 +39,15 @@ def test_texts_of_a_run_that_has_not_begun_wait_for_it(taken, epochs):
 
 
 def test_senders_are_told_apart(taken, epochs):
-    taker = text_handler_factory(taken.append, epochs)
+    taker = make_text_handler_factory(taken.append, epochs)
     late, silent = taker(None), taker(None)
-    late(message(epoch_mark(7)))
+    late(message(format_epoch_mark(7)))
     epochs.update_clock(0)
     late(message("event(old)"))
     silent(message("event(new)"))
     epochs.update()
     assert taken == ["event(old)"]
-    late(message(epoch_mark(8)))
+    late(message(format_epoch_mark(8)))
     epochs.update()
     assert taken == ["event(old)", "event(new)"]
 
@@ -57,10 +57,10 @@ def test_senders_are_told_apart(taken, epochs):
     ["event(retalis_run(x))", "event(retalis_run(-1))", "event(retalis_run(1), [1,1])", "event(retalis_run("],
 )
 def test_what_only_looks_like_it_is_an_event(text, taken, epochs):
-    text_handler_factory(taken.append, epochs)(None)(message(text))
+    make_text_handler_factory(taken.append, epochs)(None)(message(text))
     assert taken == [text]
 
 
 def test_without_simulated_time_it_is_an_event(taken):
-    text_handler_factory(taken.append)(None)(message(epoch_mark(3)))
-    assert taken == [epoch_mark(3)]
+    make_text_handler_factory(taken.append)(None)(message(format_epoch_mark(3)))
+    assert taken == [format_epoch_mark(3)]

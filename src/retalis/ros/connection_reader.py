@@ -24,7 +24,7 @@ MAX_READ_BYTES = 65536
 """Limit in bytes for one read. A larger buffer would be a new memory mapping each time, with its page faults."""
 
 WINDOW_WAKE_UPS = 128
-"""Wake-ups between two adjustments of the pace."""
+"""Wake-ups in a window, at whose end the low-water mark is adjusted."""
 
 MAX_WINDOW_TIMEOUTS = WINDOW_WAKE_UPS // 32
 """Limit for the waits of a window that may time out before batching is given up."""
@@ -58,7 +58,7 @@ _REQUIRED_ATTRIBUTES = (
     "receive_once",
 )
 
-_size = Struct("<I").unpack_from
+_unpack_length = Struct("<I").unpack_from
 
 
 class LowWaterMark:
@@ -172,10 +172,10 @@ class ConnectionReader:
             if not messages:
                 continue
             if connection.is_latched:
-                connection.latch = self._rospy_message(messages[-1])
+                connection.latch = self._to_rospy_message(messages[-1])
             # Another subscriber in this process has the same topic: rospy has to call all of them for this batch.
             if [callback for callback, _ in self._topic.callbacks or ()] != [self._callback]:
-                return [self._rospy_message(data) for data in messages]
+                return [self._to_rospy_message(data) for data in messages]
             handler(messages)
         return []
 
@@ -186,6 +186,7 @@ class ConnectionReader:
         # SO_RCVLOWAT and SO_RCVTIMEO apply to blocking sockets only.
         self._socket.setblocking(True)
         self._low_water_mark = LowWaterMark(self._socket, self._max_delay)
+        # The pieces of an incomplete message, and the bytes that are missing until its length or its end is known.
         self._parts = [connection.read_buff.getvalue()]
         self._missing_bytes = 4 - len(self._parts[0])
         connection.read_buff.seek(0)
@@ -209,39 +210,41 @@ class ConnectionReader:
                 raise TransportTerminated(f"cannot receive: {error}") from error
             if not data:
                 raise TransportTerminated("the sender closed the connection")
-        received = len(data)
-        connection.stat_bytes += received
+        received_bytes = len(data)
+        connection.stat_bytes += received_bytes
         if parts:
             parts.append(data)
-            self._missing_bytes -= received
+            self._missing_bytes -= received_bytes
             if self._missing_bytes > 0:
                 return []
             data = b"".join(parts)
             parts.clear()
         messages = self._split(data)
         connection.stat_num_msg += len(messages)
-        self._low_water_mark.record_wake_up(received, len(messages))
+        self._low_water_mark.record_wake_up(received_bytes, len(messages))
         return messages
 
     def _split(self, data: bytes) -> List[bytes]:
         """Return the complete messages in received data, and store the rest."""
         messages = []
         position, end = 0, len(data)
-        next_stop = 4
-        while next_stop <= end:
-            next_stop += _size(data, position)[0]
-            if next_stop > end:
+        # Position up to which data are needed: first the end of a message's length of 4 bytes, then its own end.
+        needed_end = 4
+        while needed_end <= end:
+            needed_end += _unpack_length(data, position)[0]
+            if needed_end > end:
                 break
-            messages.append(data[position + 4 : next_stop])
-            position = next_stop
-            next_stop += 4
-        self._missing_bytes = next_stop - end
+            messages.append(data[position + 4 : needed_end])
+            position = needed_end
+            needed_end += 4
+        self._missing_bytes = needed_end - end
         if position < end:
             self._parts.append(data[position:])
         return messages
 
-    def _rospy_message(self, data: bytes) -> Any:
+    def _to_rospy_message(self, data: bytes) -> Any:
         """Return a message in the form that rospy creates."""
+        # As in rospy's own receive path; subscribers read the header of the connection from the message.
         message = rospy.AnyMsg()
         message._buff = data
         message._connection_header = self._connection.header

@@ -229,9 +229,8 @@ class _Receiver:
         self._counts = counts
         self._rospy_connection = connection
         self._close_connection = close_connection
-        self._connection = getattr(
-            connection, "_connection", connection
-        )  # the connection inside rospy's QueuedConnection, whose thread remains idle
+        # The connection inside rospy's QueuedConnection, whose thread remains idle.
+        self._connection = getattr(connection, "_connection", connection)
         self._topic = topic
         self._max_queued = queue_size
         self._reports = reports
@@ -289,7 +288,7 @@ class _Receiver:
         dropped = 0
         with self._lock:
             while self._queued_messages >= self._max_queued and self._queue:
-                count = self._queue.popleft()[1]
+                _, count = self._queue.popleft()
                 self._queued_messages -= count
                 dropped += count
         self._counts.dropped += dropped
@@ -301,7 +300,7 @@ class _Receiver:
 
     def _wait_for_room(self) -> None:
         """Wait until the queue has room, or the receiver has read nothing for `RECEIVER_WAIT_SECONDS`."""
-        progress, deadline = self._progress(), time.monotonic() + RECEIVER_WAIT_SECONDS
+        progress, deadline = self._read_progress(), time.monotonic() + RECEIVER_WAIT_SECONDS
         while (
             self._queued_messages >= self._max_queued
             and time.monotonic() < deadline
@@ -312,11 +311,11 @@ class _Receiver:
                 return
             # Wall time: simulated time may stand still.
             wallsleep(PROGRESS_CHECK_SECONDS)
-            previous, progress = progress, self._progress()
+            previous, progress = progress, self._read_progress()
             if progress != previous:
                 deadline = time.monotonic() + RECEIVER_WAIT_SECONDS
 
-    def _progress(self) -> object:
+    def _read_progress(self) -> object:
         """Return a value that changes whenever the receiver reads: bytes written, and bytes not acknowledged."""
         unacknowledged = bytearray(4)
         try:
@@ -337,16 +336,16 @@ class _Receiver:
             self._close_connection(self._rospy_connection, error)
 
     def _dequeue(self) -> Tuple[bytes, int]:
-        """Return the next queued frames, combined, and their number of messages; mark the thread as ended if none."""
+        """Return the next queued writes as one, and their number of messages; mark the thread as ended if none."""
         with self._lock:
             writes: List[Tuple[bytes, int]] = []
             size = 0
             while self._queue and len(writes) < MAX_COMBINED_WRITES and size < COMBINED_WRITE_BYTES:
                 writes.append(self._queue.popleft())
                 size += len(writes[-1][0])
-            count = sum(write[1] for write in writes)
+            count = sum(message_count for _, message_count in writes)
             self._queued_messages -= count
             # Under the same lock as the test of the queue: a message that `write` appends is written by this
             # thread, or `write` finds `_is_writing` cleared and writes itself.
             self._is_writing = bool(writes)
-        return b"".join([write[0] for write in writes]), count
+        return b"".join([messages for messages, _ in writes]), count

@@ -99,8 +99,8 @@ class _Batch(NamedTuple):
     text_count: int
 
 
-class _Latched(NamedTuple):
-    """The newest message of a latched topic, with the number of its batch and its size in bytes."""
+class _LatchedText(NamedTuple):
+    """The newest message of a latched topic as text, with the number of its batch and its size in bytes."""
 
     number: int
     serialize: Callable[[], bytes]
@@ -108,9 +108,14 @@ class _Latched(NamedTuple):
 
 
 class _ThirdParty(NamedTuple):
-    """A subscriber that is not the peer: the last batch before it connected, and the attempts to identify it."""
+    """A subscriber that is not the peer.
 
-    connected_at: int
+    Attributes:
+        last_missed: number of the last batch before it connected.
+        attempts: number of attempts to identify it.
+    """
+
+    last_missed: int
     attempts: int
 
 
@@ -146,10 +151,10 @@ class LateJoinerBuffer:
         self._reports = reports
         self._get_epoch = epoch
         self._epoch = 0
-        self._last_batch = 0
-        """Number of the last batch."""
+        self._last_batch_number = 0
+        """Number of the last batch; 0 if there is none."""
         self._known_connections: Any = None
-        """The list of connections at the last update."""
+        """The list of connections at the last update, as rospy's object."""
         self._unidentified: Dict[Any, int] = {}
         """Unidentified subscribers, each with the number of the last batch before it connected."""
         self._third_parties: Dict[Any, _ThirdParty] = {}
@@ -157,9 +162,9 @@ class LateJoinerBuffer:
         self._peers: List[Any] = []
         self._buffered: Deque[_Batch] = deque()
         self._buffered_texts = self._buffered_bytes = 0
-        self._last_delivered = 0
+        self._last_delivered_number = 0
         """Number of the last batch that was delivered to a peer."""
-        self._latched: Dict[Hashable, _Latched] = {}
+        self._latched: Dict[Hashable, _LatchedText] = {}
         self._latched_bytes = 0
 
     def send(self, messages: bytes, count: int, mark: bytes = b"", for_peer: bool = True) -> None:
@@ -176,15 +181,15 @@ class LateJoinerBuffer:
         # A dead peer may remain in an unchanged list; buffering must begin before rospy notices.
         if connections is not self._known_connections or not self._peers or has_ended(self._peers[0]):
             self._update_subscribers(connections)
-        self._last_batch += 1
+        self._last_batch_number += 1
         self._topic_writer.counts.sent += count
         if self._peers:
-            self._last_delivered = self._last_batch
+            self._last_delivered_number = self._last_batch_number
         if self._unidentified or not self._peers:
             # An unidentified subscriber receives the texts from the buffer when it has been identified, whether
             # the peer needs them or not.
             if self._unidentified or for_peer:
-                self._buffer(_Batch(self._last_batch, mark, messages, count))
+                self._buffer(_Batch(self._last_batch_number, mark, messages, count))
             connections = [*self._peers, *self._third_parties]
         if mark:
             self._topic_writer.write(self._peers, mark + messages, count)
@@ -195,7 +200,8 @@ class LateJoinerBuffer:
         """Store the latched message that the next call of `send` delivers, for peers that connect later.
 
         Args:
-            key: topic and publisher; a newer message with the same key replaces this one.
+            key: identifies the topic and, for input topics, the publisher; a newer message with the same key
+                replaces this one.
             serialize: returns the text with its mark, as serialized messages.
             size: size of the stored message in bytes.
         """
@@ -209,16 +215,16 @@ class LateJoinerBuffer:
             )
         # The message has the number of the batch that `send` is about to create: a peer that finds this batch in the
         # buffer must not receive the message a second time.
-        self._latched[key] = _Latched(self._last_batch + 1, serialize, size)
+        self._latched[key] = _LatchedText(self._last_batch_number + 1, serialize, size)
         self._latched_bytes += size
 
     def latched_batch_numbers(self) -> Dict[Hashable, int]:
-        """Return the batch number of the stored latched message, by topic and publisher."""
+        """Return the batch numbers of the stored latched messages by their keys."""
         return {key: message.number for key, message in self._latched.items()}
 
-    def discard(self, latched: Dict[Hashable, int]) -> None:
+    def discard(self, batch_numbers: Dict[Hashable, int]) -> None:
         """Discard latched messages by key and batch number, unless newer ones have replaced them."""
-        for key, number in latched.items():
+        for key, number in batch_numbers.items():
             if key in self._latched and self._latched[key].number == number:
                 self._discard_latched(key)
 
@@ -249,25 +255,25 @@ class LateJoinerBuffer:
         A third party may be identified again, because a starting peer connects before the master lists its service.
         """
         third_party = self._third_parties.pop(connection, None)
-        connected_at = (
-            self._unidentified.pop(connection, self._last_batch)
+        last_missed = (
+            self._unidentified.pop(connection, self._last_batch_number)
             if third_party is None
-            else third_party.connected_at
+            else third_party.last_missed
         )
         if is_peer:
             # A restarted peer has lost its state, but batches that the previous instance received are not sent again:
             # an event must not be processed twice. Latched messages are the exception.
-            missed = self._backlog(min(connected_at, self._last_delivered))
+            missed = self._collect_backlog(min(last_missed, self._last_delivered_number))
             self._peers.append(connection)
-            self._last_delivered = self._last_batch
+            self._last_delivered_number = self._last_batch_number
         else:
             self._third_parties[connection] = _ThirdParty(
-                connected_at, 1 if third_party is None else third_party.attempts + 1
+                last_missed, 1 if third_party is None else third_party.attempts + 1
             )
-            missed = [batch for batch in self._buffered if batch.number > connected_at]
+            missed = [batch for batch in self._buffered if batch.number > last_missed]
         if third_party is not None:
             # A former third party has received the live stream since it was identified.
-            missed = [batch for batch in missed if is_peer and batch.number <= connected_at]
+            missed = [batch for batch in missed if is_peer and batch.number <= last_missed]
         messages = [self._greeting()] if is_peer else []
         for batch in missed:
             messages += (batch.mark, batch.messages) if is_peer else (batch.messages,)
@@ -278,7 +284,7 @@ class LateJoinerBuffer:
         if self._peers and not self._unidentified:
             self._clear_buffer()
 
-    def _backlog(self, after_batch: int) -> List[_Batch]:
+    def _collect_backlog(self, after_batch: int) -> List[_Batch]:
         """Return the buffered batches after a batch, and the latched messages, in batch order, each once."""
         missed = {batch.number: batch for batch in self._buffered if batch.number > after_batch}
         for key, (number, serialize, _) in self._latched.items():
@@ -302,7 +308,7 @@ class LateJoinerBuffer:
         unidentified, self._unidentified = self._unidentified, {}
         for connection in alive_connections:
             if connection not in self._peers and connection not in self._third_parties:
-                self._unidentified[connection] = unidentified.get(connection, self._last_batch)
+                self._unidentified[connection] = unidentified.get(connection, self._last_batch_number)
 
     def _buffer(self, batch: _Batch) -> None:
         # Texts of an earlier clock epoch refer to a time line that has ended; see `ClockEpochs`.
@@ -319,7 +325,7 @@ class LateJoinerBuffer:
             self._buffered_bytes -= len(oldest.mark) + len(oldest.messages)
             # Batches that a peer has received are buffered only for unidentified subscribers, so their loss is no
             # loss of events.
-            if oldest.number > self._last_delivered:
+            if oldest.number > self._last_delivered_number:
                 self._topic_writer.counts.dropped += oldest.text_count
                 for _ in range(oldest.text_count):
                     self._reports.warning(
@@ -381,23 +387,26 @@ def _identify_all(
 ) -> bool:
     """Identify all unidentified subscribers; return whether all are identified."""
     with lock:
-        unidentified, latched = late_joiners.subscribers_to_identify(), late_joiners.latched_batch_numbers()
+        unidentified, batch_numbers = (
+            late_joiners.subscribers_to_identify(),
+            late_joiners.latched_batch_numbers(),
+        )
     if not unidentified:
         return True
     # The master is asked without the lock: texts are sent meanwhile, and subscribers come and go.
-    peers = nodes_offering(late_joiners.peer.service)
-    current_publishers: Collection[Hashable] = latched if publishers is None else publishers()
+    peers = find_nodes_offering(late_joiners.peer.service)
+    current_publishers: Collection[Hashable] = batch_numbers if publishers is None else publishers()
     with lock:
         # A node that subscribed to the topics itself would receive nothing from publishers that have gone.
         late_joiners.discard(
-            {key: number for key, number in latched.items() if key not in current_publishers}
+            {key: number for key, number in batch_numbers.items() if key not in current_publishers}
         )
         for connection in set(unidentified) & set(late_joiners.subscribers_to_identify()):
             late_joiners.identify(connection, getattr(connection, "endpoint_id", None) in peers)
         return not late_joiners.subscribers_to_identify()
 
 
-def nodes_offering(service: str) -> Set[str]:
+def find_nodes_offering(service: str) -> Set[str]:
     """Return the nodes that offer a service; none if the master does not answer."""
     name = rospy.resolve_name(service)
     try:

@@ -127,19 +127,16 @@ def read_parameters(arguments: Optional[List[str]] = None) -> Parameters:
         settings = settings._replace(max_depth=depth)
     if queue is not None:
         settings = settings._replace(queue=queue)
-    max_empty_elements = _read_positive_number("~max_elements", int) or MAX_EMPTY_ELEMENTS
-    parameters = Parameters(
-        _read_program_folder(argv),
-        _read_direct_topics(),
-        _read_flag("~embedded"),
-        settings.queue,
-        settings,
-        max_empty_elements,
-        _read_flag("~explain"),
-    )
-    return parameters._replace(
-        max_skew=_read_limit("~max_skew", float, None), diagnostics=_read_limit("~diagnostics", float, 1.0)
-    )._replace(
+    return Parameters(
+        max_empty_elements=_read_positive_number("~max_elements", int) or MAX_EMPTY_ELEMENTS,
+        program=_read_program_folder(argv),
+        direct=_read_direct_topics(),
+        embedded=_read_flag("~embedded"),
+        queue=settings.queue,
+        settings=settings,
+        explain=_read_flag("~explain"),
+        max_skew=_read_limit("~max_skew", float, None),
+        diagnostics=_read_limit("~diagnostics", float, 1.0),
         hardware_id=_read_text("~hardware_id", DEFAULT_HARDWARE_ID),
         dashboard=_read_port("~dashboard"),
         dashboard_queries=_read_flag("~dashboard_queries"),

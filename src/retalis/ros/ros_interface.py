@@ -16,7 +16,19 @@ import time
 from collections import deque
 from functools import partial
 from struct import Struct
-from typing import Any, Callable, ContextManager, Dict, Iterable, Iterator, List, Optional, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    ContextManager,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 import rospy
 
@@ -40,7 +52,7 @@ from .connection_reader import read_in_batches
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .internal_topics import INPUT, OUTPUT, WATCH, resolve
 from .latched_deduplication import LatchedConnection, LatchedMessageDeduplicator
-from .text_topics import text_handler_factory
+from .text_topics import make_text_handler_factory
 from .topic_statistics import InputCounts, InputStatus, OutputStatus
 
 MessageHandler = Callable[[bytes], Any]
@@ -170,7 +182,7 @@ class RosInterface:
 
     def _create_handler(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of a new connection's messages, after output topics have used a type that it defines."""
-        self.outputs.advertise_learned()
+        self.outputs.advertise_learned_types()
         return self._handler_factory(decoder)
 
     def _wrap_latched_factory(self, latched_handler: LatchedHandlerFactory) -> LatchedHandlerFactory:
@@ -179,7 +191,7 @@ class RosInterface:
         def handler_factory(
             decoder: Decoder, publisher: Publisher, connection: LatchedConnection
         ) -> MessageHandler:
-            self.outputs.advertise_learned()
+            self.outputs.advertise_learned_types()
             return latched_handler(decoder, publisher, connection)
 
         return handler_factory
@@ -200,7 +212,7 @@ class RosInterface:
             latched: recognizes the texts of latched messages that were processed already.
         """
         name = rospy.resolve_name(topic)
-        handler_factory = text_handler_factory(handler, clock_epochs, latched)
+        handler_factory = make_text_handler_factory(handler, clock_epochs, latched)
         processing_lock = threading.Lock()
         self._text_topics.append(
             InputTopic(
@@ -243,12 +255,12 @@ class RosInterface:
 
     def learn(self, topic: str, message_type: str) -> None:
         """Learn an unknown type from a publisher of a topic that node retalis subscribes to; process no messages."""
-        if self.outputs.knows(message_type):
+        if self.outputs.knows_type(message_type):
             return
         is_learned = threading.Event()
 
         def handler_factory(decoder: Decoder) -> MessageHandler:
-            self.outputs.advertise_learned()
+            self.outputs.advertise_learned_types()
             is_learned.set()
             return lambda data: None
 
@@ -517,16 +529,31 @@ class InputTopic:
 
 
 MAX_UNTYPED_TOPICS_NAMED = 100
-"""Limit for the topics without a type that are logged."""
+"""Maximum number of topics without a type that are logged."""
 
-_SIZE = Struct("<I")
+_LENGTH = Struct("<I")
+"""Length of a message, which precedes it on a connection."""
+
+
+class _TypedTopic(NamedTuple):
+    """An advertised topic: the writer of its messages, and the encoder of terms to messages of its type."""
+
+    writer: TopicWriter
+    encoder: Encoder
+
+
+class _UnadvertisedTopic(NamedTuple):
+    """A topic with an unknown type, and whether it will be latched."""
+
+    message_type: str
+    latched: bool
 
 
 class OutputTopics:
     """The output topics of a program.
 
     A topic whose type is not installed is advertised as soon as a publisher of an input topic has defined the type;
-    see `advertise_learned`.
+    see `advertise_learned_types`.
 
     Args:
         definitions: known message types.
@@ -539,9 +566,9 @@ class OutputTopics:
         self._queue = queue
         self._reports = reports
         self._lock = threading.Lock()
-        self._typed: Dict[str, Tuple[TopicWriter, Encoder]] = {}
-        self._awaiting_type: Dict[str, Tuple[str, bool]] = {}
-        """Unknown type and latching of topics that are not advertised yet, by topic."""
+        self._typed: Dict[str, _TypedTopic] = {}
+        self._unadvertised: Dict[str, _UnadvertisedTopic] = {}
+        """Topics that are advertised when their types become known."""
         self._logged_topics: Set[str] = set()
 
     def advertise(self, topic: str, message_type: str, latched: bool = False) -> None:
@@ -566,43 +593,40 @@ class OutputTopics:
             try:
                 self._advertise(name, message_type, latched)
             except MessageError:
-                self._awaiting_type[name] = (message_type, latched)
+                self._unadvertised[name] = _UnadvertisedTopic(message_type, latched)
                 raise
 
     def status(self) -> List[OutputStatus]:
         """Return the counters of each topic."""
-        return [
-            topic_writer.status(encoder.definition.name)
-            for topic_writer, encoder in list(self._typed.values())
-        ]
+        return [topic.writer.status(topic.encoder.definition.name) for topic in list(self._typed.values())]
 
-    def knows(self, message_type: str) -> bool:
+    def knows_type(self, message_type: str) -> bool:
         """Return whether a message type is known."""
         return message_type in self._definitions
 
     def _type_of(self, name: str) -> Optional[str]:
         """Return the type of a topic; None if it has none."""
         if name in self._typed:
-            return self._typed[name][1].definition.name
-        return self._awaiting_type[name][0] if name in self._awaiting_type else None
+            return self._typed[name].encoder.definition.name
+        return self._unadvertised[name].message_type if name in self._unadvertised else None
 
     def _advertise(self, name: str, message_type: str, latched: bool) -> None:
         definition = self._definitions.find(message_type)
         topic_writer = TopicWriter(
             name, serialized_class(definition), self._queue, self._reports, latched=latched
         )
-        self._typed[name] = (topic_writer, self._definitions.encoder(definition))
+        self._typed[name] = _TypedTopic(topic_writer, self._definitions.encoder(definition))
 
-    def advertise_learned(self) -> None:
+    def advertise_learned_types(self) -> None:
         """Advertise the topics whose types have become known through a new connection to a publisher."""
         # Called for each new connection, in nearly all programs without a topic that waits for its type.
-        if not self._awaiting_type:
+        if not self._unadvertised:
             return
         with self._lock:
-            for name, (message_type, latched) in list(self._awaiting_type.items()):
+            for name, (message_type, latched) in list(self._unadvertised.items()):
                 if message_type in self._definitions:
                     self._advertise(name, message_type, latched)
-                    del self._awaiting_type[name]
+                    del self._unadvertised[name]
                     rospy.loginfo(
                         "topic %s is published: its type %s was learned from a publisher", name, message_type
                     )
@@ -613,13 +637,13 @@ class OutputTopics:
         Outputs to a topic without a type exist only as text.
         """
         try:
-            output = self._typed.get(resolve(topic))
-            if output is None:
+            typed_topic = self._typed.get(resolve(topic))
+            if typed_topic is None:
                 self._report_unpublished(topic)
                 return
-            topic_writer, encoder = output
+            topic_writer, encoder = typed_topic
             data = encoder.encode(term, topic)
-            topic_writer.send(_SIZE.pack(len(data)) + data)
+            topic_writer.send(_LENGTH.pack(len(data)) + data)
         except RetalisError as error:
             self._reports.error(error, ("out", topic))
 
@@ -629,10 +653,12 @@ class OutputTopics:
         For a topic that waits for its type each message is a loss, and is counted as a warning. For a topic without a
         type it is normal, and is logged once.
         """
-        awaited = self._awaiting_type.get(resolve(topic))
-        if awaited is not None:
-            message_type, _ = awaited
-            text = f"topic {topic}: a message is dropped: type {message_type} is unknown until a publisher defines it"
+        unadvertised = self._unadvertised.get(resolve(topic))
+        if unadvertised is not None:
+            text = (
+                f"topic {topic}: a message is dropped: type {unadvertised.message_type} is unknown until a publisher "
+                "defines it"
+            )
             self._reports.warning(text, ("out", topic))
         elif (
             len(self._logged_topics) < MAX_UNTYPED_TOPICS_NAMED
@@ -696,7 +722,8 @@ def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[Top
     direct_topics = tuple(direct_topics)
     direct_names = {rospy.resolve_name(topic) for topic, _ in direct_topics}
     may_be_learned = any(
-        not interface.outputs.knows(message_type) for _, message_type in (*topics.subscribed, *direct_topics)
+        not interface.outputs.knows_type(message_type)
+        for _, message_type in (*topics.subscribed, *direct_topics)
     )
     for topic, message_type in topics.published:
         latched = topic in topics.latched

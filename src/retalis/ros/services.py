@@ -96,9 +96,8 @@ def execute_request(execute: Callable[[], None]) -> str:
 
 def format_error(error: RetalisError) -> str:
     """Return the result of a request that failed with an error."""
-    return "error: " + " ".join(
-        beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines()
-    )  # quoted names may contain line breaks
+    # In one line: quoted names may contain line breaks.
+    return "error: " + " ".join(beginning(error.brief(), MAX_ANSWER_CHARACTERS).splitlines())
 
 
 class _Fields(NamedTuple):
@@ -123,24 +122,24 @@ class EngineServices:
     Args:
         engine: engine of the node.
         untyped_topics: warns about subscribed topics without a type.
-        missing_source: returns the reason why no events of a pattern are expected; "" if there may be some.
-        type_mismatch: returns the reason why no output of a subscription, a goal ``subscribe/5``, can be a message of
-            its topic's type; "" if some may be.
+        explain_missing_source: returns the reason why no events of a pattern are expected; "" if there may be some.
+        explain_type_mismatch: returns the reason why no output of a subscription, a goal ``subscribe/5``, can be a
+            message of its topic's type; "" if some may be.
     """
 
     def __init__(
         self,
         engine: Engine,
         untyped_topics: UntypedTopicWarnings,
-        missing_source: Callable[[Term], str],
-        type_mismatch: Callable[[CompoundTerm, str], str],
+        explain_missing_source: Callable[[Term], str],
+        explain_type_mismatch: Callable[[CompoundTerm, str], str],
     ):
         from .. import srv  # noqa: PLC0415 - generated when the package is built
 
         self._engine = engine
         self._untyped_topics = untyped_topics
-        self._missing_source = missing_source
-        self._type_mismatch = type_mismatch
+        self._explain_missing_source = explain_missing_source
+        self._explain_type_mismatch = explain_type_mismatch
         offer_service("add_output_subscription", srv.AddOutputSubscription, self._add_subscription)
         offer_service("delete_output_subscription", srv.DeleteOutputSubscription, self._delete_subscription)
         offer_service("add_memory", srv.AddMemory, self._add_memory)
@@ -148,7 +147,7 @@ class EngineServices:
 
     def _add_subscription(self, request: Any) -> str:
         def execute() -> None:
-            topic, key = name_term(request.topic, "topic"), name_term(request.id, "id")
+            topic, key = parse_name(request.topic, "topic"), parse_name(request.id, "id")
             if self._engine.has_subscription(topic, key):
                 raise UsageError(
                     f"a subscription {quote_text(request.id)} of topic {quote_text(request.topic)} already exists"
@@ -156,11 +155,11 @@ class EngineServices:
             fields = self._parse_request(request)
             goal = (_SUBSCRIBE, fields.event, make_list(fields.conditions), fields.template, topic, key)
             # Checked before the subscription is added: a response with an error must leave the engine unchanged.
-            type_mismatch = self._type_mismatch(goal, request.topic.strip())
+            type_mismatch = self._explain_type_mismatch(goal, request.topic.strip())
             if type_mismatch:
                 raise UsageError(f"format: {type_mismatch}")
             self._engine.add_subscription(fields.event, fields.conditions, fields.template, topic, key)
-            self._log_unbound("subscribe", request.id, fields)
+            self._log_unbound_variables("subscribe", request.id, fields)
             matched_fields = fields._replace(event=subscription_event(fields.event))
             self._log_missing_source("subscribe", request.id, matched_fields)
             self._untyped_topics.check(request.topic.strip())
@@ -169,19 +168,19 @@ class EngineServices:
 
     def _add_memory(self, request: Any) -> str:
         def execute() -> None:
-            key, size = name_term(request.id, "id"), self._parse_size(request.size)
+            key, size = parse_name(request.id, "id"), self._parse_size(request.size)
             if self._engine.has_memory(key):
                 raise UsageError(f"a memory {quote_text(request.id)} already exists")
             fields = self._parse_request(request)
             self._engine.add_memory(fields.event, fields.conditions, fields.template, key, size)
-            self._log_unbound("memorize", request.id, fields)
+            self._log_unbound_variables("memorize", request.id, fields)
             self._log_missing_source("memorize", request.id, fields)
 
         return execute_request(lambda: run_restricted(self._engine, execute))
 
     def _delete_subscription(self, request: Any) -> str:
         def execute() -> None:
-            topic, key = name_term(request.topic, "topic"), name_term(request.id, "id")
+            topic, key = parse_name(request.topic, "topic"), parse_name(request.id, "id")
             if not self._engine.delete_subscription(topic, key):
                 raise UsageError(
                     f"there is no subscription {quote_text(request.id)} of topic {quote_text(request.topic)}"
@@ -191,7 +190,7 @@ class EngineServices:
 
     def _delete_memory(self, request: Any) -> str:
         def execute() -> None:
-            if not self._engine.delete_memory(name_term(request.id, "id")):
+            if not self._engine.delete_memory(parse_name(request.id, "id")):
                 raise UsageError(f"there is no memory {quote_text(request.id)}")
 
         return execute_request(execute)
@@ -200,16 +199,18 @@ class EngineServices:
         fields = {"event": request.event, "conditions": request.conditions.strip() or "true"}
         (event, conditions, template), names = self._parse_fields({**fields, "format": request.format})
         goals = [] if conditions is TRUE else list(conjuncts(conditions))
-        self._check("event", "an event: an atom or a compound term", event, (Atom, tuple, Var))
+        self._require_type("event", "an event: an atom or a compound term", event, (Atom, tuple, Var))
         for goal in goals:
-            self._check("conditions", "goals: atoms or compound terms", goal, (Atom, tuple))
-        self._check("format", "an atom or a compound term, or _ for the event", template, (Atom, tuple, Var))
+            self._require_type("conditions", "goals: atoms or compound terms", goal, (Atom, tuple))
+        self._require_type(
+            "format", "an atom or a compound term, or _ for the event", template, (Atom, tuple, Var)
+        )
         unbound = set(variables(template)).difference(variables((COMMA, event, conditions)))
         unbound_names = [name for name, var in names.items() if var in unbound]
         return _Fields(event, goals, template, [] if isinstance(template, Var) else unbound_names)
 
-    def _log_unbound(self, goal: str, text: str, fields: _Fields) -> None:
-        """Log variables of the format that never get a value."""
+    def _log_unbound_variables(self, goal: str, text: str, fields: _Fields) -> None:
+        """Log the variables of the format that neither the pattern nor the conditions bind."""
         if fields.unbound_names:
             rospy.logwarn(
                 "%s %s: nothing in event or conditions gives %s in the format a value",
@@ -219,12 +220,12 @@ class EngineServices:
             )
 
     def _log_missing_source(self, goal: str, text: str, fields: _Fields) -> None:
-        """Log that the pattern's events have no source."""
-        missing_source = self._missing_source(fields.event)
+        """Log the reason why no events of the pattern are expected, if there is one."""
+        missing_source = self._explain_missing_source(fields.event)
         if missing_source:
             rospy.logwarn("%s %s: %s", goal, quote_text(text), printable(missing_source))
 
-    def _check(self, field: str, expected: str, term: Term, types: Tuple[type, ...]) -> None:
+    def _require_type(self, field: str, expected: str, term: Term, types: Tuple[type, ...]) -> None:
         if not isinstance(deref(term), types):
             raise UsageError(f"{field}: expected {expected}, found {self._engine.brief(term)}")
 
@@ -274,7 +275,7 @@ class InterfaceServices:
         def execute() -> None:
             # Rejects invalid names before any lookup.
             topic_type(topic, message_type)
-            is_known = self._interface.outputs.knows(message_type)
+            is_known = self._interface.outputs.knows_type(message_type)
             suggestion = "" if is_known else Definitions(installed_types()).misspelt(message_type)
             # An unknown type is not an error: a publisher's connection header contains its definition.
             if suggestion and not _is_published(topic, message_type):
@@ -301,7 +302,7 @@ def _is_published(topic: str, message_type: str) -> bool:
     return published_types().get(resolve(topic)) == message_type
 
 
-def name_term(text: str, field: str) -> Term:
+def parse_name(text: str, field: str) -> Term:
     """Return the term of a topic or an id: the parsed text if it is an atom or an integer, otherwise an atom.
 
     The parser reads a topic like ``robot/marker1`` as a division, but it is a name.
@@ -336,9 +337,8 @@ class RuleServices:
         try:
             return self._response(OK, add_rule(self._engine, request.rule, request.label))
         except (SyntaxFault, ProgramErrors) as error:
-            return self._response(
-                f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", ""
-            )  # with the source lines and the carets below them
+            # In several lines: the source lines, with carets below the errors.
+            return self._response(f"error: {beginning(str(error), MAX_ANSWER_CHARACTERS)}", "")
         except RetalisError as error:
             return self._response(format_error(error), "")
 
@@ -359,6 +359,7 @@ _TIME_LIMIT_SECONDS = 1 << 32
 """First second that a time in a ROS message cannot represent."""
 
 _DURATION_LIMIT_SECONDS = 1 << 31
+"""First second that a duration in a ROS message cannot represent."""
 
 
 class ListService:
@@ -522,7 +523,7 @@ class QueryServices:
         return response(OK, answers.complete, solutions)
 
     def _wait_for_memories(self, request: Any) -> None:
-        names = [name_term(text, "wait_for") for text in request.wait_for]
+        names = [parse_name(text, "wait_for") for text in request.wait_for]
         seconds = validate_limit("timeout", request.timeout, float) or DEFAULT_QUERY_WAIT_SECONDS
         # A query beyond the limit fails at once instead of waiting: a blocked thread is what the limit avoids.
         if not self._waiting_slots.acquire(blocking=False):
@@ -591,9 +592,8 @@ class ReloadService:
             # The engine replaces the program completely, or not at all if there are errors.
             changes = self._engine.reload(self._folder)
         except RetalisError as error:
-            return self._response(
-                f"error: {beginning(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", []
-            )  # with the source lines and the carets below them
+            # In several lines: the source lines, with carets below the errors.
+            return self._response(f"error: {beginning(str(error), MAX_RELOAD_ERROR_CHARACTERS)}", [])
         if topics != self._topics:
             changes.append(TOPICS_CHANGED)
         self._after_reload(topics)

@@ -67,7 +67,7 @@ class EventTextPublisher:
             topic, String, queue_size, reports, self._must_wait_for, listener=self._subscriber_identifier
         )
         self._late_joiners = LateJoinerBuffer(
-            self._topic_writer, ENGINE, queue_size, reports, epoch, self._epoch_mark_bytes
+            self._topic_writer, ENGINE, queue_size, reports, epoch, self._serialize_epoch_mark
         )
         self._pending_messages: List[bytes] = []
 
@@ -80,9 +80,13 @@ class EventTextPublisher:
         """
         self._subscriber_identifier.start(self._late_joiners, processing_lock, publishers)
 
-    def _epoch_mark_bytes(self) -> bytes:
+    def _serialize_epoch_mark(self) -> bytes:
         """Return the mark of the current epoch as a serialized message; empty for wall time."""
-        return b"" if self._clock_epochs is None else serialize_string(epoch_mark(self._clock_epochs.epoch))
+        return (
+            b""
+            if self._clock_epochs is None
+            else serialize_string(format_epoch_mark(self._clock_epochs.epoch))
+        )
 
     def begin_epoch(self, previous_end: int) -> None:
         """Announce a new epoch of simulated time, after all texts of the former one.
@@ -91,7 +95,7 @@ class EventTextPublisher:
             previous_end: end of the former epoch in ns; unused, but passed to each callback of `ClockEpochs`.
         """
         self.flush()
-        self._late_joiners.send(self._epoch_mark_bytes(), 1)
+        self._late_joiners.send(self._serialize_epoch_mark(), 1)
 
     def _must_wait_for(self, connection: Any) -> bool:
         """Return whether the publisher blocks until this subscriber accepts a message.
@@ -163,8 +167,8 @@ class OutputTextPublisher:
     def __init__(
         self, topic: str, queue_size: int, reports: Reports, published: Iterable[str], latched: Iterable[str]
     ):
-        self._published = frozenset(map(_full_name, published))
-        self._latched = frozenset(map(_full_name, latched))
+        self._published = frozenset(map(_resolve_if_valid, published))
+        self._latched = frozenset(map(_resolve_if_valid, latched))
         self._full_names: Cache[str, str] = Cache(1000, 1 << 20)
         """Full names of topics by their names in programs."""
         self._subscriber_identifier = SubscriberIdentifier()
@@ -177,7 +181,9 @@ class OutputTextPublisher:
 
     def send(self, topic: str, format_text: Callable[[], str]) -> None:
         """Send or buffer an output to a topic; ``format_text`` is called only if the text is needed."""
-        name = self._full_names.get(topic) or self._full_names.store(topic, _full_name(topic), 2 * len(topic))
+        name = self._full_names.get(topic) or self._full_names.store(
+            topic, _resolve_if_valid(topic), 2 * len(topic)
+        )
         is_published = name in self._published
         # Topics such as those of `retalis watch` exist only as text: without a subscriber nothing is written.
         if not is_published and not self.connections():
@@ -197,7 +203,7 @@ class OutputTextPublisher:
         return self._topic_writer.status("std_msgs/String")
 
 
-def _full_name(topic: str) -> str:
+def _resolve_if_valid(topic: str) -> str:
     """Return the full name of a topic; an invalid name is returned unchanged, as its outputs are only text."""
     try:
         return resolve(topic)
@@ -211,12 +217,12 @@ EPOCH_MARK_PREFIX = "event(retalis_run("
 _MARK_END = "))"
 
 
-def epoch_mark(epoch: int) -> str:
+def format_epoch_mark(epoch: int) -> str:
     """Return the mark that announces texts of an epoch."""
     return f"{EPOCH_MARK_PREFIX}{epoch}{_MARK_END}"
 
 
-def _epoch_of_mark(text: str) -> Optional[int]:
+def _parse_epoch_mark(text: str) -> Optional[int]:
     """Return the epoch that a mark announces; None if the text is an event."""
     number = text[len(EPOCH_MARK_PREFIX) : -len(_MARK_END)]
     is_mark = len(number) < 10 and number.isascii() and number.isdigit() and text.endswith(_MARK_END)
@@ -227,7 +233,7 @@ _MARK_PREFIX = "event(retalis_"
 """Prefix of all marks."""
 
 
-def text_handler_factory(
+def make_text_handler_factory(
     handler: Callable[[str], object],
     epochs: Optional[ClockEpochs] = None,
     latched: Optional[LatchedMessageDeduplicator] = None,
@@ -243,7 +249,7 @@ def text_handler_factory(
 
 
 class _TextReceiver:
-    """Receiver of the texts of one connection; see `text_handler_factory`."""
+    """Receiver of the texts of one connection; see `make_text_handler_factory`."""
 
     def __init__(
         self,
@@ -282,7 +288,7 @@ class _TextReceiver:
 
     def _apply_mark(self, text: str) -> bool:
         """Apply a mark; return False if the text is an event."""
-        epoch = _epoch_of_mark(text) if text.startswith(EPOCH_MARK_PREFIX) else None
+        epoch = _parse_epoch_mark(text) if text.startswith(EPOCH_MARK_PREFIX) else None
         if epoch is not None and self._epochs is not None:
             self._epochs.report_epoch(self, epoch)
             return True
