@@ -9,7 +9,7 @@ import pytest
 from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
-from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, _NOT_FOR_ONE_BAG, BagTask, add_parser, play_bag
+from retalis.cli.bag_command import _MANY_BAGS_ONLY, _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +36,7 @@ def task(program, bag, target, kind, *more):
         str(bag),
         str(target),
         kind,
-        {name: value for name, value in options.items() if name not in _NOT_FOR_ONE_BAG},
+        {name: value for name, value in options.items() if name not in _MANY_BAGS_ONLY},
     )
 
 

@@ -58,7 +58,7 @@ from .command_options import (
     non_negative,
     positive_integer,
 )
-from .output import JSON_HELP, Printer
+from .result_printer import JSON_HELP, Printer
 from .ros_access import installed_definitions
 from .stderr_report import (
     ProgressBar,
@@ -186,16 +186,17 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     if requests_separate_runs(options):
         return play_separately(options)
-    report = StderrReporter().attach(show_events=True)
-    play(options, report)
-    return 1 if report.errors else 0
+    reporter = StderrReporter().attach(show_events=True)
+    play(options, reporter)
+    return 1 if reporter.errors else 0
 
 
 _OUTPUT_FUNCTOR = functor("output", 2)
 _TIMED_OUTPUT_FUNCTOR = functor("output", 3)
-
+"""Functors of printed outputs: term, topic and optionally the time."""
 
 RecordHandler = Callable[[RunRecord], None]
+"""Receives a record of a run, which is printed as JSON or written to a table."""
 
 
 def print_record(record: RunRecord) -> None:
@@ -205,7 +206,7 @@ def print_record(record: RunRecord) -> None:
 
 def play(
     options: argparse.Namespace,
-    report: StderrReporter,
+    reporter: StderrReporter,
     write_record: RecordHandler = print_record,
     state: Optional[bytes] = None,
 ) -> Playback:
@@ -213,7 +214,7 @@ def play(
 
     Args:
         options: options of the command.
-        report: receives errors.
+        reporter: receives errors.
         write_record: receives events and outputs if the options request JSON.
         state: snapshot of the program to continue from; None to start without state.
     """
@@ -221,12 +222,12 @@ def play(
         # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
         # defines.
         bags = stack.enter_context(open_bags(options))
-        playback = create_playback(options, report, bags, state)
+        playback = create_playback(options, reporter, bags, state)
         # Recording costs time and memory per event, so it is switched on only for the explanations.
         if options.explain:
             record_origins(playback.engine)
         writer = _open_output(options, playback, stack)
-        bar = stack.enter_context(show_progress("messages", progress_of(playback, bags)))
+        bar = stack.enter_context(show_progress("messages", lambda: elapsed_fraction(playback, bags)))
         printer = _RunPrinter(options, playback, bar, write_record, bags.start)
         # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
@@ -245,33 +246,40 @@ def open_bags(options: argparse.Namespace) -> MergedBag:
 
 def create_playback(
     options: argparse.Namespace,
-    report: StderrReporter,
-    bag: Optional[MergedBag] = None,
+    reporter: StderrReporter,
+    bags: Optional[MergedBag] = None,
     state: Optional[bytes] = None,
 ) -> Playback:
-    """Load the program of the options, with the message types of ``bag`` for its rules that name fields."""
+    """Load the program of the options.
+
+    Args:
+        options: options of the command.
+        reporter: receives errors.
+        bags: bags whose message types are known when the program is loaded, for rules that name fields; None if the
+            types of the system suffice.
+        state: snapshot of the program to continue from; None to start without state.
+    """
     settings = apply_limits(apply_folders(Settings(), options), options)
     settings = settings._replace(max_gap=options.max_gap or None)
     if options.tf_cache:
         settings = settings._replace(tf_cache=options.tf_cache)
-    limit = options.max_skew or None
     return Playback(
         options.program,
-        report,
+        reporter,
         _parse_topics(options.topic),
         settings,
-        limit,
-        bag,
-        state,
-        options.direct,
-        installed_definitions(),
+        max_skew=options.max_skew or None,
+        bag=bags,
+        state=state,
+        direct=options.direct,
+        definitions=installed_definitions(),
     )
 
 
-def progress_of(playback: Playback, bags: MergedBag) -> Callable[[], float]:
-    """Return a function that returns the elapsed share of the bags' time, from 0 to 1."""
+def elapsed_fraction(playback: Playback, bags: MergedBag) -> float:
+    """Return the fraction of the bags' time that has been played, from 0 to 1."""
     length = bags.end - bags.start
-    return lambda: (playback.clock.now() - bags.start) / length if length > 0 else 1.0
+    return (playback.clock.now() - bags.start) / length if length > 0 else 1.0
 
 
 def _parse_topics(texts: List[str]) -> List[TopicType]:
@@ -299,6 +307,7 @@ class _RunPrinter:
         start: int,
     ):
         self._options = options
+        # Time to which printed times are relative; None for absolute times.
         self._origin = start if options.times == TIMES_RELATIVE else None
         self._engine = playback.engine
         self._bar = bar
@@ -310,12 +319,12 @@ class _RunPrinter:
         elif options.events:
             self._engine.on_event(end_run_on_closed_pipe(self._print_event))
 
-    def advance(self, done: int) -> None:
-        """Record that another message has been processed."""
+    def advance(self, message_count: int) -> None:
+        """Update records and progress bar after a message; ``message_count`` messages have been processed."""
         if self._recorder is not None:
             self._recorder.update_waits()
         if self._bar is not None:
-            self._bar(done)
+            self._bar(message_count)
 
     def print_output(self, output: Output) -> None:
         """Print an output."""
@@ -360,7 +369,11 @@ class _RunPrinter:
 def _open_output(
     options: argparse.Namespace, playback: Playback, stack: ExitStack
 ) -> "Optional[_OutputWriter]":
-    """Open the bag for outputs, if there is one."""
+    """Open the bag for outputs; return None if none is requested.
+
+    Raises:
+        UsageError: if the bag is one of those that are read, or exists and may not be overwritten.
+    """
     if options.output is None:
         return None
     path = Path(options.output)
@@ -392,6 +405,7 @@ class _OutputWriter:
 
 
 FORMATS = ("bag", "parquet", "jsonl")
+"""Formats of the results of separate runs."""
 
 _MAX_MESSAGE_CHARACTERS = 64 << 10
 """Limit for the characters of errors and warnings of a bag."""
@@ -446,10 +460,10 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
     """
     stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
     with _PROCESS_LOCK, redirect_stderr(stderr):
-        stderr_reporter = StderrReporter().attach(show_events=True)
+        reporter = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
-                state = _play_to_file(result, bag, task, stderr_reporter)
+                state = _play_to_file(result, bag, task, reporter)
         except RetalisError as error:
             failure = str(error)
         except Exception as error:
@@ -460,10 +474,10 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    return BagOutcome(stderr_reporter.errors, messages, failure or None, state)
+    return BagOutcome(reporter.errors, messages, failure or None, state)
 
 
-def _play_to_file(result: str, bag: str, task: BagTask, stderr_reporter: StderrReporter) -> Optional[bytes]:
+def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter) -> Optional[bytes]:
     """Play a bag into a file; return the program's snapshot if a part follows."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     write_record: RecordHandler = print_record
@@ -479,7 +493,7 @@ def _play_to_file(result: str, bag: str, task: BagTask, stderr_reporter: StderrR
         printed_output_path = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed_output_path, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        playback = play(options, stderr_reporter, write_record, task.state)
+        playback = play(options, reporter, write_record, task.state)
         return playback.engine.snapshot() if task.has_next_part else None
 
 
@@ -502,7 +516,7 @@ class _LimitedOutput(io.StringIO):
         return super().getvalue() + truncation_note
 
 
-_NOT_FOR_ONE_BAG = (
+_MANY_BAGS_ONLY = (
     "bags",
     "output",
     "overwrite",
@@ -514,7 +528,7 @@ _NOT_FOR_ONE_BAG = (
     "run",
     "root_parser",
 )
-"""Options that do not apply to the run of a single bag, and entries of the parser."""
+"""Entries of the options that a `BagTask` does not need: options for many bags, and entries of the parser."""
 
 
 def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
@@ -682,7 +696,7 @@ def _create_tasks(
     def shared_path(path_or_url: str) -> str:
         return path_or_url if is_url(path_or_url) else absolute(path_or_url)
 
-    bag_options = {name: value for name, value in vars(options).items() if name not in _NOT_FOR_ONE_BAG}
+    bag_options = {name: value for name, value in vars(options).items() if name not in _MANY_BAGS_ONLY}
     bag_options["program"] = Path(absolute(options.program))
     bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
     targets: Dict[str, str] = {}

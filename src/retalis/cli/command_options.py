@@ -1,40 +1,51 @@
 """Options that several commands share, and the conversion of their values."""
 
 import argparse
-from typing import Callable, Optional, Tuple
+from typing import Callable, NamedTuple, Optional
 
 from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import Limits
 
-NumberReader = Callable[[str], float]
+NumberConverter = Callable[[str], float]
+"""Returns the number in the text of an option, for argparse; raises `argparse.ArgumentTypeError` if it is invalid."""
 
 TIMES_AS_STAMPS, TIMES_RELATIVE = "stamps", "relative"
+"""Values of option ``--times``."""
+
 RELATIVE_TIMES_OPTION = "--times=relative"
 """Option for times relative to the start of a run; ``--times relative`` is the same."""
 
 
-def non_negative(number_type: Callable[[str], float]) -> NumberReader:
+def non_negative(number_type: Callable[[str], float]) -> NumberConverter:
     """Return a converter for numbers of 0 or more.
 
     Args:
         number_type: ``int`` or ``float``.
     """
     name = "a whole number" if number_type is int else "a number"
-    return _make_reader(number_type, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
+    return _make_converter(number_type, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
 
 
-def _make_reader(
+def _make_converter(
     number_type: Callable[[str], float], is_allowed: Callable[[float], bool], expected: str
-) -> NumberReader:
-    def read(text: str) -> float:
+) -> NumberConverter:
+    """Return a converter.
+
+    Args:
+        number_type: ``int`` or ``float``.
+        is_allowed: whether a number is in the range of the option.
+        expected: description of the allowed numbers for the error.
+    """
+
+    def convert(text: str) -> float:
         number = _parse_number(number_type, text)
         if number is None or not is_allowed(number):
             raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
         return number
 
-    return read
+    return convert
 
 
 def _parse_number(number_type: Callable[[str], float], text: str) -> Optional[float]:
@@ -44,44 +55,50 @@ def _parse_number(number_type: Callable[[str], float], text: str) -> Optional[fl
         return None
 
 
-positive_integer = _make_reader(int, lambda number: number >= 1, "a whole number of 1 or more")
-any_integer = _make_reader(int, lambda number: True, "a whole number")
-any_number = _make_reader(float, lambda number: True, "a number")
-positive_seconds = _make_reader(
+positive_integer = _make_converter(int, lambda number: number >= 1, "a whole number of 1 or more")
+any_integer = _make_converter(int, lambda number: True, "a whole number")
+any_number = _make_converter(float, lambda number: True, "a number")
+positive_seconds = _make_converter(
     float, lambda number: 0 < number < float("inf"), "a positive number of seconds"
 )
 
 
 _DEFAULT_MAX_MEGABYTES = 2000
 
-_LIMIT_OPTIONS: Tuple[Tuple[str, Callable[[str], float], Optional[int], str, str], ...] = (
-    (
+
+class _LimitOption(NamedTuple):
+    """An option for a resource limit, with the type and the default of its number; None for no limit."""
+
+    name: str
+    number_type: Callable[[str], float]
+    default: Optional[int]
+    help: str
+
+
+_LIMIT_OPTIONS = (
+    _LimitOption(
         "--max-seconds",
         float,
         None,
-        "N",
         "seconds that an event, goal or query may take, with everything that it starts (0)",
     ),
-    ("--max-inferences", int, None, "N", "inferences that it may take (0)"),
-    (
+    _LimitOption("--max-inferences", int, None, "inferences that it may take (0)"),
+    _LimitOption(
         "--max-megabytes",
         float,
         _DEFAULT_MAX_MEGABYTES,
-        "N",
         f"memory that it may take, in megabytes ({_DEFAULT_MAX_MEGABYTES})",
     ),
-    (
+    _LimitOption(
         "--max-output-megabytes",
         float,
         None,
-        "N",
         "text that it may write to standard output and standard error, in megabytes (0)",
     ),
-    (
+    _LimitOption(
         "--watchdog",
         float,
         None,
-        "N",
         "warn if an event, goal or query takes longer than this many seconds, with its rule (0)",
     ),
 )
@@ -96,8 +113,9 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         "A megabyte is 1,000,000 bytes. "
         "Defaults are in brackets.",
     )
-    for name, number_type, default, metavar, text in _LIMIT_OPTIONS:
-        group.add_argument(name, type=non_negative(number_type), default=default, metavar=metavar, help=text)
+    for option in _LIMIT_OPTIONS:
+        converter = non_negative(option.number_type)
+        group.add_argument(option.name, type=converter, default=option.default, metavar="N", help=option.help)
     group.add_argument(
         "--max-depth",
         type=positive_integer,

@@ -15,7 +15,7 @@ from ..foundation.errors import UsageError
 from ..playback.bag_locations import MergedBag
 from ..playback.playback import Playback
 from ..prolog.terms.term_traversal import resolve
-from .bag_command import progress_of
+from .bag_command import elapsed_fraction
 from .command_options import any_integer, positive_seconds
 from .stderr_report import StderrReporter, show_progress
 
@@ -57,8 +57,8 @@ def add_demo_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
 
 
 def run_demo(options: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
-    report = StderrReporter().attach()
+    """Run command ``demo``; return its exit status."""
+    reporter = StderrReporter().attach()
     folder = example_folder()
     # The example's modules are scripts beside its data, not part of the package.
     sys.path.append(str(folder))
@@ -79,21 +79,23 @@ def run_demo(options: argparse.Namespace) -> int:
             raise UsageError(
                 f"cannot read {error.filename}, which make_bag.py writes next to a bag"
             ) from error
-        located = locate(bag, folder.parent.parent / "application_source", report)
+        located = locate_markers(bag, folder.parent.parent / "application_source", reporter)
     comparisons = truth_module.compare(truth, located)
     # The status is 1 without any comparison, too: nothing has been verified then.
     print(truth_module.table(comparisons))
     return (
-        0 if comparisons and all(comparison.good for comparison in comparisons) and not report.errors else 1
+        0 if comparisons and all(comparison.good for comparison in comparisons) and not reporter.errors else 1
     )
 
 
-def locate(bag: Path, program: Path, report: StderrReporter) -> Dict[str, Tuple[float, float, float]]:
+def locate_markers(
+    bag: Path, program: Path, reporter: StderrReporter
+) -> Dict[str, Tuple[float, float, float]]:
     """Run the NAO program over a bag; return the last position of each marker by its name."""
     located: Dict[str, Tuple[float, float, float]] = {}
-    playback = Playback(program, report)
-    with MergedBag([bag]) as bags, show_progress("messages", progress_of(playback, bags)) as bar:
-        for output in playback.run(bags, bar or _nothing):
+    playback = Playback(program, reporter)
+    with MergedBag([bag]) as bags, show_progress("messages", lambda: elapsed_fraction(playback, bags)) as bar:
+        for output in playback.run(bags, bar or _ignore_progress):
             if output.topic.startswith("marker"):
                 # A geometry_msgs/PoseStamped.
                 term: Any = resolve(output.term)
@@ -103,8 +105,8 @@ def locate(bag: Path, program: Path, report: StderrReporter) -> Dict[str, Tuple[
     return located
 
 
-def _nothing(done: int) -> None:
-    """Ignore the progress."""
+def _ignore_progress(message_count: int) -> None:
+    """Do nothing: without a terminal there is no progress bar."""
 
 
 def example_folder() -> Path:
@@ -134,7 +136,7 @@ def add_docs_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
 
 
 def open_site(options: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
+    """Run command ``docs``; return its exit status."""
     page = find_site() / "index.html"
     if options.print_path:
         print(page)

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Callable, List, Optional
+from typing import Callable, List, Optional, Sequence
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
@@ -22,7 +22,7 @@ from ..visualization.timeline import (
     read_run,
     timeline_page,
 )
-from .bag_command import add_source, create_playback, open_bags, progress_of
+from .bag_command import add_source, create_playback, elapsed_fraction, open_bags
 from .command_options import add_folders, add_limits, apply_limits
 from .ros_access import installed_definitions
 from .stderr_report import StderrReporter, show_progress
@@ -61,8 +61,8 @@ def add_graph_parser(add_command: Callable[..., argparse.ArgumentParser]) -> Non
 
 
 def draw_program(options: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
-    report = StderrReporter().attach()
+    """Run command ``graph``; return its exit status."""
+    reporter = StderrReporter().attach()
     # Before the program is loaded: a wrong suffix is reported at once.
     suffix = _get_output_format(options.output)
     folder = options.folder
@@ -76,7 +76,7 @@ def draw_program(options: argparse.Namespace) -> int:
         engine.load_program(folder)
     except ProgramErrors as errors:
         for error in errors.errors:
-            report(error)
+            reporter(error)
     # A program with errors is drawn as far as it was loaded.
     text = dot_text(program_graph(engine, _collect_topics(folder, input_topics)), folder.resolve().name)
     if options.output is None:
@@ -85,19 +85,23 @@ def draw_program(options: argparse.Namespace) -> int:
         _write_file(options.output, text)
     else:
         draw_graph(text, options.output)
-    return 1 if report.errors else 0
+    return 1 if reporter.errors else 0
 
 
 def _get_output_format(path: Optional[Path]) -> str:
-    """Return the output format by the suffix of a file; ``dot`` without a file."""
+    """Return the output format by the suffix of a file; ``dot`` without a file.
+
+    Raises:
+        UsageError: if there is no format with this suffix.
+    """
     suffix = "dot" if path is None else path.suffix[1:].lower()
     if suffix not in (*PICTURE_SUFFIXES, *TEXT_SUFFIXES):
-        endings = ", ".join(f".{ending}" for ending in (*PICTURE_SUFFIXES, *TEXT_SUFFIXES))
-        raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
+        raise _unsupported_suffix(path, (*PICTURE_SUFFIXES, *TEXT_SUFFIXES))
     return suffix
 
 
 def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]:
+    """Return the subscribed topics of pub_sub.xml and of the program's goals, with the names of their events."""
     topics = input_topics.merge_with(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
     return [
         GraphTopic(name, topics.event_of(name) or functor_name(type_name))
@@ -106,6 +110,7 @@ def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]
 
 
 PAGE_SUFFIXES = ("html", "htm")
+"""Suffixes of files that become a page with a timeline."""
 
 _PLOT_DESCRIPTION = """\
 Run a program over bags, or read a run that "bag --events --json" has written, and draw its timeline: a row for each
@@ -140,12 +145,11 @@ def add_plot_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None
 
 
 def draw_run(options: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
+    """Run command ``plot``; return its exit status."""
     path, suffix = options.output, options.output.suffix[1:].lower()
     if suffix not in (*PAGE_SUFFIXES, *PICTURE_FORMATS):
-        endings = ", ".join(f".{ending}" for ending in (*PAGE_SUFFIXES, *PICTURE_FORMATS))
-        raise UsageError(f"--output {path}: expected a name that ends in one of {endings}")
-    report = StderrReporter().attach()
+        raise _unsupported_suffix(path, (*PAGE_SUFFIXES, *PICTURE_FORMATS))
+    reporter = StderrReporter().attach()
     if options.run_file is not None:
         if options.bags:
             options.reject_usage("give bags or --from, not both")
@@ -154,13 +158,13 @@ def draw_run(options: argparse.Namespace) -> int:
         if not options.bags or options.program is None:
             options.reject_usage("give bags with --program, or --from")
         # An error in the program does not prevent the drawing; it determines the exit status.
-        timeline = _record_timeline(options, report).build()
+        timeline = _record_timeline(options, reporter)
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
     if suffix in PAGE_SUFFIXES:
         _write_file(path, timeline_page(timeline, title))
     else:
         draw_timeline(timeline, title, path)
-    return 1 if report.errors else 0
+    return 1 if reporter.errors else 0
 
 
 def _read_timeline(path: Path) -> Timeline:
@@ -173,25 +177,30 @@ def _read_timeline(path: Path) -> Timeline:
         raise UsageError(f"{path} is not UTF-8 text: {error}") from error
 
 
-def _record_timeline(options: argparse.Namespace, report: StderrReporter) -> TimelineBuilder:
-    """Run the program over the bags, and record its timeline."""
+def _record_timeline(options: argparse.Namespace, reporter: StderrReporter) -> Timeline:
+    """Run the program over the bags, and return the timeline of the run."""
     builder = TimelineBuilder()
     with open_bags(options) as bags:
-        playback = create_playback(options, report)
+        playback = create_playback(options, reporter)
         recorder = RunRecorder(playback, builder.add_record)
-        with show_progress("messages", progress_of(playback, bags)) as bar:
+        with show_progress("messages", lambda: elapsed_fraction(playback, bags)) as bar:
 
-            def advance(done: int) -> None:
+            def advance(message_count: int) -> None:
                 recorder.update_waits()
                 if bar is not None:
-                    bar(done)
+                    bar(message_count)
 
             # After the program is loaded: only the objects of the run are left to the collector.
             limit_gc_pauses()
             for output in playback.run(bags, advance):
                 recorder.record_output(output)
         recorder.record_final_state()
-    return builder
+    return builder.build()
+
+
+def _unsupported_suffix(path: Optional[Path], suffixes: Sequence[str]) -> UsageError:
+    names = ", ".join(f".{suffix}" for suffix in suffixes)
+    return UsageError(f"--output {path}: expected a name that ends in one of {names}")
 
 
 def _write_file(path: Path, text: str) -> None:

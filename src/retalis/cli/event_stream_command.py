@@ -48,13 +48,13 @@ from .command_options import (
     apply_folders,
     apply_limits,
 )
-from .output import JSON_HELP, Printer
+from .result_printer import JSON_HELP, Printer
 from .ros_access import installed_definitions
 from .stderr_report import StderrReporter, end_run_on_closed_pipe
 
 
 class EventLine(NamedTuple):
-    """Event that occupies a line of the stream, and the place of the line."""
+    """An event that has a line of the stream to itself, and the place of the line."""
 
     term: Term
     place: Place
@@ -63,6 +63,7 @@ class EventLine(NamedTuple):
 StreamItem = Union[ReadTerm, EventLine, SyntaxFault]
 
 _AMBIGUOUS_TEXT = re.compile(r"[\"`]|\b(?:inf|nan|True|False)\b")
+"""Matches text that `EventReader` and the full parser may read differently: strings, back quotes, special numbers."""
 
 
 def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[StreamItem]:
@@ -70,12 +71,13 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
     unparsed_text = ""
     start_line = 1
     reader = EventReader(operators)
-    for line, text in enumerate(file, 1):
+    for line_number, text in enumerate(file, 1):
         if not unparsed_text and text.startswith("event("):
-            event = _parse_event_line(reader, text.rstrip(), place_in(source, line, 1, text.rstrip("\n")))
+            place = place_in(source, line_number, 1, text.rstrip("\n"))
+            event = _parse_event_line(reader, text.rstrip(), place)
             if event is not None:
                 yield event
-                start_line = line + 1
+                start_line = line_number + 1
                 continue
         # Lines are collected until the parser finds no unfinished term at their end. Comments and quoted atoms may
         # contain full stops, so a full stop alone does not end a term.
@@ -84,9 +86,9 @@ def read_stream(file: IO[str], operators: Operators, source: str) -> Iterator[St
         if "." not in text:
             continue
         terms = list(read_program(unparsed_text, operators, source, first_line=start_line))
-        if not terms or not _is_unfinished(terms, unparsed_text, line):
+        if not terms or not _is_unfinished(terms, unparsed_text, line_number):
             yield from terms
-            unparsed_text, start_line = "", line + 1
+            unparsed_text, start_line = "", line_number + 1
     yield from read_program(unparsed_text, operators, source, first_line=start_line)
 
 
@@ -96,7 +98,6 @@ def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[
     This is the usual case, and much faster than the full parser. Text that the two parsers read differently is left
     to the full parser.
     """
-    # The two parsers read strings, back quotes and special numbers differently.
     if not text.endswith(").") or _AMBIGUOUS_TEXT.search(text):
         return None
     try:
@@ -106,15 +107,22 @@ def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[
         return None
 
 
-def _is_unfinished(terms: Sequence[StreamItem], text: str, line: int) -> bool:
-    """Return whether the last clause may continue in the next line."""
+def _is_unfinished(terms: Sequence[StreamItem], text: str, line_number: int) -> bool:
+    """Return whether the last term may continue in the next line.
+
+    Args:
+        terms: terms and errors of the text.
+        text: lines of the stream.
+        line_number: number of the last line.
+    """
     for term in terms:
         if isinstance(term, SyntaxFault) and term.message.startswith("this comment is never closed"):
             return True
+    # An error in an earlier line, or before a full stop at the end, cannot be corrected by further lines.
     last_term = terms[-1]
     if not isinstance(last_term, SyntaxFault) or last_term.place is None or text.rstrip().endswith("."):
         return False
-    return last_term.place.line >= line
+    return last_term.place.line >= line_number
 
 
 def has_unread_input(descriptor: int = 0) -> bool:
@@ -124,14 +132,13 @@ def has_unread_input(descriptor: int = 0) -> bool:
         descriptor: file descriptor of the pipe or file.
     """
     try:
-        import fcntl  # noqa: PLC0415 (not every system has them)
+        import fcntl  # noqa: PLC0415 (not on Windows)
         import termios  # noqa: PLC0415
     except ImportError:
         return False
     try:
         mode = os.fstat(descriptor)
-        # Redirected files and pipes are checked. A terminal has no data until its user types, and reading it would
-        # block.
+        # Only files and pipes are checked: text that is typed at a terminal is not meant for this command.
         if stat.S_ISREG(mode.st_mode):
             return mode.st_size > os.lseek(descriptor, 0, os.SEEK_CUR)
         if not stat.S_ISFIFO(mode.st_mode):
@@ -239,7 +246,12 @@ def _open_output(name: Optional[str], stack: ExitStack) -> Optional[IO[str]]:
 
 
 class Session:
-    """A run of the command: the engine, the stream's clock, and the requested output."""
+    """A run of the command: the engine, the stream's clock, and the requested output.
+
+    Attributes:
+        engine: engine of the program.
+        reports: counts of the engine's problems.
+    """
 
     def __init__(self, options: argparse.Namespace, reporter: StderrReporter, printer: Printer):
         self._options = options

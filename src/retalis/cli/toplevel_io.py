@@ -25,6 +25,7 @@ _MAX_BINDING_PRIORITY = 699
 """Maximum priority of the right side of ``=``."""
 
 _MAX_SUBTERMS = 1_000_000
+"""Maximum number of subterms of a value that is shown; cyclic terms exceed it."""
 
 
 class _VariableGroup(NamedTuple):
@@ -136,11 +137,14 @@ def _is_too_large(term: Term) -> bool:
 
 
 HISTORY_PATH = Path.home() / ".retalis_history"
+"""File with the lines of former sessions."""
+
+MAX_HISTORY_LINES = 2000
 
 QUIT_GOALS = ("halt", "quit", "exit", "end_of_file")
 """Goals that end a top level."""
 
-_PLAIN_ATOM = re.compile(r"[a-z]\w*\Z")
+_UNQUOTED_ATOM = re.compile(r"[a-z]\w*\Z")
 
 ParsedTerm = Union[ReadTerm, SyntaxFault]
 
@@ -153,7 +157,7 @@ class PipedInput:
     def __init__(self, file: IO[str]):
         self._file = file
         self.unread_text = ""
-        """Text after the full stop in the last line."""
+        """Text after the full stop in the last line, from which the next term is read."""
 
     def read_line(self, prompt: str) -> Optional[str]:
         """Return the next line, or None at the end."""
@@ -193,7 +197,7 @@ class TerminalInput:
         except Exception:
             # Other readline libraries raise other errors on unsupported terminals.
             return
-        readline.set_history_length(2000)
+        readline.set_history_length(MAX_HISTORY_LINES)
         atexit.register(_save_history)
 
     def _complete(self, text: str, index: int) -> Optional[str]:
@@ -248,10 +252,10 @@ def _read_key() -> str:
 
 
 def find_completions(text: str, names: Iterable[str]) -> List[str]:
-    """Return the names that begin with a text."""
-    if not _PLAIN_ATOM.match(text):
+    """Return the names that begin with a text, except those that need quotes."""
+    if not _UNQUOTED_ATOM.match(text):
         return []
-    return sorted({name for name in names if name.startswith(text) and re.match(r"[a-z]\w*\Z", name)})
+    return sorted({name for name in names if name.startswith(text) and _UNQUOTED_ATOM.match(name)})
 
 
 def read_clause(

@@ -12,7 +12,11 @@ from ..prolog.terms.types import Term, atom, functor
 
 EVENT_FUNCTOR = functor("event", 2)
 MEMORY_EVENT_FUNCTOR = functor("memory_event", 2)
+"""Functors of printed events: term and interval."""
+
 OUTPUT_FUNCTOR = functor("output", 3)
+"""Functor of printed outputs: term, topic and id of the subscription."""
+
 JSON_HELP = """\
 with --json each line is one object. Terms are texts that can be parsed as terms; T, T1 and T2 are whole nanoseconds
 since the epoch, for every form of stamps in terms:
@@ -20,7 +24,7 @@ since the epoch, for every form of stamps in terms:
 
 
 class Printer:
-    """Printer of a run.
+    """Printer of the events, outputs, solutions and explanations of a run.
 
     Args:
         as_json: whether to print one JSON object per line, with stamps in nanoseconds.
@@ -29,16 +33,16 @@ class Printer:
     """
 
     def __init__(self, as_json: bool, memory_events: bool, outputs: Optional[IO[str]]):
-        self._json = as_json
-        self._memory_events = memory_events
-        self._outputs = outputs
+        self._as_json = as_json
+        self._prints_memory_events = memory_events
+        self._output_file = outputs
 
     def print_event(self, term: Term, start: int, end: int) -> None:
         """Print an event."""
         is_memory_event = term.__class__ is tuple and term[0] in MEMORY_EVENTS
-        if is_memory_event and not self._memory_events:
+        if is_memory_event and not self._prints_memory_events:
             return
-        if self._json:
+        if self._as_json:
             self.print_json(
                 {
                     "memory_event" if is_memory_event else "event": canonical_text(term),
@@ -55,39 +59,39 @@ class Printer:
 
     def print_output(self, term: Term, topic: str, name: Term, instant: int) -> None:
         """Print an output to a subscriber."""
-        if self._outputs is None:
+        if self._output_file is None:
             return
-        if self._json:
+        if self._as_json:
             content = {
                 "output": canonical_text(term),
                 "topic": topic,
                 "id": canonical_text(name),
                 "time": int(instant),
             }
-            self.print_json(content, self._outputs)
+            self.print_json(content, self._output_file)
         else:
             print(
                 f"{canonical_text((OUTPUT_FUNCTOR, term, atom(topic), name))}.",
-                file=self._outputs,
+                file=self._output_file,
                 flush=True,
             )
 
-    def print_solutions(self, goal: Term, instances: List[Term]) -> None:
+    def print_solutions(self, goal: Term, goal_instances: List[Term]) -> None:
         """Print the solutions of a query, each as an instance of the goal."""
-        if self._json:
+        if self._as_json:
             self.print_json(
                 {
                     "query": canonical_text(goal),
-                    "solutions": [canonical_text(solution) for solution in instances],
+                    "solutions": [canonical_text(solution) for solution in goal_instances],
                 }
             )
             return
-        for solution in instances:
+        for solution in goal_instances:
             print(add_full_stop(canonical_text(solution)), flush=True)
 
     def print_explanation(self, term: Term, answer: Explanation) -> None:
         """Print the explanation of an event that happened or did not happen."""
-        if self._json:
+        if self._as_json:
             because = [_line_to_json(line) for line in answer.lines]
             self.print_json(
                 {"explain": canonical_text(term), "happened": answer.happened, "because": because}
