@@ -35,7 +35,7 @@ def test_a_goal_subscribes_a_topic_once(asked):
         topic_type("right", "std_msgs/Bool"),
         topic_type("scan", "a/B"),
     )
-    assert joined.event_of("right") == "bumper_right"
+    assert joined.event_name_of("right") == "bumper_right"
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def _collect_topics(folder: Path, input_topics: InputTopics) -> List[GraphTopic]
     """Return the subscribed topics of pub_sub.xml and of the program's goals, with the names of their events."""
     topics = input_topics.merge_with(read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics())
     return [
-        GraphTopic(name, topics.event_of(name) or functor_name(type_name))
+        GraphTopic(name, topics.event_name_of(name) or functor_name(type_name))
         for name, type_name in topics.subscribed
     ]
 

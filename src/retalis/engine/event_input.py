@@ -254,7 +254,7 @@ class InputTopics:
             try:
                 self._subscribed.setdefault(
                     resolve_name(topic),
-                    TopicRequest(topic, message_type, topics.event_of(topic, resolve_name)),
+                    TopicRequest(topic, message_type, topics.event_name_of(topic, resolve_name)),
                 )
             except UsageError:
                 # The function that subscribes to the topic reports the invalid name.

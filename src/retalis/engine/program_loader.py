@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterable, List, Opti
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
-from ..events.program.goal_file import FileGoal, errors_in, read_file_goals
+from ..events.program.goal_file import FileGoal, errors_of_goal, read_file_goals
 from ..events.program.topic_configuration import GOALS, event_types, read_text
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import ProgramTimer
@@ -122,7 +122,7 @@ class ProgramLoader:
                 if not self._run_with_file_permissions(goal.folder, lambda: self._call_file_goal(goal)):  # noqa: B023
                     errors.append(RuleError("this goal fails", goal.place))
             except RetalisError as error:
-                errors.extend(errors_in(error, goal.place))
+                errors.extend(errors_of_goal(error, goal.place))
         if errors:
             raise ProgramErrors(errors)
 

@@ -319,7 +319,7 @@ class RetalisNode:
         transforms.require_if_mentioned(self.engine.rules.terms())
         transforms.set_feed(self._start_transform_feed)
         for topic, message_type in direct:
-            self._subscribe(topic, message_type, topics.event_of(topic, rospy.resolve_name))
+            self._subscribe(topic, message_type, topics.event_name_of(topic, rospy.resolve_name))
         subscriptions.start(self._interface if parameters.embedded else None)
         types = {rospy.resolve_name(topic): message_type for topic, message_type in topics.published}
         EngineServices(
@@ -422,7 +422,7 @@ class RetalisNode:
         named_topics = set(map(resolve_name, self._named_topics(topics)))
         # Topics that the node subscribes to by default, with the names of their events.
         default_events = {
-            resolve_name(topic): topics.event_of(topic, resolve_name) or functor_name(message_type)
+            resolve_name(topic): topics.event_name_of(topic, resolve_name) or functor_name(message_type)
             for topic, message_type in direct
             if resolve_name(topic) not in named_topics
         }

@@ -731,7 +731,7 @@ def connect(interface: RosInterface, topics: Topics, direct_topics: Iterable[Top
         _apply_configuration(advertise, topic, may_be_learned)
     for topic, message_type in topics.subscribed:
         if rospy.resolve_name(topic) not in direct_names:
-            subscribe = partial(interface.subscribe, topic, message_type, topics.event_of(topic))
+            subscribe = partial(interface.subscribe, topic, message_type, topics.event_name_of(topic))
             _apply_configuration(subscribe, topic)
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, TopicType, UsageError
 from retalis.events.program.topic_configuration import (
-    DIRECT,
+    DEFAULT_DIRECT_TOPICS,
     Topics,
     direct_topics,
     read_direct,
@@ -64,14 +64,14 @@ def test_events_of_a_topic_have_the_name_that_is_said(tmp_path):
         line.format("other", 'event="second"'),  # refused where it is subscribed: the topic is already
     ]
     topics = read(tmp_path, f"<publish_subscribe>{''.join(lines)}</publish_subscribe>")
-    assert [topics.event_of(topic) for topic in ("left", "/right", "right", "other", "nowhere")] == [
+    assert [topics.event_name_of(topic) for topic in ("left", "/right", "right", "other", "nowhere")] == [
         "bumper_left",
         "bumper_right",
         "",
         "",
         "",
     ]
-    assert topics.event_of("right", lambda topic: topic.lstrip("/")) == "bumper_right"
+    assert topics.event_name_of("right", lambda topic: topic.lstrip("/")) == "bumper_right"
 
 
 @pytest.mark.parametrize(
@@ -202,11 +202,11 @@ def test_a_file_that_is_too_large_is_refused(tmp_path):
 
 
 def test_auto_subscribes_what_the_file_does_not_name():
-    markers = DIRECT[1]
+    markers = DEFAULT_DIRECT_TOPICS[1]
     named = Topics(subscribed=(TopicType("/tf", "tf/tfMessage"),))
-    assert direct_topics("auto", Topics()) == DIRECT
+    assert direct_topics("auto", Topics()) == DEFAULT_DIRECT_TOPICS
     assert direct_topics("auto", named, lambda topic: topic.lstrip("/")) == (markers,)
-    assert direct_topics(True, named) == DIRECT
+    assert direct_topics(True, named) == DEFAULT_DIRECT_TOPICS
     assert direct_topics(False, Topics()) == ()
     assert direct_topics((markers,), named) == (markers,)
 
@@ -224,7 +224,10 @@ def test_auto_subscribes_what_the_file_does_not_name():
             "[scan, my_msgs/Scan, '/tf', tf/tfMessage]",
             (TopicType("scan", "my_msgs/Scan"), TopicType("/tf", "tf/tfMessage")),
         ),
-        ("[[scan, my_msgs/Scan], [tf, tf/tfMessage]]", (TopicType("scan", "my_msgs/Scan"), DIRECT[0])),
+        (
+            "[[scan, my_msgs/Scan], [tf, tf/tfMessage]]",
+            (TopicType("scan", "my_msgs/Scan"), DEFAULT_DIRECT_TOPICS[0]),
+        ),
         ("[]", ()),
     ],
 )

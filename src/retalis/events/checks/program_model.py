@@ -390,9 +390,9 @@ class ProgramModel:
         self.rule_base = rules
         self.logic: PrologSystem = rules.logic
         self._types_by_event_name = {
-            topics.event_of(topic): type_name
+            topics.event_name_of(topic): type_name
             for topic, type_name in topics.subscribed
-            if topics.event_of(topic)
+            if topics.event_name_of(topic)
         }
         self.definitions = definitions
         self.topics = topics
@@ -431,7 +431,7 @@ class ProgramModel:
 
     def event_name_of(self, topic: str) -> str:
         """Return the event name of a topic if it differs from that of its type, else ""."""
-        return self.topics.event_of(topic)
+        return self.topics.event_name_of(topic)
 
     def type_of(self, name: str) -> Optional[str]:
         """Return the message type of the events with a name, or None."""

@@ -67,7 +67,7 @@ _SET_FLAG = functor("set_prolog_flag", 2)
 
 
 class LoadSavepoint:
-    """Cheap part of the state before a load: enough to undo it if only rules and properties were added."""
+    """Part of the state before a load that costs little time; it suffices if only rules and properties were added."""
 
     def __init__(self, rules: "RuleBase", loaded: Set[Path]):
         self._rules = rules
@@ -123,9 +123,14 @@ class LoadRollback:
 
 
 class CheckedProgram(NamedTuple):
-    """A checked file: the entries, the compiled rules, and the predicates that these call.
+    """A checked file.
 
-    ``folder`` and ``path`` are None for the outermost file, whose folder is the current one already.
+    Attributes:
+        entries: its entries, in order; a used file is an entry, too.
+        rules: the compiled rules.
+        calls: the calls in goals of the rules.
+        folder: its folder; None for the outermost file, whose folder is the current one already.
+        path: its path; None for the outermost file.
     """
 
     entries: "List[Union[FileEntry, PrologSource, CheckedProgram]]"
@@ -136,15 +141,18 @@ class CheckedProgram(NamedTuple):
 
     @property
     def can_fail_partially(self) -> bool:
-        """True if an error can occur after a part has taken effect; not for rules, labels, or a single clause."""
+        """True if an error can occur after a part has taken effect.
+
+        Rules, properties and a single clause are checked completely before they take effect.
+        """
         kinds = [entry.kind if isinstance(entry, FileEntry) else None for entry in self.entries]
         return kinds != [EntryKind.CLAUSE] and any(
             entry_kind is not EntryKind.PROPERTY for entry_kind in kinds
         )
 
 
-class _Reading(NamedTuple):
-    """Reading state of a file: checker, operators, errors and conditional compilation."""
+class _ReadingState(NamedTuple):
+    """State of the reading of a file and its included files."""
 
     checker: FileChecker
     operators: Operators
@@ -171,12 +179,12 @@ class EventFileLoader:
         self._files.on_same_module = self._modules.on_import_conflict
         rules.logic.files = self._files
 
-    def record_calls(self, unknown: List[PredicateCall]) -> None:
+    def record_calls(self, calls: List[PredicateCall]) -> None:
         """Warn about unknown predicates, at the end of the load in progress or now."""
         if self._active_files:
-            self._active_files[0].calls.extend(unknown)
+            self._active_files[0].calls.extend(calls)
         else:
-            self._warn_of_unknown(unknown)
+            self._warn_of_undefined_predicates(calls)
 
     def defer_warnings(self) -> None:
         """Defer warnings about unknown predicates, because several loads belong together."""
@@ -185,8 +193,8 @@ class EventFileLoader:
 
     def log_deferred_warnings(self) -> None:
         """Log the deferred warnings about predicates that are still unknown."""
-        unknown, self._deferred_calls = self._deferred_calls, None
-        self._warn_of_unknown(unknown or [])
+        calls, self._deferred_calls = self._deferred_calls, None
+        self._warn_of_undefined_predicates(calls or [])
 
     def load_text(self, text: str, source: str, folder: Optional[Path]) -> None:
         """Load a text; see `RuleBase.load_text`."""
@@ -225,14 +233,14 @@ class EventFileLoader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `RuleBase.load_terms`."""
         logic = self._rules.logic
-        reading = self._start_reading(FileChecker(logic.brief, self._rules.declared.current()), Errors())
+        state = self._start_reading(FileChecker(logic.brief, self._rules.declared.current()), Errors())
         for term, place in terms:
             name = included_file_name(term)
             if name is None:
-                reading.checker.check_term(copy(term), no_place, place)
+                state.checker.check_term(copy(term), no_place, place)
             else:
-                self._include(name, place, reading)
-        self._finish(lambda errors: self._check_contents(reading.checker, errors), reading.errors)
+                self._include(name, place, state)
+        self._check_and_activate(lambda errors: self._check_contents(state.checker, errors), state.errors)
 
     def load_read_term(self, read_term: ReadTerm) -> None:
         """Load a parsed term like an event file of one term.
@@ -245,7 +253,7 @@ class EventFileLoader:
         checker.check_read_term(read_term)
         # `precompiling_goals` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
-            self._finish(lambda errors: self._check_contents(checker, errors), Errors())
+            self._check_and_activate(lambda errors: self._check_contents(checker, errors), Errors())
 
     def _load_file(self, path: Path) -> None:
         text = self._files.text(path)
@@ -255,91 +263,97 @@ class EventFileLoader:
     def _load(self, text: str, source: str) -> None:
         rules = self._rules
         with rules.logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
-            self._finish(lambda errors: self._parse_and_check(text, source, errors), Errors())
+            self._check_and_activate(lambda errors: self._parse_and_check(text, source, errors), Errors())
 
     def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:
         if not is_event_file(text, self._rules.logic, self._open_included):
             return CheckedProgram([PrologSource(text, source)], [], [])
-        reading = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
-        self._read(read_program(text, reading.operators, source, OF_FILES), reading)
-        errors.extend(reading.conditions.unclosed_errors())
-        return self._check_contents(reading.checker, errors)
+        state = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
+        self._read(read_program(text, state.operators, source, OF_FILES), state)
+        errors.extend(state.conditions.unclosed_errors())
+        return self._check_contents(state.checker, errors)
 
     def _open_included(self, name: Term) -> Tuple[str, str]:
         path = self._files.find(name)
         return self._files.text(path), str(path)
 
-    def _start_reading(self, checker: FileChecker, errors: Errors) -> _Reading:
-        def holds(goal: Term, place: Optional[Place]) -> bool:
+    def _start_reading(self, checker: FileChecker, errors: Errors) -> _ReadingState:
+        def condition_holds(goal: Term, place: Optional[Place]) -> bool:
             try:
                 return self._rules.logic.once(goal)
             except PrologError as error:
                 raise RuleError(f"this condition raises an error: {error.message}", place) from error
 
-        return _Reading(checker, self._rules.logic.operators.copy(), errors, ConditionalCompilation(holds))
+        return _ReadingState(
+            checker, self._rules.logic.operators.copy(), errors, ConditionalCompilation(condition_holds)
+        )
 
-    def _read(self, program: Program, reading: _Reading) -> None:
+    def _read(self, program: Program, state: _ReadingState) -> None:
         """Read the terms of a text; the terms of included files take the place of the ``include`` directive."""
         for read_term in program:
             if isinstance(read_term, SyntaxFault):
-                if not reading.conditions.is_skipping:
-                    reading.errors.append(read_term)
+                if not state.conditions.is_skipping:
+                    state.errors.append(read_term)
                 continue
             try:
-                self._read_term(read_term, program, reading)
+                self._read_term(read_term, program, state)
             except RetalisError as error:
-                reading.errors.append(error if error.place else RuleError(error.message, read_term.place))
+                state.errors.append(error if error.place else RuleError(error.message, read_term.place))
 
-    def _read_term(self, read_term: ReadTerm, program: Program, reading: _Reading) -> None:
+    def _read_term(self, read_term: ReadTerm, program: Program, state: _ReadingState) -> None:
         term = deref(read_term.term)
         directive = term[1] if term.__class__ is tuple and term[0] in DIRECTIVES else None
-        if directive is not None and reading.conditions.process(directive, read_term.place_of(term, 1)):
+        if directive is not None and state.conditions.process(directive, read_term.place_of(term, 1)):
             return
-        if reading.conditions.is_skipping:
+        if state.conditions.is_skipping:
             return
         name = included_file_name(term)
         if name is not None:
-            self._include(name, read_term.place_of(term, 1), reading, program)
+            self._include(name, read_term.place_of(term, 1), state, program)
             return
         # Terms that the program has generated have no positions of their own; errors point to the original term.
         expansion = self._expansion.expand_term(term)
         if expansion is not None:
             for expanded_term in expansion:
-                reading.checker.check_term(
+                state.checker.check_term(
                     self._expansion.expand_goals(expanded_term), no_place, read_term.place
                 )
             return
         expanded = self._expansion.expand_goals(term)
         if expanded is term:
-            reading.checker.check_read_term(read_term)
+            state.checker.check_read_term(read_term)
         else:
-            reading.checker.check_term(expanded, no_place, read_term.place)
+            state.checker.check_term(expanded, no_place, read_term.place)
         if read_term.singletons and self._rules.warn_singletons:
             names = ", ".join(read_term.singletons)
             self._rules.on_warning(RuleError(f"singleton variables: {names}", read_term.place))
-        # The directive runs only in step 3, but its operators and flags are needed to read the rest of the file.
+        # The directive runs after the checks, but the rest of the file is read with its operators and flags.
         if directive is not None:
             apply_reader_settings(directive, program)
 
     def _include(
-        self, name: Term, place: Optional[Place], reading: _Reading, outer_program: Optional[Program] = None
+        self,
+        name: Term,
+        place: Optional[Place],
+        state: _ReadingState,
+        outer_program: Optional[Program] = None,
     ) -> None:
         """Read the terms of an included file."""
         try:
             path = self._files.find(name)
             text = self._files.text(path)
             with self._files.loading_file(path), self._files.relative_to(path.parent):
-                program = read_program(text, reading.operators, str(path), OF_FILES)
+                program = read_program(text, state.operators, str(path), OF_FILES)
                 if outer_program is not None:
                     program.flags = outer_program.flags
-                self._read(program, reading)
+                self._read(program, state)
                 if outer_program is not None:
                     outer_program.flags = program.flags
         except (UsageError, PrologError) as error:
-            reading.errors.append(RuleError(error.message, place))
+            state.errors.append(RuleError(error.message, place))
 
     def _check_contents(self, checker: FileChecker, errors: Errors) -> CheckedProgram:
-        """Check what depends on the logic: clauses, predicates that goals call, files that are used."""
+        """Complete the check of a file: check clauses and used files, and compile the rules."""
         errors.extend(checker.errors)
         logic = self._rules.logic
         entries: List[Union[FileEntry, PrologSource, CheckedProgram]] = []
@@ -355,7 +369,7 @@ class EventFileLoader:
                     entries.append(checked_file)
             else:
                 entries.append(entry)
-        # If the program defines such a predicate itself, the call does not mean the one of `check`.
+        # A predicate ``t1/1`` or ``t2/1`` of the program itself may be called in every goal.
         for call in checker.interval_calls:
             if call.key not in defined_predicates and logic.is_system_predicate(call.key):
                 message = (
@@ -399,7 +413,7 @@ class EventFileLoader:
             errors.append(RuleError(error.message, entry.place))
             return None
 
-    def _finish(self, check_program: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
+    def _check_and_activate(self, check_program: Callable[[Errors], CheckedProgram], errors: Errors) -> None:
         """Check the whole program, then make it take effect; undo everything after an error."""
         loaded = set(self._files.loaded)
         rollback: Optional[LoadRollback] = None
@@ -409,9 +423,8 @@ class EventFileLoader:
         try:
             checked = check_program(errors)
             if errors:
-                # A full copy of the clause sets costs time in proportion to the program, so it is made only if
-                # necessary.
                 raise ProgramErrors(_sort_errors(errors))
+            # Copies of all sets of clauses cost time in proportion to the program, so they are made only if needed.
             if checked.can_fail_partially:
                 rollback = LoadRollback(self._rules)
                 self._rollbacks.append(rollback)
@@ -419,7 +432,7 @@ class EventFileLoader:
         except RetalisError as error:
             if rollback is not None:
                 rollback.restore()
-            # Also if nothing took effect: reading has marked the files as loaded.
+            # Necessary even if nothing took effect, because reading has marked the files as loaded.
             self._files.loaded = loaded
             if outermost:
                 self._rollbacks = []
@@ -450,13 +463,13 @@ class EventFileLoader:
                 self._process_in_module(checked)
         finally:
             self._active_files.pop()
-        self._warn_of_unknown(checked.calls)
+        self._warn_of_undefined_predicates(checked.calls)
 
-    def _warn_of_unknown(self, unknown: List[PredicateCall]) -> None:
+    def _warn_of_undefined_predicates(self, calls: List[PredicateCall]) -> None:
         if self._deferred_calls is not None:
-            self._deferred_calls.extend(unknown)
+            self._deferred_calls.extend(calls)
             return
-        for warning in undefined_call_warnings(self._rules.logic, unknown, self._rules.terms):
+        for warning in undefined_call_warnings(self._rules.logic, calls, self._rules.terms):
             self._rules.on_warning(warning)
 
     def _process_in_module(self, checked: CheckedProgram) -> None:
@@ -544,10 +557,10 @@ def _operator_names(term: Term) -> List[str]:
 
 
 _RULE_SIGNS = re.compile(r"<-|'rule:'|'?\b(?:do|iff|IFF|event_rule_property|include)\b")
-"""Each text with event rules contains one of these."""
+"""Signs of event rules; a text without any has no event rule."""
 
 _DIRECTIVE_CALLS = re.compile(r"[:?]-\s*(?:\(\s*)?([a-z]\w*)")
-"""The first predicate that a directive calls."""
+"""Directives, with the first predicate that they call."""
 
 _EVENT_PREDICATES = frozenset(
     (
@@ -561,24 +574,26 @@ _EVENT_PREDICATES = frozenset(
 )  # fmt: skip
 """Predicates of the event language that no Prolog program uses."""
 
-Opened = Callable[[Term], Optional[Tuple[str, str]]]
-"""A function that returns the text of a file and its name for errors; None if there is no such file."""
+OpenIncluded = Callable[[Term], Optional[Tuple[str, str]]]
+"""Takes the name of an included file; returns its text, and its name for errors, or None without such a file."""
 
 
-def is_event_file(text: str, logic: PrologSystem, opened: Opened) -> bool:
+def is_event_file(text: str, logic: PrologSystem, open_included: OpenIncluded) -> bool:
     """Return whether a text contains an event rule, or a directive that calls a predicate of the event language.
 
     Args:
         text: text of the file.
         logic: provides predicates and operators.
-        opened: returns the text of an included_file_name file.
+        open_included: opens included files.
     """
-    if not _may_have_rules(text):
+    if not _may_contain_rules(text):
         return False
-    return _has_rules(read_program(text, logic.operators.copy(), flags=OF_FILES), logic, opened, 0)
+    return _contains_rules(
+        read_program(text, logic.operators.copy(), flags=OF_FILES), logic, open_included, 0
+    )
 
 
-def _may_have_rules(text: str) -> bool:
+def _may_contain_rules(text: str) -> bool:
     if _RULE_SIGNS.search(text):
         return True
     return any(match.group(1) in _EVENT_PREDICATES for match in _DIRECTIVE_CALLS.finditer(text))
@@ -592,7 +607,7 @@ _MAX_INCLUDE_DEPTH = 50
 """Maximum depth of included files."""
 
 
-def _has_rules(program: Program, logic: PrologSystem, open_included: Opened, depth: int) -> bool:
+def _contains_rules(program: Program, logic: PrologSystem, open_included: OpenIncluded, depth: int) -> bool:
     for read_term in program:
         if isinstance(read_term, SyntaxFault):
             # A rule with a syntax error must not turn the file into a Prolog program, where it would only be a
@@ -607,10 +622,10 @@ def _has_rules(program: Program, logic: PrologSystem, open_included: Opened, dep
             continue
         name = included_file_name(term)
         if name is not None and depth < _MAX_INCLUDE_DEPTH:
-            included_file = _text_of_included(name, open_included)
+            included_file = _read_included(name, open_included)
             if included_file is not None:
                 inner = read_program(included_file[0], program.operators, included_file[1], program.flags)
-                if _has_rules(inner, logic, open_included, depth + 1):
+                if _contains_rules(inner, logic, open_included, depth + 1):
                     return True
                 program.flags = inner.flags
             continue
@@ -622,7 +637,7 @@ def _has_rules(program: Program, logic: PrologSystem, open_included: Opened, dep
     return False
 
 
-def _text_of_included(name: Term, open_included: Opened) -> Optional[Tuple[str, str]]:
+def _read_included(name: Term, open_included: OpenIncluded) -> Optional[Tuple[str, str]]:
     try:
         return open_included(name)
     except RetalisError:

@@ -23,6 +23,7 @@ _MARKER = functor("$goal", 1)
 _CALLABLE = (tuple, Atom, Var)
 
 Goals = List[Tuple[Term, Optional[Place]]]
+"""Goals of a directive, each with its place."""
 
 
 def directive_goals(directive: Term, place_of: PlaceLookup) -> Goals:
@@ -30,21 +31,21 @@ def directive_goals(directive: Term, place_of: PlaceLookup) -> Goals:
     goals: Goals = []
     stack: List[Tuple[Any, int]] = [(directive, 1)]
     while stack:
-        parent, number = stack.pop()
-        goal = deref(parent[number])
+        parent, position = stack.pop()
+        goal = deref(parent[position])
         if goal.__class__ is tuple and goal[0] is COMMA:
             stack += [(goal, 2), (goal, 1)]
         else:
-            goals.append((goal, place_of(parent, number)))
+            goals.append((goal, place_of(parent, position)))
     return goals
 
 
 class Directives:
     """Runs directives.
 
-    Before each goal of a conjunction a marker goal records its number. So the position of a goal that fails or raises
-    is known without inspecting the machine. The marker is deterministic and leaves no choice point, which a long run
-    would keep. An error on backtracking is attributed to the goal that was called last.
+    Before each goal of a conjunction, a marker goal records the index of the goal. So the place of a goal that fails
+    or raises an error is known without inspecting the machine. The marker is deterministic, so it leaves no choice
+    point. An error on backtracking is attributed to the goal that was called last.
     """
 
     def __init__(self, logic: PrologSystem):
@@ -63,25 +64,24 @@ class Directives:
         outer_state = self._last_index, self._goal_count
         goal, goals = (
             self._logic.resolve_file_goal(goal),
-            [(self._logic.resolve_file_goal(part), position) for part, position in goals],
+            [(self._logic.resolve_file_goal(part), goal_place) for part, goal_place in goals],
         )
-        invalid = [position for position, (part, _) in enumerate(goals) if not _is_callable(part)]
-        # A conjunction with a part that is not callable raises an error that shows all of it; markers would show
-        # there.
-        use_markers = len(goals) > 1 and not invalid
-        self._last_index, self._goal_count = invalid[0] if invalid else 0, len(goals)
+        invalid_indexes = [index for index, (part, _) in enumerate(goals) if not _is_callable(part)]
+        # A conjunction with a part that is not callable raises an error that shows all of it, markers included.
+        uses_markers = len(goals) > 1 and not invalid_indexes
+        self._last_index, self._goal_count = invalid_indexes[0] if invalid_indexes else 0, len(goals)
         try:
-            if self._logic.once(_with_markers([part for part, _ in goals]) if use_markers else goal, goal):
+            if self._logic.once(_with_markers([part for part, _ in goals]) if uses_markers else goal, goal):
                 return None
             return RuleError("this directive fails", goals[self._last_index][1] or place)
         except PrologError as error:
-            position = goals[self._last_index][1] or place
-            raise RuleError(f"this directive raises an error: {error.message}", position) from error
+            goal_place = goals[self._last_index][1] or place
+            raise RuleError(f"this directive raises an error: {error.message}", goal_place) from error
         finally:
             self._last_index, self._goal_count = outer_state
 
-    def _record_goal(self, machine: Machine, number: Term) -> bool:
-        goal_index = deref(number)
+    def _record_goal(self, machine: Machine, index_term: Term) -> bool:
+        goal_index = deref(index_term)
         if not isinstance(goal_index, int) or not 0 <= goal_index < self._goal_count:
             # A program has called the marker by its name.
             return False

@@ -35,6 +35,7 @@ _PERMISSION_ERRNOS = frozenset(
 )
 
 Folders = Optional[List[str]]
+"""Resolved paths of folders; None for all folders."""
 FolderName = Union[str, "os.PathLike[str]"]
 
 
@@ -70,7 +71,7 @@ class FileSandbox:
         Raises:
             UsageError: if a text is given in place of a list.
         """
-        self._read_folders, self._write_folders = _real_folders(read), _real_folders(write)
+        self._read_folders, self._write_folders = _resolve_folders(read), _resolve_folders(write)
         self.max_bytes = max_bytes
 
     @property
@@ -134,8 +135,8 @@ class FileSandbox:
         """Return whether a regular file exists; raises the errors of `resolve_readable`."""
         try:
             return stat.S_ISREG(os.lstat(self.resolve_readable(path, name)).st_mode)
-        # Not there, or in a folder without permission.
         except OSError:
+            # It does not exist, or lies in a folder without permission.
             return False
 
     def is_folder(self, path: str, name: str) -> bool:
@@ -160,7 +161,7 @@ class FileSandbox:
                 # One byte more than permitted is read: the size that `stat` reports may change, and is 0 in /proc.
                 data = file.read(self.max_bytes + 1)
         except OSError as error:
-            raise _access_error("read", error, path, name) from error
+            raise _convert_os_error("read", error, path, name) from error
         if len(data) > self.max_bytes:
             raise resource_error("file_size", reason=f"{path} has more than {self.max_bytes} bytes")
         try:
@@ -193,7 +194,7 @@ class FileSandbox:
             finally:
                 os.close(descriptor)
         except OSError as error:
-            raise _access_error("write", error, path, name) from error
+            raise _convert_os_error("write", error, path, name) from error
 
     def append(self, path: str, text: str, encoding: str = "utf-8") -> None:
         """Append a text to a file, completely or not at all.
@@ -212,7 +213,7 @@ class FileSandbox:
             finally:
                 os.close(descriptor)
         except OSError as error:
-            raise _access_error("write", error, path, path) from error
+            raise _convert_os_error("write", error, path, path) from error
         except UnicodeEncodeError as error:
             raise UsageError(f"cannot write {path}: {error.reason}") from error
 
@@ -263,7 +264,7 @@ def check_name(name: str) -> None:
         raise representation_error("max_path_length", f"{limits}; found {shortened(name)}")
 
 
-def _real_folders(folders: Optional[Iterable[FolderName]]) -> Folders:
+def _resolve_folders(folders: Optional[Iterable[FolderName]]) -> Folders:
     if isinstance(folders, (str, bytes)):
         raise UsageError(f"expected a list of folders, found {folders!r}")
     return None if folders is None else [os.path.realpath(folder) for folder in folders]
@@ -280,8 +281,8 @@ def _resolve_path(path: str, name: str, folders: Folders) -> str:
         if "\0" in path:
             raise ValueError("embedded null byte")
         real_path = os.path.realpath(path)
-    # A name that the file system cannot have.
     except (OSError, ValueError) as error:
+        # The file system cannot have such a name.
         raise domain_error("source_sink", atom(name), str(error)) from error
     _check_location(real_path, name, folders)
     return real_path
@@ -299,9 +300,9 @@ def _check_location(real_path: str, name: str, folders: Folders) -> None:
 def _open_file(real_path: str, flags: int, name: str, folders: Folders) -> int:
     """Open a regular file at a resolved path, and check the location of the opened file.
 
-    A file that has replaced it meanwhile is not followed, waited for or used.
+    If a link, pipe or device has replaced the file meanwhile, it is not followed, waited for or used.
     """
-    # Before opening, because opening alone starts some devices.
+    # Checked before opening, because opening alone starts some devices.
     _require_regular_file(os.lstat(real_path), name)
     descriptor = os.open(real_path, flags | _SAFE_FLAGS)
     try:
@@ -340,12 +341,12 @@ def _require_regular_file(status: os.stat_result, name: str) -> None:
 
 
 def _check_descriptor(descriptor: int, name: str, folders: Folders) -> None:
-    # The kernel's own path of the descriptor; it reflects links that were changed during the opening.
+    # The kernel reports the actual path of the descriptor, even if links were changed while the file was opened.
     if folders is not None:
         _check_location(os.readlink(f"/proc/self/fd/{descriptor}"), name, folders)
 
 
-def _access_error(operation: str, error: OSError, path: str, name: str) -> RetalisError:
+def _convert_os_error(operation: str, error: OSError, path: str, name: str) -> RetalisError:
     """Return the Prolog or usage error for an error of the operating system."""
     if error.errno in _PERMISSION_ERRNOS:
         return permission_error("open", "source_sink", atom(name), error.strerror)

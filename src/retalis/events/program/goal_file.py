@@ -15,7 +15,8 @@ from ...prolog.terms.types import Term, deref, functor
 from .source_files import SourceFiles
 
 ReadResult = Union[ReadTerm, SyntaxFault]
-Load = Callable[[Optional[Path], Callable[[], Any]], Any]
+RunWithPermissions = Callable[[Optional[Path], Callable[[], Any]], Any]
+"""Takes a folder and a function; calls the function, which may read any file, with relative paths in the folder."""
 
 _DIRECTIVES = (functor(":-", 1), functor("?-", 1))
 _INCLUDE = functor("include", 1)
@@ -24,9 +25,8 @@ _INCLUDE = functor("include", 1)
 _MAX_REREAD_CHARACTERS = 100_000
 """Characters that may be read again, beyond a multiple of the file, in search of the end of goals over several lines.
 
-Afterwards, each line with an error is reported by itself. Otherwise thousands of such lines, each read up to a full
+Beyond them, each line with an error is reported by itself. Otherwise thousands of such lines, each read up to a full
 stop far below, would take time that grows with the square of the file.
-
 """
 
 
@@ -45,7 +45,12 @@ def goal_of(term: Term) -> Term:
 
 
 def read_file_goals(
-    text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
+    text: str,
+    source: str,
+    folder: Optional[Path],
+    operators: Operators,
+    files: SourceFiles,
+    run_with_permissions: RunWithPermissions,
 ) -> Iterator[Union[FileGoal, RetalisError]]:
     """Yield the goals of a goal file; the goals of included files take the place of the ``include`` goal.
 
@@ -57,17 +62,22 @@ def read_file_goals(
         folder: folder of the file.
         operators: operators for reading.
         files: files of the program.
-        load: executes a function exclusively, with the permissions of a program file in a folder.
+        run_with_permissions: opens included files.
     """
     if folder is None:
-        yield from _read_goals_of_text(text, source, None, operators, files, load)
+        yield from _read_goals_of_text(text, source, None, operators, files, run_with_permissions)
         return
     with files.loading_file(folder / Path(source).name):
-        yield from _read_goals_of_text(text, source, folder, operators, files, load)
+        yield from _read_goals_of_text(text, source, folder, operators, files, run_with_permissions)
 
 
 def _read_goals_of_text(
-    text: str, source: str, folder: Optional[Path], operators: Operators, files: SourceFiles, load: Load
+    text: str,
+    source: str,
+    folder: Optional[Path],
+    operators: Operators,
+    files: SourceFiles,
+    run_with_permissions: RunWithPermissions,
 ) -> Iterator[Union[FileGoal, RetalisError]]:
     for entry in read_goals(text, operators, source):
         if isinstance(entry, SyntaxFault):
@@ -80,8 +90,10 @@ def _read_goals_of_text(
         try:
             # Included files are opened with the permissions of the program, when the goals before them have been
             # called.
-            path, included_text = load(folder, partial(_find_text, files, term[1]))
-            yield from read_file_goals(included_text, str(path), path.parent, operators, files, load)
+            path, included_text = run_with_permissions(folder, partial(_find_text, files, term[1]))
+            yield from read_file_goals(
+                included_text, str(path), path.parent, operators, files, run_with_permissions
+            )
         except RetalisError as error:
             yield RuleError(error.message, entry.place)
 
@@ -98,34 +110,34 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[ReadRes
     ends in a full stop.
     """
     lines = text.split("\n")
-    position = stop = 0
+    position = stop_position = 0
     characters_left = 4 * len(text) + _MAX_REREAD_CHARACTERS
     while position < len(lines):
         if _is_blank(lines[position]):
             position += 1
             continue
-        goal = _read_lines(lines, position, position + 1, operators, source)
+        goal = _parse_lines(lines, position, position + 1, operators, source)
         end = position + 1
         if isinstance(goal, SyntaxFault) and characters_left > 0:
-            stop = max(stop, end)
-            while stop < len(lines) and not _ends_goal(lines[stop]):
-                stop += 1
-            if stop < len(lines):
-                longer = _read_lines(lines, position, stop + 1, operators, source)
+            stop_position = max(stop_position, end)
+            while stop_position < len(lines) and not _ends_goal(lines[stop_position]):
+                stop_position += 1
+            if stop_position < len(lines):
+                longer_goal = _parse_lines(lines, position, stop_position + 1, operators, source)
                 # If the longer text also has an error, but beyond its first line, the lines belong together.
-                if not isinstance(longer, SyntaxFault) or _line_number(longer) > position + 1:
-                    goal, end = longer, stop + 1
+                if not isinstance(longer_goal, SyntaxFault) or _line_number(longer_goal) > position + 1:
+                    goal, end = longer_goal, stop_position + 1
                 else:
-                    characters_left -= sum(map(len, lines[position : stop + 1]))
+                    characters_left -= sum(map(len, lines[position : stop_position + 1]))
         yield (
-            _with_full_stop_advice(goal, lines, position)
+            _add_full_stop_advice(goal, lines, position)
             if isinstance(goal, SyntaxFault) and end == position + 1
             else goal
         )
         position = end
 
 
-def _with_full_stop_advice(fault: SyntaxFault, lines: List[str], position: int) -> SyntaxFault:
+def _add_full_stop_advice(fault: SyntaxFault, lines: List[str], position: int) -> SyntaxFault:
     """Return the error of a line, with advice about the full stop if the line ends in the middle of a term."""
     place = fault.place
     has_next_line = position + 1 < len(lines) and not _is_blank(lines[position + 1])
@@ -150,17 +162,20 @@ def _line_number(fault: SyntaxFault) -> int:
     return 0 if fault.place is None else fault.place.line
 
 
-def _read_lines(lines: List[str], start: int, end: int, operators: Operators, source: str) -> ReadResult:
+def _parse_lines(lines: List[str], start: int, end: int, operators: Operators, source: str) -> ReadResult:
     try:
         return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
     except SyntaxFault as fault:
         return fault
 
 
-def errors_in(error: RetalisError, place: Place) -> List[RetalisError]:
+def errors_of_goal(error: RetalisError, place: Place) -> List[RetalisError]:
     """Return the errors of a goal: those of the file that it loads, or its own."""
     if isinstance(error.__cause__, ProgramErrors):
         errors = error.__cause__.errors
     else:
         errors = [error]
-    return [single if single.place else RuleError(single.message, place) for single in errors]
+    return [
+        single_error if single_error.place else RuleError(single_error.message, place)
+        for single_error in errors
+    ]

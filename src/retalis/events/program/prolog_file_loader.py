@@ -40,6 +40,7 @@ _FILE_FLAGS = ("double_quotes", "back_quotes")
 """Flags that apply until the end of the file that sets them."""
 
 LoadFile = Callable[[Term, bool], None]
+"""Loads the file that a term names; the flag is true if the file is loaded only once."""
 
 
 class PrologSource(NamedTuple):
@@ -55,7 +56,7 @@ class PrologFileLoader:
     Args:
         rules: receives clauses and rules.
         directives: runs directives.
-        load_file: loads the file that a term names; the flag is True if it is to be loaded only once.
+        load_file: loads files that directives name.
     """
 
     def __init__(self, rules: "RuleBase", directives: Directives, load_file: LoadFile):
@@ -63,7 +64,7 @@ class PrologFileLoader:
         self._directives = directives
         self._load_file = load_file
 
-    def load(self, file: PrologSource, record_calls: Callable[[List[PredicateCall]], None]) -> None:
+    def load(self, source: PrologSource, record_calls: Callable[[List[PredicateCall]], None]) -> None:
         """Consult a file.
 
         Raises:
@@ -73,7 +74,7 @@ class PrologFileLoader:
         flags = self._rules.logic.flags
         saved_flags = {name: flags[name] for name in _FILE_FLAGS}
         try:
-            _FileConsultation(self._rules, self._directives, self._load_file, record_calls).load(file)
+            _FileConsultation(self._rules, self._directives, self._load_file, record_calls).load(source)
         finally:
             flags.update(saved_flags)
 
@@ -119,8 +120,8 @@ class _OmittedTerms:
         Raises:
             ProgramErrors: the errors of all omitted terms.
         """
-        too_many = self._max_count is not None and len(self) > self._max_count
-        if too_many or self._errors and not self._is_accepted:
+        has_too_many = self._max_count is not None and len(self) > self._max_count
+        if has_too_many or self._errors and not self._is_accepted:
             raise ProgramErrors(self._errors)
         if self._errors.omitted_count:
             self._warn(self._errors.with_omitted_count()[-1])
@@ -148,16 +149,18 @@ class _FileConsultation:
         self._checker = FileChecker(rules.logic.brief, rules.declared.current())
         self._final_entries: List[FileEntry] = []
 
-    def load(self, file: PrologSource) -> None:
+    def load(self, source: PrologSource) -> None:
         """Consult the text, then run the goals that are scheduled for the end."""
-        omitted = self._omitted = _OmittedTerms(self._rules.on_warning, self._files.max_omitted(file.source))
-        program = read_program(file.text, self._logic.operators, file.source, OF_FILES)
+        omitted = self._omitted = _OmittedTerms(
+            self._rules.on_warning, self._files.max_omitted(source.source)
+        )
+        program = read_program(source.text, self._logic.operators, source.source, OF_FILES)
         self._process_terms(program)
-        for unclosed in self._conditions.unclosed_errors():
-            self._omitted.append(unclosed)
+        for error in self._conditions.unclosed_errors():
+            self._omitted.append(error)
         self._finish()
         omitted.finish()
-        self._files.record_omitted(file.source, len(omitted))
+        self._files.record_omitted(source.source, len(omitted))
 
     def _finish(self) -> None:
         """Expand ``end_of_file``, and run the goals of ``initialization/1``."""
@@ -264,11 +267,11 @@ class _FileConsultation:
         if checker.calls:
             self._record_calls(checker.calls[:])
             checker.calls.clear()
-        # Copied before they are cleared: these lists are also used by the checker.
+        # Copied, because the checker uses its lists again for the next term.
         errors, rules = checker.errors[:], [*checker.rules, *checker.nested_rules]
         if errors or rules:
-            for collected in (checker.errors, checker.rules, checker.nested_rules):
-                collected.clear()
+            for results in (checker.errors, checker.rules, checker.nested_rules):
+                results.clear()
         for error in errors:
             self._omitted.append(error)
         for definition in () if errors else rules:
@@ -278,8 +281,7 @@ class _FileConsultation:
 
     def _process_entry(self, entry: FileEntry) -> None:
         if entry.kind is EntryKind.CLAUSE:
-            # Only clauses of the event language's predicates are checked: a Prolog file may redefine library
-            # predicates.
+            # Facts must not replace predicates of the event language; other library predicates may be redefined.
             problem = clause_error(self._logic, entry.term)
             if problem is None:
                 problem = fact_error(self._logic, entry.term, set(), self._logic.is_added)

@@ -186,11 +186,11 @@ def declare_operators(name: Term, operators: Operators) -> None:
             operators.add(int(priority), operator_type, operator)
 
 
-_SUFFIXES = (".pl", ".prolog", ".pro")
+_OPTIONAL_SUFFIXES = (".pl", ".prolog", ".pro")
 """Suffixes that may be omitted in names of files."""
 
-State = Tuple[Optional[Path], int, bool]
-"""Base folder of relative paths, number of open files, and whether they are the program's own."""
+FilesState = Tuple[Optional[Path], int, bool]
+"""Base folder of relative paths, number of files that are being loaded, and whether they are the program's own."""
 
 
 class SourceFiles:
@@ -244,17 +244,17 @@ class SourceFiles:
         """Return the maximum number of omitted terms of a file; None for any number."""
         return self.omitted.get(source, 0) if self._is_reload else None
 
-    def record_omitted(self, source: str, number: int) -> None:
+    def record_omitted(self, source: str, count: int) -> None:
         """Record the number of omitted terms of a file."""
         self.omitted.pop(source, None)
-        if number:
-            self.omitted[source] = number
+        if count:
+            self.omitted[source] = count
 
-    def state(self) -> State:
+    def state(self) -> FilesState:
         """Return the state for `restore`."""
         return self._base_folder, len(self._open_files), self.sandbox.is_loading
 
-    def restore(self, state: "Optional[State]") -> None:
+    def restore(self, state: "Optional[FilesState]") -> None:
         """Restore a state; with None, the state in which nothing is being loaded."""
         self._base_folder, count, self.sandbox.is_loading = state or (None, 0, False)
         del self._open_files[count:]
@@ -282,7 +282,9 @@ class SourceFiles:
         # The exact name has priority over the name with a suffix, as in SWI-Prolog.
         if self.sandbox.is_file(str(path), written_name):
             return path
-        suffixes = [suffix for suffix in _SUFFIXES if self.sandbox.is_file(f"{path}{suffix}", written_name)]
+        suffixes = [
+            suffix for suffix in _OPTIONAL_SUFFIXES if self.sandbox.is_file(f"{path}{suffix}", written_name)
+        ]
         return Path(f"{path}{suffixes[0]}") if suffixes else path
 
     def is_file(self, path: Path) -> bool:
@@ -303,7 +305,7 @@ class SourceFiles:
         """The file that is being loaded; the innermost one of nested loads."""
         return self._open_files[-1] if self._open_files else None
 
-    # Files that goals open.
+    # ---- files that goals open -----------------------------------------------------------------------
 
     def to_read(self, name: Term, encoding: str = "utf-8") -> Tuple[str, str]:
         """Return the path and the text of a file that a goal reads.
@@ -315,8 +317,8 @@ class SourceFiles:
         path = str(self.resolve(file_name(name)))
         return path, self.sandbox.read(path, path, encoding)
 
-    def to_write(self, name: Term, more: bool) -> str:
-        """Return the path of a file that a goal writes; empty the file unless ``more`` is set.
+    def to_write(self, name: Term, appends: bool) -> str:
+        """Return the path of a file that a goal writes; remove the contents of the file unless ``appends`` is true.
 
         Raises:
             PrologError: a permission or resource error.
@@ -324,12 +326,12 @@ class SourceFiles:
         """
         written_name = file_name(name)
         check_name(written_name)
-        # Not `resolve`, which requires permission to read.
+        # `resolve` is not used, because it requires the permission to read.
         path = str(
             (self.sandbox.base_folder if self._base_folder is None else self._base_folder)
             / Path(written_name)
         )
-        self.sandbox.prepare_writing(path, written_name, not more)
+        self.sandbox.prepare_writing(path, written_name, not appends)
         return path
 
     def add(self, path: str, text: str, encoding: str = "utf-8") -> None:
@@ -370,24 +372,24 @@ class SourceFiles:
 
     def module(self, path: Path) -> str:
         """Return the module name of a file that has been or is being loaded, or "" if it is not a module."""
-        # The module of a file whose load was undone is still recorded, but the file is not loaded.
+        # `modules` still contains the module of a file whose load was undone.
         real_path = _resolve_links(path)
         return self.modules.get(real_path, "") if real_path in self.loaded else ""
 
     @contextmanager
-    def loading_file(self, place: Path) -> Iterator[None]:
+    def loading_file(self, path: Path) -> Iterator[None]:
         """Register a file as being loaded.
 
         Raises:
             UsageError: if the file is already being loaded.
         """
-        place = _resolve_links(place)
-        if place in self._open_files:
-            raise UsageError(f"{place.name} loads itself")
-        # The depth is restored, and not one entry removed: an interrupt may come between an entry and its removal.
+        path = _resolve_links(path)
+        if path in self._open_files:
+            raise UsageError(f"{path.name} loads itself")
+        # The list is cut to its previous length, because an interrupt may come before the entry is added.
         depth = len(self._open_files)
-        self._open_files.append(place)
-        self.loaded.add(place)
+        self._open_files.append(path)
+        self.loaded.add(path)
         try:
             yield
         finally:

@@ -36,7 +36,7 @@ MAX_XML_CHARACTERS = 4_000_000
 """Maximum length of ``pub_sub.xml``."""
 
 MAX_XML_DEPTH = 100
-"""Maximum nesting depth of its elements."""
+"""Maximum nesting depth of elements in ``pub_sub.xml``."""
 
 
 class TopicType(NamedTuple):
@@ -49,12 +49,12 @@ class TopicType(NamedTuple):
     type: str
 
 
-DIRECT = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
+DEFAULT_DIRECT_TOPICS = (TopicType("tf", "tf/tfMessage"), TopicType("ar_pose_marker", "ar_pose/ARMarkers"))
 """Topics that node retalis subscribes to by default, like the original system."""
 
 
 AUTO = "auto"
-"""Value of ``~direct`` for the topics of `DIRECT` that ``pub_sub.xml`` does not name."""
+"""Value of ``~direct`` for the topics of `DEFAULT_DIRECT_TOPICS` that ``pub_sub.xml`` does not name."""
 
 DirectTopics = Union[bool, str, Tuple[TopicType, ...]]
 """Value of ``~direct``: `AUTO`, True, False, or the topics."""
@@ -97,7 +97,7 @@ class Topics(NamedTuple):
     latched: FrozenSet[str] = frozenset()
     events: Tuple[TopicEvent, ...] = ()
 
-    def event_of(self, topic: str, canonical_name: Callable[[str], str] = str) -> str:
+    def event_name_of(self, topic: str, canonical_name: Callable[[str], str] = str) -> str:
         """Return the name of the events of a topic, or "" if they are named by the message type.
 
         Args:
@@ -120,8 +120,8 @@ def read_text(path: Union[str, Path]) -> str:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"cannot read {path}: {undecodable(error)}") from error
-    # The name contains a NUL character or surrogates.
     except ValueError as error:
+        # The name contains a NUL character or surrogates.
         raise UsageError(f"cannot read {str(path)!r}: {error}") from error
 
 
@@ -145,16 +145,18 @@ def read_direct(value: object) -> DirectTopics:
     Raises:
         UsageError: if the value is invalid, or a topic or type is invalid in ROS.
     """
-    choice = value
-    if isinstance(choice, str):
-        choice = _DIRECT_VALUES.get(choice.strip().lower(), choice.strip())
-    if isinstance(choice, str) and choice.startswith("[") and choice.endswith("]"):
+    parsed_value = value
+    if isinstance(parsed_value, str):
+        parsed_value = _DIRECT_VALUES.get(parsed_value.strip().lower(), parsed_value.strip())
+    if isinstance(parsed_value, str) and parsed_value.startswith("[") and parsed_value.endswith("]"):
         # Names have neither brackets nor commas nor quotes, so a list of pairs reads as a flat one.
-        choice = [item.strip(" []'\"") for item in choice[1:-1].split(",") if item.strip(" []")]
-    if isinstance(choice, bool) or choice == AUTO:
-        return choice
-    if isinstance(choice, list):
-        flat_items = [item for entry in choice for item in (entry if isinstance(entry, list) else [entry])]
+        parsed_value = [item.strip(" []'\"") for item in parsed_value[1:-1].split(",") if item.strip(" []")]
+    if isinstance(parsed_value, bool) or parsed_value == AUTO:
+        return parsed_value
+    if isinstance(parsed_value, list):
+        flat_items = [
+            item for entry in parsed_value for item in (entry if isinstance(entry, list) else [entry])
+        ]
         if len(flat_items) % 2 == 0 and all(isinstance(item, str) for item in flat_items):
             return tuple(
                 topic_type(topic, message_type)
@@ -177,10 +179,12 @@ def direct_topics(
         canonical_name: returns the canonical form of a topic name.
     """
     if direct is True:
-        return DIRECT
+        return DEFAULT_DIRECT_TOPICS
     if direct == AUTO:
         subscribed_names = {canonical_name(topic) for topic, _ in topics.subscribed}
-        return tuple(topic for topic in DIRECT if canonical_name(topic.topic) not in subscribed_names)
+        return tuple(
+            topic for topic in DEFAULT_DIRECT_TOPICS if canonical_name(topic.topic) not in subscribed_names
+        )
     return direct if isinstance(direct, tuple) else ()
 
 
@@ -199,7 +203,7 @@ def event_types(folder: Path) -> Dict[str, str]:
 
 
 class _TopicReader:
-    """Collects ``subscribe_to`` and ``publish_to`` elements at any depth, and their errors."""
+    """Parser of ``pub_sub.xml``: collects ``subscribe_to`` and ``publish_to`` elements at any depth, and errors."""
 
     def __init__(self, source: str, text: str):
         self.source = source
