@@ -10,7 +10,7 @@ A template must never give another term than the parser. This holds because
 
 * a number is split out only if it is a whole argument or item: after an opening bracket, comma or bar, and before a
   comma, bar or closing bracket. Its sign belongs to it there, and no other part of the text depends on its value;
-* a quoted atom is treated alike (`_ALONE`): as an operand of an operator, its name could matter;
+* a quoted atom is treated alike (`_WHOLE_QUOTED_ARGUMENT`): as an operand of an operator, its name could matter;
 * numbers, quoted atoms and double-quoted atoms leave different skeletons, and a builder checks their counts.
 
 If two successive texts that begin with the same event name have the same skeleton, the next ones are not split. They
@@ -41,7 +41,7 @@ from .tokenizer import ReadFlags
 MAX_SKELETON_CHARACTERS = 4000
 """Length of the longest skeleton for which a regular expression is worth its memory."""
 
-_PLACES = re.compile(r"(\0(?:,\0)*|'(?:[^\0'\"]*')*)")
+_RUN_OR_SPAN = re.compile(r"(\0(?:,\0)*|'(?:[^\0'\"]*')*)")
 """Numbers separated only by commas, or quoted atoms without numbers between them."""
 
 _NUMBER_CHARACTERS = "-+.,e0123456789"
@@ -64,24 +64,24 @@ class TextTemplate(NamedTuple):
 
     Attributes:
         pattern: has a group for each run of numbers and each span of quoted atoms.
-        groups: for each group, the count of numbers in it; 0 for a span.
-        atoms: for each group, the count of quoted atoms in it.
-        infinite: whether a number may be long enough to be infinite as a float.
+        number_counts: for each group, the count of numbers in it; 0 for a span.
+        atom_counts: for each group, the count of quoted atoms in it.
+        may_be_infinite: whether a number may be long enough to be infinite as a float.
     """
 
     pattern: Pattern[str]
-    groups: List[int]
-    atoms: List[int]
-    infinite: bool
+    number_counts: List[int]
+    atom_counts: List[int]
+    may_be_infinite: bool
 
 
-def whole_text(skeleton: str) -> Optional[TextTemplate]:
+def make_text_template(skeleton: str) -> Optional[TextTemplate]:
     """Return the template of a skeleton; None if it is impossible or not worthwhile."""
     if len(skeleton) > MAX_SKELETON_CHARACTERS or "\\" in skeleton or "\n" in skeleton or '"' in skeleton:
         return None
-    parts = _PLACES.split(skeleton)
-    groups: List[int] = []
-    atoms: List[int] = []
+    parts = _RUN_OR_SPAN.split(skeleton)
+    number_counts: List[int] = []
+    atom_counts: List[int] = []
     source = [re.escape(parts[0])]
     for place, literal in zip(parts[1::2], parts[2::2]):
         count = place.count("\0")
@@ -89,12 +89,15 @@ def whole_text(skeleton: str) -> Optional[TextTemplate]:
         # runs would be ambiguous, and matching could take quadratic time.
         if count and not literal.strip(_NUMBER_CHARACTERS):
             return None
-        groups.append(count)
-        atoms.append(place.count("'"))
+        number_counts.append(count)
+        atom_counts.append(place.count("'"))
         source.append(_RUN_PATTERN % (_MEAN_NUMBER_CHARACTERS * count) if count else _span(place))
         source.append(re.escape(literal))
     return TextTemplate(
-        re.compile("".join(source)), groups, atoms, max(groups, default=0) > _MAX_FINITE_NUMBERS
+        re.compile("".join(source)),
+        number_counts,
+        atom_counts,
+        max(number_counts, default=0) > _MAX_FINITE_NUMBERS,
     )
 
 
@@ -103,23 +106,23 @@ def _span(place: str) -> str:
     return f"({_ATOM_PATTERN.join(re.escape(literal) for literal in place.split(chr(39)))})"
 
 
-def span_texts(span: str) -> Tuple[str, ...]:
+def split_span(span: str) -> Tuple[str, ...]:
     """Return the texts of the quoted atoms in a span."""
     return tuple(span.split("'")[1::2])
 
 
-scan = JSONDecoder().scan_once  # type: ignore[attr-defined]
+scan_json = JSONDecoder().scan_once  # type: ignore[attr-defined]
 """Parses a JSON value at an offset; used for lists of numbers."""
 
-Spans = Cache[str, Tuple[Atom, ...]]
+SpanCache = Cache[str, Tuple[Atom, ...]]
 """Atoms of spans of quoted atoms, which recur in many texts."""
 
 _SCAN_ERRORS = (ValueError, StopIteration, KeyError)
-"""Exceptions of `scan` for other text; KeyError on Python 3.8, whose decoder imports its error class at that
+"""Exceptions of `scan_json` for other text; KeyError on Python 3.8, whose decoder imports its error class at that
 moment."""
 
-ReadWhole = Callable[[str], Optional[Term]]
-"""Builds the term of a text with a known skeleton; returns None for a text that must be read otherwise."""
+TextReader = Callable[[str], Optional[Term]]
+"""Function that builds the term of a text with a known skeleton; returns None for texts that must be split first."""
 
 _SPAN_COPIES = 2
 """Size of a cached span in multiples of its text: the span itself, and the names of its atoms."""
@@ -131,13 +134,13 @@ class Builder(NamedTuple):
     Attributes:
         build: returns the term for lists of numbers, quoted texts and double-quoted texts; raises ValueError if their
             counts are wrong.
-        ground: whether the terms contain no variables.
-        whole: returns the function that reads whole texts of the skeleton; None if it is not worthwhile.
+        is_ground: whether the terms contain no variables.
+        make_text_reader: returns the function that reads whole texts of the skeleton; None if it is not worthwhile.
     """
 
     build: Callable[[List[float], List[str], List[str]], Term]
-    ground: bool
-    whole: Callable[[str, Spans], Optional[ReadWhole]]
+    is_ground: bool
+    make_text_reader: Callable[[str, SpanCache], Optional[TextReader]]
 
 
 _MAX_LINES = 3000
@@ -161,14 +164,14 @@ class TemplateCompiler:
                 text.
         """
         self._marks = marks
-        self._used: Dict[str, int] = dict.fromkeys(marks.values(), 0)
-        self._given = codegen.BoundNames(
+        self._mark_counts: Dict[str, int] = dict.fromkeys(marks.values(), 0)
+        self._bound_names = codegen.BoundNames(
             {
                 "atom": atom,
                 "make_list": make_list,
                 "Var": Var,
-                "C": CONS,
-                "N": NIL,
+                "CONS": CONS,
+                "NIL": NIL,
             }
         )
         self._variables: Dict[Var, str] = {}
@@ -176,41 +179,42 @@ class TemplateCompiler:
 
     def compile(self, term: Term) -> Optional[Builder]:
         """Return the builder of a term; None if a mark does not occur exactly once, or if the term is too large."""
-        result = self._expression(term)
-        if result is None or any(count != 1 for count in self._used.values()):
+        result = self._build_expression(term)
+        if result is None or any(count != 1 for count in self._mark_counts.values()):
             return None
         # Every call creates new variables, so they are the first lines of the function.
         self._lines[:0] = [f"{name} = Var()" for name in self._variables.values()]
         self._lines.append(f"return {result}")
-        lines = ["def build(n, q, s):", *(" " + line for line in (*self._unpacking(), *self._lines))]
-        function = codegen.function(lines, self._given.values, "event text", "build")
-        return Builder(function, not self._variables, self._whole)
+        lines = ["def build(n, q, s):", *(" " + line for line in (*self._unpacking_lines(), *self._lines))]
+        function = codegen.function(lines, self._bound_names.values, "event text", "build")
+        return Builder(function, not self._variables, self._make_text_reader)
 
-    def _whole(self, skeleton: str, spans: Spans) -> Optional[ReadWhole]:
+    def _make_text_reader(self, skeleton: str, spans: SpanCache) -> Optional[TextReader]:
         """Return the function that reads whole texts; see `Builder`."""
-        template = whole_text(skeleton) if len(self._marks) <= _MAX_LOCALS else None
+        template = make_text_template(skeleton) if len(self._marks) <= _MAX_LOCALS else None
         if template is None:
             return None
 
-        def learn(span: str) -> Tuple[Atom, ...]:
-            return spans.store(span, tuple(map(atom, span_texts(span))), _SPAN_COPIES * text_size(span))
+        def store_span(span: str) -> Tuple[Atom, ...]:
+            return spans.store(span, tuple(map(atom, split_span(span))), _SPAN_COPIES * text_size(span))
 
         names: Dict[str, Any] = {
-            **self._given.values,
+            **self._bound_names.values,
             "match": template.pattern.fullmatch,
-            "known": spans.get,
-            "learn": learn,
-            "scan": scan,
-            "fits": exponents_fit,
-            "most": float("inf"),
-            "Unread": _SCAN_ERRORS,
+            "find_span": spans.get,
+            "store_span": store_span,
+            "scan_json": scan_json,
+            "exponents_fit": exponents_fit,
+            "INFINITY": float("inf"),
+            "SCAN_ERRORS": _SCAN_ERRORS,
         }
         body = [*_extraction_lines(template), *self._lines]
         lines = ["def read(text):", *(" " + line for line in body)]
-        read: ReadWhole = codegen.function(lines, names, "event text", "read")
+        read: TextReader = codegen.function(lines, names, "event text", "read")
         return read
 
-    def _unpacking(self) -> List[str]:
+    def _unpacking_lines(self) -> List[str]:
+        """Return the lines that check the counts of numbers and texts, and assign them to variables."""
         lines = []
         for list_name in "nqs":
             names = [name for name in self._marks.values() if name[0] == list_name]
@@ -224,7 +228,7 @@ class TemplateCompiler:
                 lines += [f"{name} = atom(f'\"{{{name}}}\"')" for name in names]
         return lines
 
-    def _expression(self, term: Term) -> Optional[str]:
+    def _build_expression(self, term: Term) -> Optional[str]:
         """Generate the lines that build the subterms of a term; return the expression for the term itself."""
         # An entry is a term (count -1), or a compound term whose arguments are the last `count` results.
         stack: List[Tuple[Term, int]] = [(term, -1)]
@@ -232,91 +236,94 @@ class TemplateCompiler:
         while stack:
             part, count = stack.pop()
             if part.__class__ is not tuple:
-                results.append(self._leaf(part))
+                results.append(self._leaf_expression(part))
             elif count < 0:
-                items = _items(part)
+                items = _arguments_or_items(part)
                 stack.append((part, len(items)))
                 stack.extend((item, -1) for item in reversed(items))
             else:
                 arguments = results[len(results) - count :]
                 del results[len(results) - count :]
-                results.append(self._compound(part, arguments))
+                results.append(self._compound_expression(part, arguments))
                 if len(self._lines) > _MAX_LINES:
                     return None
         return results[0]
 
-    def _leaf(self, term: Term) -> str:
+    def _leaf_expression(self, term: Term) -> str:
+        """Return the expression for a variable, a mark or a constant."""
         if term.__class__ is Var:
             return self._variables.setdefault(term, f"v{len(self._variables)}")
         mark = self._marks.get(term) if term.__class__ is int or term.__class__ is Atom else None
         if mark is None:
             return self._constant(term)
-        self._used[mark] += 1
+        self._mark_counts[mark] += 1
         return f"n[{mark[1:]}]" if mark[0] == "n" and len(self._marks) > _MAX_LOCALS else mark
 
     def _constant(self, value: Union[Term, Functor]) -> str:
         # 1, 1.0 and True are one key of a dictionary, as are 0.0 and -0.0; as terms they differ.
         key = (value.__class__, value.hex() if isinstance(value, float) else value)
-        return self._given.constant(value, key)
+        return self._bound_names.constant(value, key)
 
-    def _compound(self, term: CompoundTerm, arguments: List[str]) -> str:
+    def _compound_expression(self, term: CompoundTerm, arguments: List[str]) -> str:
+        """Return the local that holds a compound term, after writing its assignment."""
         key: Functor = term[0]
         if key is not CONS:
-            return self._temporary(f"({self._constant(key)}, {', '.join(arguments)})")
+            return self._assign_temporary(f"({self._constant(key)}, {', '.join(arguments)})")
         *items, tail = arguments
         # The parser of Python limits the nesting of expressions. A long list of consecutive numbers is a slice of the
         # list of numbers, which needs no expression for each item.
         if len(items) > _MAX_UNROLLED_ITEMS:
             first = items[0]
-            run = [f"n[{index}]" for index in range(_index(first), _index(first) + len(items))]
+            run = [f"n[{index}]" for index in range(_number_index(first), _number_index(first) + len(items))]
             values = (
                 f"n[{run[0][2:-1]}:{int(run[-1][2:-1]) + 1}]" if run == items else f"({', '.join(items)})"
             )
-            return self._temporary(f"make_list({values}, {tail})")
+            return self._assign_temporary(f"make_list({values}, {tail})")
         for item in reversed(items):
-            tail = f"(C, {item}, {tail})"
-        return self._temporary(tail)
+            tail = f"(CONS, {item}, {tail})"
+        return self._assign_temporary(tail)
 
-    def _temporary(self, expression: str) -> str:
+    def _assign_temporary(self, expression: str) -> str:
+        """Write the assignment of an expression to a new local, and return the local."""
         self._lines.append(f"t{len(self._lines)} = {expression}")
         return f"t{len(self._lines) - 1}"
 
 
 def _extraction_lines(template: TextTemplate) -> List[str]:
     """Return the lines that extract numbers and atoms from a text, and return None if it does not match."""
-    groups = [f"g{index}" for index in range(len(template.groups))]
+    groups = [f"g{index}" for index in range(len(template.number_counts))]
     lines = ["whole = match(text)", "if whole is None: return None"]
     if groups:
         lines.append(f"{', '.join(groups)}, = whole.groups()")
     runs: List[List[str]] = []
     numbers: List[str] = []
     atoms = 0
-    for group, count, span in zip(groups, template.groups, template.atoms):
+    for group, count, span in zip(groups, template.number_counts, template.atom_counts):
         if count:
             runs.append([f"n{len(numbers) + index}" for index in range(count)])
             numbers += runs[-1]
         else:
             names = [f"q{atoms + index}" for index in range(span)]
             atoms += span
-            lines.append(f"{', '.join(names)}, = known({group}) or learn({group})")
+            lines.append(f"{', '.join(names)}, = find_span({group}) or store_span({group})")
     if numbers:
-        texts = [f"[{{{group}}}]" for group, count in zip(groups, template.groups) if count]
+        texts = [f"[{{{group}}}]" for group, count in zip(groups, template.number_counts) if count]
         places = "".join(f"({', '.join(run)},), " for run in runs)
         lines += [
             f'numbers = f"[{",".join(texts)}]"',
-            'if "e" in numbers and not fits(numbers): return None',
+            'if "e" in numbers and not exponents_fit(numbers): return None',
             "try:",
-            f" {places} = scan(numbers, 0)[0]",
-            "except Unread: return None",
+            f" {places} = scan_json(numbers, 0)[0]",
+            "except SCAN_ERRORS: return None",
         ]
     # JSON reads 1e999 or a number of 400 digits as infinity, which event text writes as `inf`.
-    if template.infinite:
+    if template.may_be_infinite:
         values = ", ".join(numbers)
-        lines.append(f"if most in ({values},) or -most in ({values},): return None")
+        lines.append(f"if INFINITY in ({values},) or -INFINITY in ({values},): return None")
     return lines
 
 
-def _items(term: CompoundTerm) -> List[Term]:
+def _arguments_or_items(term: CompoundTerm) -> List[Term]:
     """Return the arguments of a compound term; for a list, its items and its tail."""
     if term[0] is not CONS:
         return list(term[1:])
@@ -329,11 +336,12 @@ def _items(term: CompoundTerm) -> List[Term]:
     return items
 
 
-def _index(name: str) -> int:
+def _number_index(name: str) -> int:
+    """Return the index in an expression such as ``n[3]``; -1 for other expressions."""
     return int(name[2:-1]) if name[:2] == "n[" else -1
 
 
-Parts = Tuple[str, List[str], List[str], List[str]]
+SplitText = Tuple[str, List[str], List[str], List[str]]
 """Skeleton, numbers, quoted atoms, and double-quoted atoms of a text."""
 
 EVENT_TEXT = ReadFlags(event_text=True)
@@ -345,10 +353,10 @@ _NUMBER = re.compile(
 )
 """A number that is a whole argument or item."""
 _QUOTE = re.compile("['\"]")
-_ALONE = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
+_WHOLE_QUOTED_ARGUMENT = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
 """A quoted atom that is a whole argument, item or text."""
-_PLACE = re.compile('[\0\']|""')
-"""A place in a skeleton: of a number, a quoted atom, or a double-quoted atom."""
+_PLACEHOLDER = re.compile('[\0\']|""')
+"""Stands in a skeleton for a number, a quoted atom, or a double-quoted atom."""
 _ADJACENT_NUMBERS = re.compile("\0([(,\\[|] *)\0")
 """Adjacent numbers in a skeleton, which `_NUMBER` has split one by one."""
 
@@ -358,16 +366,16 @@ _MAX_SKELETONS = 512
 _MAX_BUILDER_CHARACTERS = 50_000
 """Length of the longest skeleton with a builder."""
 
-_TEMPLATE_COST = 32
+_BUILDER_BYTES_PER_CHARACTER = 32
 """Memory of a builder in bytes for each character of its skeleton, as measured."""
 
-_MARK = 10**40
+_FIRST_NUMBER_MARK = 10**40
 """The first integer that marks the place of a number: too large to occur in a message."""
 
-_EVENT = "event("
+_EVENT_PREFIX = "event("
 
-_WHOLE, _WHOLE_COST = 4000, 32
-"""Memory of a function for whole texts in bytes: for each, and for each character of its skeleton, as measured."""
+_READER_BYTES, _READER_BYTES_PER_CHARACTER = 4000, 32
+"""Memory of a text reader in bytes, and in addition for each character of its skeleton, as measured."""
 
 _MAX_EVENT_NAMES = 256
 """Event names whose texts are read as a whole."""
@@ -388,15 +396,15 @@ class EventReader:
         """
         self._operators = Operators.prolog() if operators is None else operators
         self._builders: Cache[str, Optional[Builder]] = Cache(
-            _MAX_SKELETONS, _TEMPLATE_COST * 256_000, _TEMPLATE_COST * 60_000
+            _MAX_SKELETONS, _BUILDER_BYTES_PER_CHARACTER * 256_000, _BUILDER_BYTES_PER_CHARACTER * 60_000
         )
-        self._readers_by_skeleton: Cache[str, Optional[ReadWhole]] = Cache(_MAX_SKELETONS, 8 << 20)
-        """Functions for whole texts, by skeleton."""
-        self._reader_by_name: Cache[str, Optional[ReadWhole]] = Cache(_MAX_EVENT_NAMES, 1 << 18)
-        """Functions for whole texts, by event name; None if the last text did not match."""
+        self._readers_by_skeleton: Cache[str, Optional[TextReader]] = Cache(_MAX_SKELETONS, 8 << 20)
+        """Text readers by skeleton."""
+        self._reader_by_name: Cache[str, Optional[TextReader]] = Cache(_MAX_EVENT_NAMES, 1 << 18)
+        """Text readers by event name; None if the last text did not match."""
         self._last_skeleton_by_name: Cache[str, str] = Cache(_MAX_EVENT_NAMES, 1 << 20)
         """Skeleton of the last text, by event name."""
-        self._spans: Spans = Cache(2048, 1 << 20, 4096)
+        self._spans: SpanCache = Cache(2048, 1 << 20, 4096)
         self.ground: Optional[bool] = None
         """True if the term that was read last has no variables; None if unknown."""
 
@@ -408,19 +416,19 @@ class EventReader:
         """
         self.ground = None
         # The text up to the event's bracket identifies the event name; other texts have no such prefix and are split.
-        head = text[: text.find("(", len(_EVENT))] if text.startswith(_EVENT) else ""
-        read_whole = self._reader_by_name.get(head)
+        event_prefix = text[: text.find("(", len(_EVENT_PREFIX))] if text.startswith(_EVENT_PREFIX) else ""
+        read_whole = self._reader_by_name.get(event_prefix)
         if read_whole is not None:
             term = read_whole(text)
             if term is not None:
                 self.ground = True
                 return term
-            self._reader_by_name[head] = None
+            self._reader_by_name[event_prefix] = None
         # Without escapes and doubled quotes, every quote opens or closes an atom, and splitting at quotes is enough.
         if "\\" in text or "''" in text or "\n" in text:
             parts = _split_escaped(text)
         else:
-            parts = _split(text)
+            parts = _split_at_quotes(text)
         if parts is None:
             return self._read_fully(text)
         skeleton, numbers, quoted, strings = parts
@@ -432,32 +440,32 @@ class EventReader:
             return self._read_fully(text)
         # The JSON decoder converts all numbers in one call in C.
         try:
-            values, _ = scan("[" + ",".join(numbers) + "]", 0)
+            values, _ = scan_json("[" + ",".join(numbers) + "]", 0)
         except (ValueError, StopIteration):  # nan, inf or leading zeros
-            values = [_number(number) for number in numbers]
+            values = [_parse_number(number) for number in numbers]
         try:
             term = builder.build(values, quoted, strings)
         except ValueError:  # the text itself contains the character that marks numbers in skeletons
             return self._read_fully(text)
-        self.ground = builder.ground
-        if head and builder.ground:
-            self._record_skeleton(head, skeleton, builder)
+        self.ground = builder.is_ground
+        if event_prefix and builder.is_ground:
+            self._record_skeleton(event_prefix, skeleton, builder)
         return term
 
-    def _record_skeleton(self, head: str, skeleton: str, builder: Builder) -> None:
+    def _record_skeleton(self, event_prefix: str, skeleton: str, builder: Builder) -> None:
         """Record the skeleton of a text; if the last text had the same one, read the next ones as a whole."""
-        if self._last_skeleton_by_name.get(head) != skeleton:
-            self._last_skeleton_by_name.store(head, skeleton, len(head) + len(skeleton))
+        if self._last_skeleton_by_name.get(event_prefix) != skeleton:
+            self._last_skeleton_by_name.store(event_prefix, skeleton, len(event_prefix) + len(skeleton))
             return
         try:
             read_whole = self._readers_by_skeleton[skeleton]
         except KeyError:
-            function = builder.whole(_join_marks(skeleton), self._spans)
+            function = builder.make_text_reader(_join_marks(skeleton), self._spans)
             read_whole = self._readers_by_skeleton.store(
-                skeleton, function, _WHOLE + _WHOLE_COST * len(skeleton)
+                skeleton, function, _READER_BYTES + _READER_BYTES_PER_CHARACTER * len(skeleton)
             )
-        if self._reader_by_name.get(head) is not read_whole:
-            self._reader_by_name.store(head, read_whole, len(head))
+        if self._reader_by_name.get(event_prefix) is not read_whole:
+            self._reader_by_name.store(event_prefix, read_whole, len(event_prefix))
 
     def _read_fully(self, text: str) -> Term:
         return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term
@@ -467,11 +475,11 @@ class EventReader:
         if len(skeleton) > _MAX_BUILDER_CHARACTERS:
             return None
         return self._builders.store(
-            skeleton, _builder(skeleton, self._operators), _TEMPLATE_COST * len(skeleton)
+            skeleton, _new_builder(skeleton, self._operators), _BUILDER_BYTES_PER_CHARACTER * len(skeleton)
         )
 
 
-def _split(text: str) -> Optional[Parts]:
+def _split_at_quotes(text: str) -> Optional[SplitText]:
     """Split a text in which every quote opens or closes a quoted atom."""
     # Odd pieces are inside of quotes. In an unbalanced text they are wrong, and the skeleton does not parse.
     pieces = text.split("'")
@@ -490,7 +498,7 @@ def _split(text: str) -> Optional[Parts]:
     return "\0".join(pieces), numbers, quoted, strings
 
 
-def _split_escaped(text: str) -> Optional[Parts]:
+def _split_escaped(text: str) -> Optional[SplitText]:
     """Split a text with escapes, doubled quotes or several lines."""
     quoted: List[str] = []
     strings: List[str] = []
@@ -500,10 +508,10 @@ def _split_escaped(text: str) -> Optional[Parts]:
     while quote_match is not None:
         start = quote_match.start()
         rest.append(text[end:start])
-        closing_at = quote_end(text, start)
-        if closing_at is None:
+        end_of_quote = quote_end(text, start)
+        if end_of_quote is None:
             return None
-        end = closing_at
+        end = end_of_quote
         quote = text[start]
         try:
             body = unquote(text[start + 1 : end - 1], quote)
@@ -523,7 +531,8 @@ def _split_escaped(text: str) -> Optional[Parts]:
     return "\0".join(pieces), numbers, quoted, strings
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
+    """Return a number that JSON does not accept: ``nan``, ``inf``, or one with leading zeros."""
     return int(text) if text.lstrip("-").isdigit() else float(text)
 
 
@@ -532,12 +541,12 @@ def _join_marks(skeleton: str) -> str:
     return _ADJACENT_NUMBERS.sub(r"\1\0", skeleton)
 
 
-def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
+def _new_builder(skeleton: str, operators: Operators) -> Optional[Builder]:
     """Compile the builder of a skeleton; None if a part is not a whole argument."""
     skeleton = _join_marks(skeleton)
-    if len(_ALONE.findall(skeleton)) != skeleton.count("'") + skeleton.count('""'):
+    if len(_WHOLE_QUOTED_ARGUMENT.findall(skeleton)) != skeleton.count("'") + skeleton.count('""'):
         return None
-    text, marks = _marked(skeleton)
+    text, marks = _insert_marks(skeleton)
     try:
         term = read_term(text, operators, "event text", EVENT_TEXT, positions=False).term
     except SyntaxFault:
@@ -545,7 +554,7 @@ def _builder(skeleton: str, operators: Operators) -> Optional[Builder]:
     return TemplateCompiler(marks).compile(term)
 
 
-def _marked(skeleton: str) -> Tuple[str, Dict[Term, str]]:
+def _insert_marks(skeleton: str) -> Tuple[str, Dict[Term, str]]:
     """Return the skeleton with a unique constant in each place, and the variable for each constant."""
     marks: Dict[Term, str] = {}
     counts = {"\0": 0, "'": 0, '""': 0}
@@ -555,14 +564,14 @@ def _marked(skeleton: str) -> Tuple[str, Dict[Term, str]]:
         number = counts[place]
         counts[place] = number + 1
         if place == "\0":
-            marks[_MARK + number] = f"n{number}"
-            return str(_MARK + number)
+            marks[_FIRST_NUMBER_MARK + number] = f"n{number}"
+            return str(_FIRST_NUMBER_MARK + number)
         variable = f"q{number}" if place == "'" else f"s{number}"
         name = f"\1{variable}"
         marks[atom(name if place == "'" else f'"{name}"')] = variable
         return f"'{name}'" if place == "'" else f'"{name}"'
 
-    return _PLACE.sub(mark, skeleton), marks
+    return _PLACEHOLDER.sub(mark, skeleton), marks
 
 
 def to_text(  # noqa: C901 -- the loop of all events that go out: a call for each part would cost as much
@@ -588,7 +597,7 @@ def to_text(  # noqa: C901 -- the loop of all events that go out: a call for eac
             put(integer_text(item))
         elif item_class is tuple:
             if item[0] is CONS:
-                _list(item, stack)
+                _push_list(item, stack)
             else:
                 put(atom_text(item[0].name) + "(")
                 stack.append(")")
@@ -596,7 +605,7 @@ def to_text(  # noqa: C901 -- the loop of all events that go out: a call for eac
                     stack += (argument, ",")
                 stack.append(item[1])
         elif item_class is Atom:
-            put(_name(item.name))
+            put(_name_text(item.name))
         elif item_class is String:
             put(quote(item.text, '"'))
         elif item_class is Var and item.ref is None:
@@ -623,7 +632,8 @@ def _second_text(seconds: int) -> str:
     return to_text(datime(seconds * SECOND))[:-2]
 
 
-def _list(term: Term, stack: List[Union[Term, str]]) -> None:
+def _push_list(term: Term, stack: List[Union[Term, str]]) -> None:
+    """Push the items of a list and the texts between them onto the stack of `to_text`."""
     entries: List[Union[Term, str]] = ["["]
     while term.__class__ is tuple and term[0] is CONS:
         entries += (term[1], ",")
@@ -636,7 +646,8 @@ def _list(term: Term, stack: List[Union[Term, str]]) -> None:
     stack += entries
 
 
-def _name(name: str) -> str:
+def _name_text(name: str) -> str:
+    """Return an atom as event text, in which ``nan`` and ``inf`` without quotes are floats."""
     return f"'{name}'" if name == "nan" or name == "inf" else atom_text(name)
 
 

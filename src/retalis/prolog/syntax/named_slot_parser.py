@@ -16,7 +16,7 @@ from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
 from .message_slots import MessageSlot, ParsedMessage, integers_to_floats
-from .parser_stack import LIST, SLOTS, ParserStack, ParserState
+from .parser_stack import LIST, SLOTS, OpenBracket, OperatorTable, ParserStack, ParserState
 from .tokenizer import NAME, QUOTED, VARIABLE, shown
 
 if TYPE_CHECKING:
@@ -72,13 +72,36 @@ def _full_name(parser: ParserState) -> Tuple[str, int]:
 _TYPE_INFIX = "__0__"
 """Infix of all names of message types as terms."""
 
-# Indexes of the items of stack entries; see `parser_stack`. Items of all kinds of brackets:
-_KIND, _TOKEN, _TABLE = 1, 2, 3
-# Items of a list: whether the bar has been read.
-_HAS_BAR = 6
-# Items of a message: values and their offsets by slot number; functor name; offset of the name; slots of the message
-# type; number of the slot that is being read.
-_VALUES, _TERM, _START, _SLOTS, _NUMBER = range(4, 9)
+
+class OpenMessage(OpenBracket):
+    """Open curly bracket of a message with named slots.
+
+    Attributes:
+        slots: slots of the message type.
+        values: by slot number, the value and its offset.
+        slot_number: number of the slot that is being read, from 1.
+    """
+
+    __slots__ = ("slots", "values", "slot_number")
+
+    def __init__(
+        self,
+        limit: int,
+        position: int,
+        table: OperatorTable,
+        start: int,
+        name: str,
+        slots: Sequence[MessageSlot],
+    ):
+        super().__init__(limit, SLOTS, position, table, start, name)
+        self.slots = slots
+        self.values: Dict[int, Tuple[Term, int]] = {}
+        self.slot_number = 0
+
+    @property
+    def current_slot(self) -> MessageSlot:
+        """The slot that is being read."""
+        return self.slots[self.slot_number - 1]
 
 
 class NamedSlotParser(ParserStack):
@@ -116,7 +139,7 @@ class NamedSlotParser(ParserStack):
         error = None
         if may_be_message and message_types is not None and not self.flags.event_text:
             error = misnamed_message_error(self, message_types)
-        return error or parser_stack.missing_operator_error(self, self.brackets[-1])
+        return error or parser_stack.missing_operator_error(self)
 
     def _open_nested_message(self, position: int, start: int) -> bool:
         """Open a nested message without a name, whose type is that of the slot.
@@ -128,18 +151,18 @@ class NamedSlotParser(ParserStack):
         # If an operator is on the stack, the bracket is its operand and not the value of the slot.
         if self.stack[-1] is not enclosing_bracket:
             return False
-        if enclosing_bracket[_KIND] == SLOTS:
-            slot = enclosing_bracket[_SLOTS][enclosing_bracket[_NUMBER] - 1]
+        if isinstance(enclosing_bracket, OpenMessage):
+            slot = enclosing_bracket.current_slot
             if slot.is_array:
                 raise self.source.fault(f"{slot.name} is {slot.type}: expected a list of its elements", start)
-        elif (
-            enclosing_bracket[_KIND] == LIST and len(self.brackets) > 1 and self.brackets[-2][_KIND] == SLOTS
-        ):
-            slot = self.brackets[-2][_SLOTS][self.brackets[-2][_NUMBER] - 1]
-            if not slot.is_array or enclosing_bracket[_HAS_BAR]:
-                return False
         else:
-            return False
+            # The bracket may also open an element of a list of messages.
+            outer_bracket = self.brackets[-2] if len(self.brackets) > 1 else None
+            if enclosing_bracket.kind != LIST or not isinstance(outer_bracket, OpenMessage):
+                return False
+            slot = outer_bracket.current_slot
+            if not slot.is_array or enclosing_bracket.has_bar:
+                return False
         if not slot.message_functor:
             raise self.source.fault(f"{slot.name} is {slot.type}, which has no slots", start)
         slots = self.operators.message_types and self.operators.message_types.find(slot.message_functor)
@@ -150,27 +173,25 @@ class NamedSlotParser(ParserStack):
         """Open a message at its bracket."""
         bracket_position = self.position
         self.position = bracket_position + 1
-        self._push_bracket(
-            [self.argument_limit, SLOTS, bracket_position, self.table, {}, name, start, slots, 0]
-        )
+        message = OpenMessage(self.argument_limit, bracket_position, self.table, start, name, slots)
+        self._push_bracket(message)
         if self.tokens[self.position][0] == "}":
-            self._close_message()
+            self._close_message(message)
         else:
-            self._begin_slot()
+            self._begin_slot(message)
 
-    def _begin_slot(self) -> None:
+    def _begin_slot(self, message: OpenMessage) -> None:
         """Read the name of a slot and its colon."""
-        bracket = self.brackets[-1]
         token, following = self.tokens[self.position], self.tokens[self.position + 1]
         if token[0] not in (NAME, QUOTED) or following[0] != NAME or following[1] != ":":
             raise self._slot_name_error()
         # Slots may be named in any order, each at most once.
-        name, slots = token[1], bracket[_SLOTS]
+        name, slots = token[1], message.slots
         names = [slot.name for slot in slots]
         if name not in names:
-            raise self.source.fault(_unknown_slot_message(bracket[_TERM], name, slots), token[2])
-        number = bracket[_NUMBER] = names.index(name) + 1
-        if number in bracket[_VALUES]:
+            raise self.source.fault(_unknown_slot_message(message.name, name, slots), token[2])
+        number = message.slot_number = names.index(name) + 1
+        if number in message.values:
             raise self.source.fault(f"slot {name} has a value already", token[2])
         self.position += 2
         self._begin_segment(self.position, self.operators.infix)
@@ -190,35 +211,36 @@ class NamedSlotParser(ParserStack):
         return self.source.fault(f"expected the name of a slot before {shown_token}", token[2])
 
     def _comma(self, start: int) -> None:
-        if self.brackets[-1][1] != SLOTS:
+        bracket = self.brackets[-1]
+        if not isinstance(bracket, OpenMessage):
             super()._comma(start)
             return
-        self._store_value()
+        self._store_value(bracket)
         self.position += 1
-        self._begin_slot()
+        self._begin_slot(bracket)
 
-    def _store_value(self) -> None:
+    def _store_value(self, message: OpenMessage) -> None:
         """Store the value of the slot that was just read."""
-        bracket = self._close_operators()
-        bracket[_VALUES][bracket[_NUMBER]] = (self.left, self.left_offset)
+        self._close_operators()
+        message.values[message.slot_number] = (self.left, self.left_offset)
 
-    def _close(self, bracket_kind: str) -> None:
-        if self.brackets[-1][1] != SLOTS:
-            super()._close(bracket_kind)
+    def _close(self, token_kind: str) -> None:
+        bracket = self.brackets[-1]
+        if not isinstance(bracket, OpenMessage):
+            super()._close(token_kind)
             return
-        self._store_value()
-        if bracket_kind != "}":
-            raise parser_stack.unbalanced_bracket_error(self, self.brackets[-1][_TOKEN])
-        self._close_message()
+        self._store_value(bracket)
+        if token_kind != "}":
+            raise parser_stack.unbalanced_bracket_error(self, bracket.position)
+        self._close_message(bracket)
 
-    def _close_message(self) -> None:
-        """Build the term of the message."""
-        bracket = self.brackets.pop()
+    def _close_message(self, message: OpenMessage) -> None:
+        """Build the term of the innermost message."""
+        self.brackets.pop()
         self.stack.pop()
         self.position += 1
-        self.table = bracket[_TABLE]
-        name, start, slots = bracket[_TERM], bracket[_START], bracket[_SLOTS]
-        values: Dict[int, Tuple[Term, int]] = bracket[_VALUES]
+        self.table = message.table
+        name, start, slots, values = message.name, message.start, message.slots, message.values
         default_values: Dict[Var, Term] = {}
         arguments: List[Any] = []
         offsets = []

@@ -1,13 +1,13 @@
-"""State of the parser: tokens, operator stack, open brackets, and syntax error messages.
+"""State of the parser: tokens, stack of operators and open brackets, and syntax error messages.
 
 `ParserState` holds the state, `ParserStack` opens and closes operators and brackets, and the functions between them
 create the `SyntaxFault` for a state that allows no continuation, with a hint at the most likely mistake.
 
 The parser is an operator-precedence parser with an explicit stack (Pratt 1973, without recursion), so nesting depth
-is not limited by Python's stack. The stack holds operators that wait for an argument, and open brackets, innermost
-last. Each entry begins with the highest priority that its argument may have. An operator of a higher priority first
-closes the operators before it (*reduces* them) as far as their arguments allow; if it reaches a bracket, the
-priorities clash.
+is not limited by Python's stack. The stack holds operators that wait for an argument (`WaitingOperator`), and open
+brackets (`OpenBracket`), innermost last. Each entry has a limit, the highest priority that its argument may have. An
+operator of a higher priority first closes the operators before it (*reduces* them) as far as their arguments allow;
+if it reaches a bracket, the priorities clash.
 
 Each entry also holds the operator table that applied before it: in the pattern of an event rule, some names are other
 operators than in a goal, so the table changes within a clause (see `rule_detection`).
@@ -23,25 +23,117 @@ from .operators import EVENT_SYNTAX, Operator, Operators
 from .rule_detection import ARROW, NO_RULES, Layout
 from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, shown
 
+_MAX_PRIORITY = 1200
+"""Highest priority of operators, and so of terms."""
+
 # Kinds of stack entries. Operators come first: `kind <= PREFIX` means an operator that waits for an argument.
 INFIX, PREFIX, GROUP, ARGUMENTS, LIST, SLOTS = range(6)
 
 OperatorTable = Dict[str, Operator]
 
 
+class WaitingOperator:
+    """Operator on the stack that waits for its right argument, or for its only one.
+
+    Attributes:
+        limit: highest priority that the argument may have.
+        kind: ``INFIX`` or ``PREFIX``.
+        operator: its definition.
+        start: offset of its name.
+        table: the operator table that applied before it.
+        left: left argument of an infix operator.
+        left_offset: offset of the left argument.
+    """
+
+    __slots__ = ("limit", "kind", "operator", "start", "table", "left", "left_offset")
+
+    def __init__(
+        self,
+        kind: int,
+        operator: Operator,
+        start: int,
+        table: OperatorTable,
+        left: Term = NIL,
+        left_offset: int = 0,
+    ):
+        self.limit = operator.right
+        self.kind = kind
+        self.operator = operator
+        self.start = start
+        self.table = table
+        self.left = left
+        self.left_offset = left_offset
+
+
+class OpenBracket:
+    """Open bracket on the stack, or the clause itself.
+
+    Attributes:
+        limit: highest priority that a term directly within it may have.
+        kind: ``GROUP``, ``ARGUMENTS``, ``LIST`` or ``SLOTS``.
+        position: index of the bracket's token; None for the clause itself.
+        table: the operator table that applied before it.
+        start: offset of the term that it builds.
+        name: functor name, for arguments.
+        pattern_arguments: for arguments of an event operator in functional notation, which of them are patterns.
+        items: the arguments or list items that have been read.
+        offsets: offsets of the items, if positions are recorded.
+        has_bar: whether the bar of a list has been read.
+    """
+
+    __slots__ = (
+        "limit",
+        "kind",
+        "position",
+        "table",
+        "start",
+        "name",
+        "pattern_arguments",
+        "items",
+        "offsets",
+        "has_bar",
+    )
+
+    def __init__(
+        self,
+        limit: int,
+        kind: int,
+        position: Optional[int],
+        table: OperatorTable,
+        start: int,
+        name: str = "",
+        pattern_arguments: Tuple[bool, ...] = (),
+    ):
+        self.limit = limit
+        self.kind = kind
+        self.position = position
+        self.table = table
+        self.start = start
+        self.name = name
+        self.pattern_arguments = pattern_arguments
+        self.items: List[Term] = []
+        self.offsets: List[int] = []
+        self.has_bar = False
+
+
 class ParserState:
     """The tokens of a clause, and the state of the parser; ``left`` is the term that was read last.
-
-    ``INFIX``, ``PREFIX`` and ``GROUP`` are kinds of stack entries.
 
     Attributes:
         names: variables by name, in order of appearance, without ``_``.
         counts: number of occurrences of each name.
         offsets: ``id`` of a compound term -> offsets of its functor and of its arguments.
         parsed_messages: messages with named slots.
+        position: index of the next token.
+        stack: waiting operators and open brackets, innermost last.
+        brackets: the open brackets of the stack.
+        table: the infix operators that apply at the next token.
+        patterns: the infix operators of patterns; None in a clause without event rules.
+        left_priority: priority of ``left``.
+        left_offset: offset of ``left``.
+        wants_operand: whether an operand is expected next.
+        argument_limit: highest priority of an argument or list item; 999 in ISO Prolog.
     """
-
-    INFIX, PREFIX, GROUP = INFIX, PREFIX, GROUP
 
     def __init__(
         self,
@@ -63,14 +155,14 @@ class ParserState:
         self.parsed_messages: List[ParsedMessage] = []
         self.position = 0
         self.stack: List[Any] = []
-        self.brackets: List[List[Any]] = []
+        self.brackets: List[OpenBracket] = []
         self.table: OperatorTable = operators.infix
         self.patterns: Optional[OperatorTable] = operators.patterns() if rules is not NO_RULES else None
         self.left: Term = NIL
         self.left_priority = 0
         self.left_offset = 0
         self.wants_operand = True
-        self.argument_limit = 999 if flags.iso else 1200
+        self.argument_limit = 999 if flags.iso else _MAX_PRIORITY
 
     def token_text(self, start: int) -> str:
         """Return the text of the token that begins at an offset."""
@@ -102,16 +194,18 @@ _FOREIGN_OPERATORS = {
 """Operators of other languages, and the notation to use instead."""
 
 
-def missing_operand_error(parser: ParserState, innermost: List[Any]) -> SyntaxFault:
+def missing_operand_error(parser: ParserState) -> SyntaxFault:
     """Return the error for a token at which a term should begin."""
     token = parser.tokens[parser.position]
     shown_token = shown(token, parser.source.text)
-    bracket_kind = innermost[1]
-    if bracket_kind == parser.INFIX:
-        message = f'expected the right argument of "{parser.token_text(innermost[5])}" before {shown_token}'
-    elif bracket_kind == parser.PREFIX:
-        message = f'expected the argument of "{parser.token_text(innermost[3])}" before {shown_token}'
-    elif token[0] == END and innermost[2] is None:
+    innermost = parser.stack[-1]
+    if innermost.kind == INFIX:
+        message = (
+            f'expected the right argument of "{parser.token_text(innermost.start)}" before {shown_token}'
+        )
+    elif innermost.kind == PREFIX:
+        message = f'expected the argument of "{parser.token_text(innermost.start)}" before {shown_token}'
+    elif token[0] == END and innermost.position is None:
         message = "expected a clause before the full stop"
     else:
         message = f"expected a term before {shown_token}"
@@ -119,6 +213,7 @@ def missing_operand_error(parser: ParserState, innermost: List[Any]) -> SyntaxFa
 
 
 def _operand_hint(parser: ParserState, token: AnyToken) -> str:
+    """Return a hint at the likely mistake before a token at which a term should begin, or an empty text."""
     previous_token = _previous_token(parser)
     if previous_token is not None and previous_token[0] == ",":
         if token[0] == END:
@@ -129,11 +224,12 @@ def _operand_hint(parser: ParserState, token: AnyToken) -> str:
     return ""
 
 
-def missing_operator_error(parser: ParserState, bracket: List[Any]) -> SyntaxFault:
+def missing_operator_error(parser: ParserState) -> SyntaxFault:
     """Return the error for a token that follows a complete term."""
     token = parser.tokens[parser.position]
     text = parser.source.text
-    bracket_position = bracket[2]  # the token of the bracket; None for the clause itself
+    bracket = parser.brackets[-1]
+    bracket_position = bracket.position
     if bracket_position is None:
         expected = "an operator or a full stop"
     else:
@@ -141,12 +237,13 @@ def missing_operator_error(parser: ParserState, bracket: List[Any]) -> SyntaxFau
         choice = {"[": '",", "|" or "]"', OPEN_CT: '"," or ")"'}.get(
             opener, f'an operator or "{CLOSER[opener]}"'
         )
-        expected = choice if bracket[1] != parser.GROUP else f'an operator or "{CLOSER[opener]}"'
+        expected = choice if bracket.kind != GROUP else f'an operator or "{CLOSER[opener]}"'
     message = f"expected {expected} before {shown(token, text)}"
     return _fault(parser, message, _operator_hint(parser, token, bracket_position))
 
 
 def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optional[int]) -> str:
+    """Return a hint at the likely mistake between two terms, or an empty text."""
     token_kind, value, start, _ = token
     text = parser.source.text
     previous_token = _previous_token(parser)
@@ -159,14 +256,14 @@ def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optio
     # unknown operator.
     if starts_line(text, start):
         if bracket_position is not None:
-            return f"the {_opener(parser, bracket_position)} is still open"
+            return f"the {_bracket_description(parser, bracket_position)} is still open"
         return f"is a full stop missing after {shown(previous_token, text)}?"
     if previous_token[0] == NAME and previous_token[1] in _FOREIGN_OPERATORS and previous_token[1] != ".":
         return _FOREIGN_OPERATORS[previous_token[1]]
     if token_kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
         return _FOREIGN_OPERATORS["!="]
     return _hint_for_adjacent_tokens(previous_token, token) or (
-        _unknown_operator(parser, value) if token_kind in (NAME, QUOTED) else ""
+        _unknown_operator_hint(parser, value) if token_kind in (NAME, QUOTED) else ""
     )
 
 
@@ -189,13 +286,14 @@ def _hint_for_adjacent_tokens(previous_token: AnyToken, token: AnyToken) -> str:
     return ""
 
 
-def _unknown_operator(parser: ParserState, name: str) -> str:
+def _unknown_operator_hint(parser: ParserState, name: str) -> str:
+    """Return a hint at the operator that a name probably stands for."""
     if name in _FOREIGN_OPERATORS:
         return _FOREIGN_OPERATORS[name]
     words = [word for word in {**parser.operators.infix, **parser.operators.postfix} if word[0].isalpha()]
-    close = get_close_matches(name, words, 1, 0.75)
-    if close:
-        return f'did you mean "{close[0]}"?'
+    similar_words = get_close_matches(name, words, 1, 0.75)
+    if similar_words:
+        return f'did you mean "{similar_words[0]}"?'
     if parser.table is not parser.patterns:
         return f'"{name}" is not an operator here; is a comma missing?'
     if name in EVENT_SYNTAX.advice:
@@ -216,7 +314,9 @@ def unbalanced_bracket_error(parser: ParserState, bracket_position: Optional[int
         )
     closer = CLOSER[parser.tokens[bracket_position][0]]
     return _fault(
-        parser, f'expected "{closer}" for the {_opener(parser, bracket_position)} before {shown_token}', ""
+        parser,
+        f'expected "{closer}" for the {_bracket_description(parser, bracket_position)} before {shown_token}',
+        "",
     )
 
 
@@ -256,7 +356,7 @@ def priority_clash_error(
     return _fault(parser, message, hint, start)
 
 
-def _opener(parser: ParserState, bracket_position: int) -> str:
+def _bracket_description(parser: ParserState, bracket_position: int) -> str:
     offset = parser.tokens[bracket_position][2]
     place = parser.source.place(offset)
     return f'"{parser.source.text[offset]}" in line {place.line}, column {place.column}'
@@ -296,14 +396,14 @@ class ParserStack(ParserState):
 
     def _push_prefix(self, operator: Operator, start: int) -> None:
         # A prefix operator cannot reduce anything, as it has no left argument: it must fit as it is.
-        if operator.priority > self.stack[-1][0]:
-            top = self.stack[-1]
-            raise priority_clash_error(self, operator, start, top[2] if top[1] <= PREFIX else None)
-        self.stack.append((operator.right, PREFIX, operator, start, self.table))
+        top = self.stack[-1]
+        if operator.priority > top.limit:
+            raise priority_clash_error(self, operator, start, top.operator if top.kind <= PREFIX else None)
+        self.stack.append(WaitingOperator(PREFIX, operator, start, self.table))
 
     def _push_group(self, bracket_position: Optional[int], start: int) -> None:
         """Open a round or curly bracket, or the clause itself (``bracket_position`` is None)."""
-        self._push_bracket([1200, GROUP, bracket_position, self.table, start])
+        self._push_bracket(OpenBracket(_MAX_PRIORITY, GROUP, bracket_position, self.table, start))
         # Round brackets keep the table: in `(a seq b) or c` the pattern continues. A curly bracket holds Prolog
         # terms.
         inner_table = (
@@ -313,9 +413,9 @@ class ParserStack(ParserState):
         )
         self._begin_segment(self.position, inner_table)
 
-    def _push_bracket(self, entry: List[Any]) -> None:
-        self.stack.append(entry)
-        self.brackets.append(entry)
+    def _push_bracket(self, bracket: OpenBracket) -> None:
+        self.stack.append(bracket)
+        self.brackets.append(bracket)
 
     def _begin_segment(self, start_position: int, table: Optional[OperatorTable]) -> None:
         """Set the operator table for the segment that begins at a token; see `rule_detection`."""
@@ -325,27 +425,27 @@ class ParserStack(ParserState):
         self.table = table if table is not None else self.operators.infix
         self.wants_operand = True
 
-    # -- operators ---------------------------------------------------------------------------------------
+    # Operators
 
     def _reduce_until_fits(self, operator: Operator, name: str, start: int) -> Operator:
-        """Reduce operators until ``found`` fits; return its definition in the table that applies then.
+        """Reduce operators until ``operator`` fits; return its definition in the table that applies then.
 
         The table changes when the goal of a pattern ends.
         """
         stack = self.stack
         while True:
             top = stack[-1]
-            # `top[0]` is the highest priority that may stand on top of the stack; a lower one needs no reduction.
-            limit, priority = top[0], operator[0]
+            # An operator of a priority below the limit becomes part of the argument, which needs no reduction.
+            limit, priority = top.limit, operator.priority
             if limit > priority:
                 break
-            if top[1] > PREFIX:
+            if top.kind > PREFIX:
                 if limit < priority:
                     raise priority_clash_error(self, operator, start, None)
                 break
-            # Equal priorities: `found` becomes the argument of the operator on the stack (right-associative), unless
-            # both have this priority and `found` accepts it on its left (left-associative).
-            if limit == priority and not (operator[1] == priority and top[2][0] == priority):
+            # Equal priorities: `operator` becomes the argument of the one on the stack (right-associative), unless
+            # both have this priority and `operator` accepts it on its left (left-associative).
+            if limit == priority and not (operator.left == priority and top.operator.priority == priority):
                 break
             # Reducing the last operator of a goal restores the table of the pattern, where the same name may be
             # another operator.
@@ -353,7 +453,7 @@ class ParserStack(ParserState):
             self._reduce()
             if table is not self.table:
                 operator = self.table.get(name, operator)
-        if self.left_priority > operator[1]:
+        if self.left_priority > operator.left:
             raise priority_clash_error(self, operator, start, None)
         return operator
 
@@ -364,18 +464,19 @@ class ParserStack(ParserState):
 
     def _push_infix(self, operator: Operator, name: str, start: int) -> None:
         label = self.rules.labels.get(self.position - 1) if operator is LABEL else None
-        # Otherwise it fits without any reduction, which is the case for most operators.
-        if operator[0] > self.stack[-1][0] or operator[0] == self.stack[-1][0] or self.left_priority:
+        # Most operators have a priority below the limit and a left argument without an operator, so they fit as they
+        # are.
+        if operator.priority >= self.stack[-1].limit or self.left_priority:
             operator = self._reduce_until_fits(operator, name, start)
         if self.table is self.patterns and operator.functor in _RULE_NECKS:
             raise priority_clash_error(self, operator, start, self.operators.infix.get("<-", operator))
-        self.stack.append((operator.right, INFIX, operator, self.left, self.left_offset, start, self.table))
+        self.stack.append(WaitingOperator(INFIX, operator, start, self.table, self.left, self.left_offset))
         self.wants_operand = True
         if self.patterns is not None:
             self._switch_table(operator, label)
 
     def _switch_table(self, operator: Operator, label: Optional[bool]) -> None:
-        """Set the operator table for the right argument of ``found``, in a clause with event rules."""
+        """Set the operator table for the right argument of an operator, in a clause with event rules."""
         if operator is LABEL:
             self.table = self.patterns if label is False and self.patterns else self.operators.infix
         elif operator.functor is ARROW:
@@ -386,16 +487,16 @@ class ParserStack(ParserState):
     def _reduce(self) -> None:
         """Build the term of the operator on top of the stack."""
         top = self.stack.pop()
-        operator = top[2]
-        if top[1] == INFIX:
-            left_offset = top[4]
-            self._build((operator.functor, top[3], self.left), top[5], (left_offset, self.left_offset))
-            self.left_offset = left_offset
-            self.table = top[6]
+        operator = top.operator
+        if top.kind == INFIX:
+            self._build(
+                (operator.functor, top.left, self.left), top.start, (top.left_offset, self.left_offset)
+            )
+            self.left_offset = top.left_offset
         else:
-            self._build((operator.functor, self.left), top[3], (self.left_offset,))
-            self.left_offset = top[3]
-            self.table = top[4]
+            self._build((operator.functor, self.left), top.start, (self.left_offset,))
+            self.left_offset = top.start
+        self.table = top.table
         self.left_priority = operator.priority
 
     def _build(self, term: Term, start: int, arguments: Tuple[int, ...]) -> None:
@@ -404,17 +505,17 @@ class ParserStack(ParserState):
         if self.offsets is not None:
             self.offsets[id(term)] = (start, *arguments)
 
-    # -- brackets ----------------------------------------------------------------------------------------
+    # Brackets
 
-    def _close_operators(self) -> List[Any]:
+    def _close_operators(self) -> OpenBracket:
         """Reduce all operators within the innermost bracket, and return the entry of the bracket."""
         stack = self.stack
-        while stack[-1][1] <= PREFIX:
+        while stack[-1].kind <= PREFIX:
             self._reduce()
         return self.brackets[-1]
 
     def _comma(self, start: int) -> None:
-        kind = self.brackets[-1][1]
+        kind = self.brackets[-1].kind
         self.position += 1
         # Within round brackets the comma is an operator; in argument lists and lists it is a separator.
         if kind == GROUP:
@@ -422,70 +523,69 @@ class ParserStack(ParserState):
             return
         bracket = self._close_operators()
         if kind == LIST:
-            if bracket[6]:
+            if bracket.has_bar:
                 raise self.source.fault('expected "]": a list has one term after "|"', start)
             self._add_item(bracket)
             self._begin_segment(self.position, self.operators.infix)
             return
         self._add_item(bracket)
-        # `modes` tells which arguments of an event operator in functional notation are patterns.
-        modes = bracket[8]
-        pattern = len(bracket[4]) < len(modes) and modes[len(bracket[4])]
-        self._begin_segment(self.position, self.patterns if pattern else self.operators.infix)
+        number, pattern_arguments = len(bracket.items), bracket.pattern_arguments
+        is_pattern = number < len(pattern_arguments) and pattern_arguments[number]
+        self._begin_segment(self.position, self.patterns if is_pattern else self.operators.infix)
 
-    def _add_item(self, bracket: List[Any]) -> None:
-        bracket[4].append(self.left)
+    def _add_item(self, bracket: OpenBracket) -> None:
+        bracket.items.append(self.left)
         if self.offsets is not None:
-            bracket[5].append(self.left_offset)
+            bracket.offsets.append(self.left_offset)
 
     def _bar(self, start: int) -> None:
-        if self.brackets[-1][1] == LIST:
+        if self.brackets[-1].kind == LIST:
             bracket = self._close_operators()
-            if bracket[6]:
+            if bracket.has_bar:
                 raise self.source.fault('expected "]": a list has one term after "|"', start)
             self._add_item(bracket)
-            bracket[6] = True
+            bracket.has_bar = True
             self.position += 1
             self._begin_segment(self.position, self.operators.infix)
             return
         infix = self.table.get("|")
         if infix is None:
-            raise missing_operator_error(self, self.brackets[-1])
+            raise missing_operator_error(self)
         self.position += 1
         self._push_infix(infix, "|", start)
 
-    def _close(self, bracket_kind: str) -> None:
+    def _close(self, token_kind: str) -> None:
         bracket = self._close_operators()
-        bracket_position = bracket[2]
+        bracket_position = bracket.position
         # A clause ends with a full stop; a single term may also end with the text.
         expected = END if bracket_position is None else CLOSER[self.tokens[bracket_position][0]]
-        if bracket_kind != expected and not (bracket_position is None and bracket_kind == "eof"):
+        if token_kind != expected and not (bracket_position is None and token_kind == "eof"):
             raise unbalanced_bracket_error(self, bracket_position)
         self.position += 1
         self.stack.pop()
         self.brackets.pop()
-        self.table = bracket[3]
-        if bracket[1] == GROUP:
-            if bracket_kind == "}":
-                self._build((_CURLY, self.left), bracket[4], (self.left_offset,))
-            self.left_offset = bracket[4]
+        self.table = bracket.table
+        if bracket.kind == GROUP:
+            if token_kind == "}":
+                self._build((_CURLY, self.left), bracket.start, (self.left_offset,))
+            self.left_offset = bracket.start
         else:
             self._add_item(bracket)
-            if bracket[1] == LIST:
+            if bracket.kind == LIST:
                 self._close_list(bracket)
             else:
                 self._close_arguments(bracket)
         self.left_priority = 0
 
-    def _close_list(self, bracket: List[Any]) -> None:
-        items = bracket[4]
-        term = items.pop() if bracket[6] else NIL
+    def _close_list(self, bracket: OpenBracket) -> None:
+        items = bracket.items
+        term = items.pop() if bracket.has_bar else NIL
         for item in reversed(items):
             term = (CONS, item, term)
-        self._build(term, self.tokens[bracket[2]][2], tuple(bracket[5]))
-        self.left_offset = self.tokens[bracket[2]][2]
+        self._build(term, bracket.start, tuple(bracket.offsets))
+        self.left_offset = bracket.start
 
-    def _close_arguments(self, bracket: List[Any]) -> None:
-        items = bracket[4]
-        self._build((functor(bracket[6], len(items)), *items), bracket[7], tuple(bracket[5]))
-        self.left_offset = bracket[7]
+    def _close_arguments(self, bracket: OpenBracket) -> None:
+        items = bracket.items
+        self._build((functor(bracket.name, len(items)), *items), bracket.start, tuple(bracket.offsets))
+        self.left_offset = bracket.start

@@ -27,7 +27,7 @@ from .literals import quote_end, unclosed_quote_end
 from .message_slots import bind_defaults
 from .named_slot_parser import NamedSlotParser
 from .operators import DECLARING, EVENT_SYNTAX, Operators
-from .parser_stack import ARGUMENTS, LABEL, LIST, starts_line
+from .parser_stack import ARGUMENTS, GROUP, LABEL, LIST, OpenBracket, starts_line
 from .rule_detection import NO_RULES, layout
 from .tokenizer import (
     END,
@@ -77,20 +77,21 @@ class Parser(NamedSlotParser):
         self._push_group(None, 0)
         while self.stack:
             if self.wants_operand:
-                self._operand()
+                self._read_operand()
             else:
-                self._operator()
+                self._read_operator()
         if self.parsed_messages and self.operators.message_types is not None:
             bind_defaults(
                 self.left, self.parsed_messages, self.operators.message_types, self.flags.is_constructed
             )
         return self.left
 
-    def _operand(self) -> None:
+    def _read_operand(self) -> None:
+        """Read a token that begins an operand."""
         position = self.position
         token_kind, value, start, _ = self.tokens[position]
         if token_kind in (NAME, QUOTED):
-            self._name(token_kind, value, start)
+            self._read_name(token_kind, value, start)
             return
         if token_kind == VARIABLE:
             self.position = position + 1
@@ -105,9 +106,10 @@ class Parser(NamedSlotParser):
         elif token_kind == "[" or token_kind == "{":
             self._open_bracket(token_kind, position, start)
         else:
-            raise parser_stack.missing_operand_error(self, self.stack[-1])
+            raise parser_stack.missing_operand_error(self)
 
     def _variable(self, name: str) -> Var:
+        """Return the variable of a name, and count its occurrence; each ``_`` is a new variable."""
         if name == "_":
             return Var()
         variable = self.names.get(name)
@@ -119,21 +121,22 @@ class Parser(NamedSlotParser):
         return variable
 
     def _open_bracket(self, token_kind: str, position: int, start: int) -> None:
+        """Open a square or curly bracket: a list, a term in curly brackets, or a nested message."""
         closer = parser_stack.CLOSER[token_kind]
         if token_kind == "{" and self._open_nested_message(position, start):
             return
         if self.tokens[position + 1][0] == closer:
             self.position = position + 2
-            self._atom(token_kind + closer, start)
+            self._read_atom(token_kind + closer, start)
         elif token_kind == "{":
             self.position = position + 1
             self._push_group(position, start)
         else:
             self.position = position + 1
-            self._push_bracket([self.argument_limit, LIST, position, self.table, [], [], False])
+            self._push_bracket(OpenBracket(self.argument_limit, LIST, position, self.table, start))
             self._begin_segment(self.position, self.operators.infix)
 
-    def _atom(self, name: str, start: int) -> None:
+    def _read_atom(self, name: str, start: int) -> None:
         """Read a name that is not an operator: an atom, or the functor of a compound term."""
         if self.tokens[self.position][0] == OPEN_CT:
             self._open_arguments(name, start)
@@ -141,25 +144,31 @@ class Parser(NamedSlotParser):
             self._set_left(atom(name), start)
 
     def _open_arguments(self, name: str, start: int) -> None:
+        """Open the arguments of a compound term."""
         position = self.position
         self.position = position + 1
         if self.tokens[self.position][0] == ")":
             raise self.source.fault(
                 f'a compound term has at least one argument: expected "{name}" alone', start
             )
-        modes: Tuple[bool, ...] = ()
+        pattern_arguments: Tuple[bool, ...] = ()
         # `seq(a, b)` in a pattern has patterns as arguments. The arity is needed before the arguments are read, to
         # know which arguments these are, so `rule_detection` has counted the commas.
         if self.table is self.patterns:
             arity = self.rules.commas.get(position, 0) + 1
             canonical = functor(EVENT_SYNTAX.canonical_in_patterns.get(name, name), arity)
-            modes = EVENT_SYNTAX.pattern_arguments.get(canonical, ())
-            if modes:
+            pattern_arguments = EVENT_SYNTAX.pattern_arguments.get(canonical, ())
+            if pattern_arguments:
                 name = canonical.name
-        self._push_bracket([self.argument_limit, ARGUMENTS, position, self.table, [], [], name, start, modes])
-        self._begin_segment(self.position, self.patterns if modes[:1] == (True,) else self.operators.infix)
+        self._push_bracket(
+            OpenBracket(self.argument_limit, ARGUMENTS, position, self.table, start, name, pattern_arguments)
+        )
+        self._begin_segment(
+            self.position, self.patterns if pattern_arguments[:1] == (True,) else self.operators.infix
+        )
 
-    def _name(self, token_kind: str, name: str, start: int) -> None:
+    def _read_name(self, token_kind: str, name: str, start: int) -> None:
+        """Read a name at the place of an operand: a functor, a sign, a prefix operator or an atom."""
         self.position += 1
         following = self.tokens[self.position]
         if following[0] == OPEN_CT:
@@ -196,7 +205,7 @@ class Parser(NamedSlotParser):
 
     def _check_bare_operator(self, name: str, start: int) -> None:
         """Raise an error if an operator is an operand without brackets, which ISO 13211-1, 6.3.1.3, requires."""
-        if self.tokens[self.position][0] not in _ENDS or self.stack[-1][1] < self.GROUP:
+        if self.tokens[self.position][0] not in _ENDS or self.stack[-1].kind < GROUP:
             raise self.source.fault(
                 f"expected brackets around the operator {name}, as it is an operand", start
             )
@@ -221,10 +230,11 @@ class Parser(NamedSlotParser):
         # Two infix operators follow: `- = =` is =(-, =), but in `dynamic seq / 2` the prefix operator is applied.
         return self.tokens[self.position + 2][0] not in _ENDS
 
-    def _operator(self) -> None:
+    def _read_operator(self) -> None:
+        """Read the token after an operand: an operator, a separator, a closing bracket or the end."""
         token_kind, value, start, _ = self.tokens[self.position]
         if token_kind in (NAME, QUOTED):
-            self._name_operator(value, start)
+            self._read_name_after_operand(value, start)
         elif token_kind == ",":
             self._comma(start)
         elif token_kind == "|":
@@ -240,7 +250,8 @@ class Parser(NamedSlotParser):
         else:
             raise self._missing_operator_error()
 
-    def _name_operator(self, name: str, start: int) -> None:
+    def _read_name_after_operand(self, name: str, start: int) -> None:
+        """Read a name as an infix or postfix operator."""
         infix = self.table.get(name)
         # The `:` of a label binds more loosely than the rule; elsewhere it is the module operator.
         if self.patterns is not None and self.position in self.rules.labels:
@@ -251,7 +262,7 @@ class Parser(NamedSlotParser):
                 self.wants_operand = True
                 self._push_prefix(DECLARING, self.left_offset)
                 return
-            raise parser_stack.missing_operator_error(self, self.brackets[-1])
+            raise parser_stack.missing_operator_error(self)
         self.position += 1
         if infix is not None and (postfix is None or self._starts_operand(self.tokens[self.position])):
             self._push_infix(infix, name, start)
@@ -270,6 +281,7 @@ class Parser(NamedSlotParser):
         return position == 0 or (position == 1 and self.tokens[0][:2] in _BEFORE_GOALS)
 
     def _starts_operand(self, token: AnyToken) -> bool:
+        """Return whether a token can begin an operand, so that the operator before it is infix and not postfix."""
         token_kind, value = token[:2]
         if token_kind in _ENDS:
             return False
