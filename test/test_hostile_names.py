@@ -29,7 +29,7 @@ from retalis.events.program.topic_configuration import read_topics, topic_type
 from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.term_reader import read_term
@@ -180,7 +180,7 @@ def test_names_of_slots_that_python_gives_a_meaning():
     data = bytes(range(len(definition.fields)))
     term = definitions.decoder(definition).decode(data)
     assert definitions.encoder(definition).encode(term) == data
-    assert text_writer(definitions.decoder(definition))(data) == writeq(term)
+    assert make_text_writer(definitions.decoder(definition))(data) == writeq(term)
 
 
 @every_name
@@ -191,7 +191,7 @@ def test_texts_of_messages_stay_texts(name):
     data = b"\1\0\0\0" + len(raw).to_bytes(4, "little") + raw + b"\2\0\0\0"
     decoder = definitions.decoder(definition)
     assert definitions.encoder(definition).encode(decoder.decode(data)) == data
-    text = text_writer(decoder)(data)
+    text = make_text_writer(decoder)(data)
     assert definitions.encoder(definition).encode(read_term(text, Operators.prolog()).term) == data
 
 

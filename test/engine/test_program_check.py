@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Definitions, Engine, Operators, RetalisError
-from retalis.engine.program_check import check_program, explain_missing_source, explain_unsendable
+from retalis.engine.program_check import check_program, explain_missing_events, explain_output_mismatch
 from retalis.events.program.topic_configuration import Topics, topic_type
 from retalis.prolog.syntax.term_reader import read_term
 
@@ -29,7 +29,7 @@ def test_a_pattern_of_what_nothing_makes(definitions, pattern, said):
     engine = Engine()
     engine.load(rules="alarm(T) <- std_msgs__0__String(T). input_event(button/1).")
     term = engine.query(f"X = ({pattern})")[0]["X"]
-    assert explain_missing_source(engine, term, definitions, TOPICS, ()) == said
+    assert explain_missing_events(engine, term, definitions, TOPICS, ()) == said
 
 
 def test_findings_are_in_the_order_of_the_files(tmp_path, definitions):
@@ -72,5 +72,5 @@ def test_a_program_that_is_not_there_is_one_error_with_its_name(tmp_path, defini
 )
 def test_outputs_that_can_never_be_messages_of_their_topic_are_told(subscription, fault):
     goal = read_term(subscription, Operators.prolog()).term
-    assert explain_unsendable(goal, "out", "std_msgs/Int32", Definitions()) == fault
-    assert explain_unsendable(goal, "out", "far_msgs/Unknown", Definitions()) == ""
+    assert explain_output_mismatch(goal, "out", "std_msgs/Int32", Definitions()) == fault
+    assert explain_output_mismatch(goal, "out", "far_msgs/Unknown", Definitions()) == ""

@@ -53,7 +53,7 @@ HELD = {
         2048,
         2 << 20,
     ),  # in its place where what the texts go with is kept too
-    ("messages/decoder.py", "text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
+    ("messages/decoder.py", "create_text_cache"): (2048, 1 << 20),  # one for all texts, and one for each type
 }
 """Bounds of the caches by file and name: entries and bytes."""
 

@@ -84,7 +84,7 @@ class RandomMessages:
         count = slot.length
         if count == VARIABLE_LENGTH:
             # Arrays in arrays would otherwise multiply to millions of elements.
-            slots = 1 if slot.definition is None else max(1, slot.definition.measure.slots)
+            slots = 1 if slot.definition is None else max(1, slot.definition.measure.slot_count)
             count = min(self.random.choice(LENGTHS), max(0, self.budget // slots))
             self.budget -= count * slots
         return [self.single(slot) for _ in range(count)]

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, atom
-from retalis.messages.event_text_writer import text_without, text_writer
+from retalis.messages.event_text_writer import make_text_writer, write_without_unread
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze
@@ -46,7 +46,7 @@ def test_texts_are_written_as_those_of_terms(frame):
     found = decoder(POSE)
     data = pose(frame, frame[::-1])
     for _ in range(2):  # texts that are seen for the first time, and again
-        assert text_writer(found)(data) == to_text(found.decode(data))
+        assert make_text_writer(found)(data) == to_text(found.decode(data))
 
 
 @settings(deadline=None)
@@ -73,7 +73,7 @@ def twisted(x, y, z, t, w):
 @given(st.lists(st.lists(st.sampled_from(FLOATS), min_size=7, max_size=7), min_size=2, max_size=4))
 def test_floats_that_stay_and_that_change_are_written_as_those_of_terms(rows):
     found = decoder(TWISTED)
-    write = text_writer(found)
+    write = make_text_writer(found)
     for row in rows:
         for _ in range(2):
             data = twisted(*row[:3], row[3:6], row[6])
@@ -89,13 +89,13 @@ def test_floats_before_texts_and_without_are_written_as_those_of_terms():
         ("string name\nfloat64[0] x\nint8 n\n", [packed(b"n") + b"\x05"]),
     ):
         found = decoder(text)
-        write = text_writer(found)
+        write = make_text_writer(found)
         for one in data * 2:
             assert write(one) == to_text(found.decode(one))
 
 
 _decoder = decoder(POSE)
-_writer = text_writer(_decoder)
+_writer = make_text_writer(_decoder)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ _writer = text_writer(_decoder)
 )
 def test_every_form_of_message_is_written(text, data):
     found = decoder(text)
-    assert text_writer(found)(data) == to_text(found.decode(data))
+    assert make_text_writer(found)(data) == to_text(found.decode(data))
 
 
 def test_messages_with_any_number_of_elements():
@@ -121,7 +121,7 @@ def test_messages_with_any_number_of_elements():
     part = packed(b"x") + struct.pack("<d", 2.0)
     for number in range(3):
         data = struct.pack("<I", number) + part * number
-        assert text_writer(found)(data) == to_text(found.decode(data))
+        assert make_text_writer(found)(data) == to_text(found.decode(data))
 
 
 def test_broken_bytes_are_no_message():
@@ -143,17 +143,17 @@ def test_long_arrays_and_texts_that_nobody_reads_are_left_out():
     data += struct.pack("<I100d", 100, *range(100)) + struct.pack("<I", 1) + packed(b"joint")
     data += packed(b"y" * 5000) + struct.pack("<i", 7)
     mark = atom("gone")
-    whole = text_writer(one)(data)
-    assert text_without(one, data, set(), mark) == whole
-    short = text_without(one, data, {1, 2, 3, 4, 5, 6}, mark)
+    whole = make_text_writer(one)(data)
+    assert write_without_unread(one, data, set(), mark) == whole
+    short = write_without_unread(one, data, {1, 2, 3, 4, 5, 6}, mark)
     assert short == "pkg__0__Type(std_msgs__0__Header(1,[2,3],'\"cam\"'),gone,gone,gone,gone,7)"
-    some = text_without(one, data, {2, 5}, mark)
+    some = write_without_unread(one, data, {2, 5}, mark)
     assert "xxx" not in some and "yyy" not in some and "99.0" in some and "joint" in some
 
 
 def test_short_slots_stay_where_they_are_and_broken_messages_are_errors():
     one = decoder("string a\nuint8[] b\nint32[] c\n")
     data = packed(b"short") + packed(b"data") + struct.pack("<I", 0)
-    assert text_without(one, data, {1, 2, 3}, atom("gone")) == text_writer(one)(data)
+    assert write_without_unread(one, data, {1, 2, 3}, atom("gone")) == make_text_writer(one)(data)
     with pytest.raises(MessageError):
-        text_without(one, data[:-1], {1, 2, 3}, atom("gone"))
+        write_without_unread(one, data[:-1], {1, 2, 3}, atom("gone"))

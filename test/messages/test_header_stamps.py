@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retalis import Definitions, MessageError, Operators
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.header_stamps import format_frame_key, make_observed_decoder, make_stamp_reader
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
@@ -126,7 +126,7 @@ def test_the_short_ways_see_what_the_reader_reads(kind, messages):
         known.update((key, Seen(instant // SECOND)) for key, instant in found)
 
     watching = make_observed_decoder(decoder, known, look)
-    reads = [lambda data: to_text(watching.decode(data)), text_writer(watching)]
+    reads = [lambda data: to_text(watching.decode(data)), make_text_writer(watching)]
     for second, nanosecond, frame in messages:
         text = {
             "t/Own": f"t__0__Own({header(second, nanosecond, frame)},1.0)",
@@ -136,7 +136,7 @@ def test_the_short_ways_see_what_the_reader_reads(kind, messages):
             "t/Markers": f"t__0__Markers({header(second, nanosecond, frame)},[],[])",
         }[kind]
         data = encode(KNOWN, kind, text)
-        assert reads[nanosecond % 2](data) == text_writer(decoder)(data)
+        assert reads[nanosecond % 2](data) == make_text_writer(decoder)(data)
         assert watching.stamp(data) == decoder.stamp(data)
         found = reader(data)
         if any(seconds.get(key) != instant // SECOND for key, instant in found):
@@ -149,7 +149,7 @@ def test_what_is_written_again_is_not_looked_at_again(known):
     looked = []
     watching = make_observed_decoder(known.decoder(known.find("t/Frames")), {}, looked.append)
     data = encode(known, "t/Frames", f"t__0__Frames([{transform(5, 0, 'a', 'b')}])")
-    assert text_writer(watching)(data) == text_writer(watching.plain)(data)
+    assert make_text_writer(watching)(data) == make_text_writer(watching.plain)(data)
     assert len(looked) == 1
 
 
@@ -172,7 +172,7 @@ def test_elements_without_bytes_are_counted_where_stamps_are_looked_at():
     for number in (3, 4):
         found = definitions.add(f"t/Type{number}", f"Header header\nNothing[{number}] x{parts}")
         watching = make_observed_decoder(definitions.decoder(found), {}, lambda found: None)
-        for read in (watching.decode, text_writer(watching)):
+        for read in (watching.decode, make_text_writer(watching)):
             data = struct.pack("<IIII", 1, 2, 3, 0)
             if number == 3:
                 assert read(data)

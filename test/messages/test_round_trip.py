@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from messages.wire import CODES, messages, serialize, to_term
 from retalis import Definitions, Operators
 from retalis.messages import encoder
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.term_reader import read_term
@@ -160,7 +160,7 @@ odd = st.sampled_from(
 def test_texts_are_read_alike_by_each_reader_and_come_back(shape):
     definition = WITHOUT_ROS.add(f"test_msgs/{shape.title().replace(' ', '')}", SHORT[shape])
     decoder, encode = WITHOUT_ROS.decoder(definition), WITHOUT_ROS.encoder(definition).encode
-    write = text_writer(decoder)
+    write = make_text_writer(decoder)
     reader = EventReader()  # one for all, so that it reads texts in all of its ways
     operators = Operators.prolog()
 
@@ -271,7 +271,7 @@ def test_types_of_any_slots(slots, data):
     text = "".join(f"{kind}{array} slot{number}\n" for number, (kind, array) in enumerate(slots))
     definition = definitions.add("test_msgs/Any", text + EVERYTHING[EVERYTHING.index("=") :])
     decoder = definitions.decoder(definition)
-    write = text_writer(decoder)
+    write = make_text_writer(decoder)
     with patch.object(encoder, "ValidatingEncoder", _Refusing):
         encode = encoder.Encoder(definition).encode
     for values in data.draw(st.lists(messages(definition, printable), min_size=1, max_size=3)):

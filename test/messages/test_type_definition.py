@@ -263,7 +263,11 @@ def test_long_digits_and_blanks(text, column, part):
 
 
 def test_a_type_may_be_as_large_as_is_allowed():
-    for field, most in (("slots", MAX_SLOTS), ("depth", MAX_TYPE_DEPTH), ("min_size", MAX_MESSAGE_BYTES)):
+    for field, most in (
+        ("slot_count", MAX_SLOTS),
+        ("depth", MAX_TYPE_DEPTH),
+        ("min_size", MAX_MESSAGE_BYTES),
+    ):
         assert Measure(**{field: most}).exceeded_limit() == ""
         assert str(most) in Measure(**{field: most + 1}).exceeded_limit()
 
@@ -272,25 +276,28 @@ def test_a_type_may_be_as_large_as_is_allowed():
     ("text", "measure"),
     [
         ("", Measure()),
-        ("int8 a\nfloat64 b", Measure(min_size=9, slots=2, depth=1)),
-        ("time t\nduration[2] d", Measure(min_size=24, slots=2, depth=1)),
-        ("string s", Measure(min_size=4, is_fixed_size=False, slots=1, depth=1)),
-        ("string[3] s", Measure(min_size=12, is_fixed_size=False, slots=1, depth=1)),
-        ("int16[] a\nint8[3] b", Measure(min_size=7, is_fixed_size=False, slots=2, depth=1)),
-        ("Part p", Measure(min_size=3, slots=4, depth=2)),
-        ("Part[2] p", Measure(min_size=6, slots=4, depth=2)),
-        ("Part[] p", Measure(min_size=4, is_fixed_size=False, slots=4, depth=2)),
-        ("Nothing n", Measure(slots=1, depth=1)),
+        ("int8 a\nfloat64 b", Measure(min_size=9, slot_count=2, depth=1)),
+        ("time t\nduration[2] d", Measure(min_size=24, slot_count=2, depth=1)),
+        ("string s", Measure(min_size=4, is_fixed_size=False, slot_count=1, depth=1)),
+        ("string[3] s", Measure(min_size=12, is_fixed_size=False, slot_count=1, depth=1)),
+        ("int16[] a\nint8[3] b", Measure(min_size=7, is_fixed_size=False, slot_count=2, depth=1)),
+        ("Part p", Measure(min_size=3, slot_count=4, depth=2)),
+        ("Part[2] p", Measure(min_size=6, slot_count=4, depth=2)),
+        ("Part[] p", Measure(min_size=4, is_fixed_size=False, slot_count=4, depth=2)),
+        ("Nothing n", Measure(slot_count=1, depth=1)),
         (
             "Nothing[5] n\nNothing[2] m",
-            Measure(slots=2, depth=1, empty_elements=7, may_have_empty_elements=True),
+            Measure(slot_count=2, depth=1, empty_element_count=7, may_have_empty_elements=True),
         ),
         (
             "Nothing[] n",
-            Measure(min_size=4, is_fixed_size=False, slots=1, depth=1, may_have_empty_elements=True),
+            Measure(min_size=4, is_fixed_size=False, slot_count=1, depth=1, may_have_empty_elements=True),
         ),
-        ("Bare[2] b", Measure(min_size=2, slots=3, depth=2, empty_elements=6, may_have_empty_elements=True)),
-        ("int8[0] a", Measure(slots=1, depth=1)),
+        (
+            "Bare[2] b",
+            Measure(min_size=2, slot_count=3, depth=2, empty_element_count=6, may_have_empty_elements=True),
+        ),
+        ("int8[0] a", Measure(slot_count=1, depth=1)),
     ],
 )
 def test_what_messages_of_a_type_measure(text, measure):

@@ -3,7 +3,7 @@
 import pytest
 
 from retalis import Definitions, Operators, Var, functor
-from retalis.messages.validating_encoder import fault_of
+from retalis.messages.validating_encoder import find_fault
 from retalis.prolog.syntax.term_reader import read_term
 
 
@@ -41,13 +41,13 @@ MSG: my_robot/Nothing
     ],
 )
 def test_what_no_values_of_the_variables_make_right(text, term, fault):
-    found = fault_of(definition(text), read_term(term, Operators.prolog()).term)
+    found = find_fault(definition(text), read_term(term, Operators.prolog()).term)
     assert found is fault if fault is None else fault in found
 
 
 def test_types_of_huge_messages_are_not_filled():
     huge = definition("uint8[4000000000] a\nuint8 b")
-    assert fault_of(huge, (functor("my_robot__0__Thing", 2), Var(), 256)) is None
+    assert find_fault(huge, (functor("my_robot__0__Thing", 2), Var(), 256)) is None
 
 
 SLOTS = ("bool", "int8", "float32", "string", "time", "duration", "Part", "Nothing")
@@ -57,7 +57,7 @@ ARRAYS = ("", "[]", "[2]")
 @pytest.mark.parametrize("slot", [f"{kind}{array}" for kind in SLOTS for array in ARRAYS])
 def test_a_variable_may_be_any_slot_or_message(slot):
     found = definition(f"{slot} a\n{PARTS}")
-    assert fault_of(found, Var()) is None
-    assert fault_of(found, (functor("my_robot__0__Thing", 1), Var())) is None
-    assert "Thing" in fault_of(found, (functor("my_robot__0__Thing", 2), Var(), Var()))
-    assert "expected" in fault_of(found, (functor("my_robot__0__Thing", 1), (functor("f", 1), Var())))
+    assert find_fault(found, Var()) is None
+    assert find_fault(found, (functor("my_robot__0__Thing", 1), Var())) is None
+    assert "Thing" in find_fault(found, (functor("my_robot__0__Thing", 2), Var(), Var()))
+    assert "expected" in find_fault(found, (functor("my_robot__0__Thing", 1), (functor("f", 1), Var())))

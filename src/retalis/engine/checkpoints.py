@@ -18,7 +18,7 @@ import time
 from itertools import count
 from pathlib import Path
 from random import SystemRandom
-from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Container, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from zlib import crc32
 
 from ..events.knowledge.memory import NO_POSITION, MemoryInstance
@@ -53,6 +53,8 @@ CREATE TABLE IF NOT EXISTS sections (name TEXT PRIMARY KEY, data BLOB NOT NULL, 
 CREATE TABLE IF NOT EXISTS records (memory INTEGER, first INTEGER, number INTEGER NOT NULL, data BLOB NOT NULL,
     checked INTEGER NOT NULL, PRIMARY KEY (memory, first));
 """
+"""Tables of the file. ``checked`` is a CRC-32 of the data. A row of ``records`` is a `RecordBatch`; ``first`` is its
+``earlier_count``, ``number`` its ``record_count``."""
 
 _REFUSED_FILE_SUFFIX = ".aside"
 """Suffix of a file that `resume` has refused."""
@@ -207,13 +209,13 @@ class CheckpointStorage:
             # transaction.
             return
 
-    def _delete_records_of_missing_memories(self, existing_memories: Dict[int, int]) -> None:
-        stored_memories = [
-            memory for (memory,) in self._database.execute("SELECT DISTINCT memory FROM records")
+    def _delete_records_of_missing_memories(self, existing_numbers: Container[int]) -> None:
+        stored_numbers = [
+            number for (number,) in self._database.execute("SELECT DISTINCT memory FROM records")
         ]
-        deleted = [(memory,) for memory in stored_memories if memory not in existing_memories]
-        if deleted:
-            self._database.executemany("DELETE FROM records WHERE memory = ?", deleted)
+        missing = [(number,) for number in stored_numbers if number not in existing_numbers]
+        if missing:
+            self._database.executemany("DELETE FROM records WHERE memory = ?", missing)
 
     def close(self) -> None:
         """Close the file."""
@@ -359,7 +361,7 @@ def _read_batches(database: sqlite3.Connection, number: int, dropped_count: int,
     """
     query = "SELECT data, checked FROM records WHERE memory = ? ORDER BY first"
     batches = [read_records(_verify_checksum(*row)) for row in database.execute(query, (number,))]
-    earlier_count = batches[0][0] if batches else end_batch[0]
+    earlier_count, *_ = batches[0] if batches else end_batch
     if earlier_count > dropped_count:
         raise UsageError("it is damaged: records of a memory are missing")
     return [*batches, end_batch]
@@ -433,7 +435,7 @@ class _FilePosition(NamedTuple):
     """Position of a memory in the file: its number, and the number of records ever written."""
 
     number: int
-    added: int
+    written_count: int
 
 
 class Checkpointer:
@@ -467,7 +469,7 @@ class Checkpointer:
         self._reports = reports
         self._interval_seconds = interval_seconds
         self._snapshot = EngineSnapshot(engine)
-        self._memories: Dict[MemoryInstance, _FilePosition] = {}
+        self._file_positions: Dict[MemoryInstance, _FilePosition] = {}
         self._numbers = count(file.next_number)
         self._deployments: List[Deployment] = []
         self._files: Dict[str, str] = {}
@@ -489,7 +491,7 @@ class Checkpointer:
         self._stop_requested.set()
         if self._writer_thread.ident is None:
             # The thread was never started: a node that ends immediately still writes a checkpoint.
-            self._finish()
+            self._write_last()
         else:
             self._writer_thread.join(FINAL_WRITE_SECONDS)
 
@@ -497,26 +499,27 @@ class Checkpointer:
         pause = 0.0
         while not self._stop_requested.wait(pause):
             start_time = time.monotonic()
-            if not self._write():
+            if not self._write_or_report():
                 return
             pause = max(self._interval_seconds, MIN_PAUSE_FACTOR * (time.monotonic() - start_time))
-        self._finish()
+        self._write_last()
 
-    def _finish(self) -> None:
+    def _write_last(self) -> None:
+        """Write the last checkpoint and close the file."""
         try:
-            self._write()
+            self._write_or_report()
         finally:
             self._file.close()
 
-    def _write(self) -> bool:
-        """Write a checkpoint and report errors; return whether to continue."""
+    def _write_or_report(self) -> bool:
+        """Write a checkpoint, or report the error; return whether to continue."""
         try:
             self.write()
         except Exception as error:
             # The thread continues, because the next attempt may succeed, for example when the disk has space again.
             # The failed attempt has reset the change marks, so the next one writes the complete state.
             self._snapshot = EngineSnapshot(self._engine)
-            self._memories = {}
+            self._file_positions = {}
             self._reports.error(error)
             return not isinstance(error, CheckpointFileInUse)
         return True
@@ -559,9 +562,9 @@ class Checkpointer:
             for deployment, known_deployment in zip(deployments, self._deployments)
         ):
             self._deployments, self._files = deployments, {}
-        names = program_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
+        names = list_program_files(self._program, [str(path) for path in list(engine.rules.files.loaded)])
         if any(name not in self._files for name in names):
-            self._files = {name: self._files.get(name) or file_digest(name) for name in names}
+            self._files = {name: self._files.get(name) or compute_file_digest(name) for name in names}
 
     def _capture_state(self) -> "Tuple[Dict[str, bytes], Any, List[Tuple[int, MemoryRecords]]]":
         """Return the changes since the previous checkpoint; the engine must be idle during the call.
@@ -576,21 +579,23 @@ class Checkpointer:
         # Variables of matches and values may be bound temporarily, so these sections are encoded before the
         # engine continues. Clauses and records are immutable and can be encoded later.
         sections = {name: to_bytes(data) for name, data in data_by_name.items()}
-        memories: Dict[MemoryInstance, _FilePosition] = {}
+        file_positions: Dict[MemoryInstance, _FilePosition] = {}
         records = []
         for instance in self._engine.knowledge.memories:
-            file_position = self._memories.get(instance)
+            file_position = self._file_positions.get(instance)
             memory = instance.memory
             # `first_changed_position` is the lowest position that an insertion out of order has moved since the
             # previous checkpoint; everything from there on is written again.
             first_changed = (
-                0 if file_position is None else min(file_position.added, memory.first_changed_position)
+                0
+                if file_position is None
+                else min(file_position.written_count, memory.first_changed_position)
             )
             memory.first_changed_position = NO_POSITION
             number = next(self._numbers) if file_position is None else file_position.number
-            memories[instance] = _FilePosition(number, memory.added_count)
+            file_positions[instance] = _FilePosition(number, memory.added_count)
             records.append((number, records_since(instance, first_changed)))
-        self._memories = memories
+        self._file_positions = file_positions
         self.longest_pause_seconds = max(self.longest_pause_seconds, time.monotonic() - start_time)
         return sections, clauses, records
 
@@ -603,7 +608,7 @@ def _encode_batches(number: int, unwritten: MemoryRecords) -> Iterator[RecordBat
         time.sleep(0)
 
 
-def program_files(folder: Path, loaded: Sequence[str]) -> List[str]:
+def list_program_files(folder: Path, loaded: Sequence[str]) -> List[str]:
     """Return the paths of the files that a program is read from.
 
     Args:
@@ -614,7 +619,7 @@ def program_files(folder: Path, loaded: Sequence[str]) -> List[str]:
     return [*fixed_files, *(path for path in sorted(loaded) if path not in fixed_files)]
 
 
-def file_digest(path: str) -> str:
+def compute_file_digest(path: str) -> str:
     """Return the SHA-256 digest of a file, or "none" if it cannot be read."""
     from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, which only nodes with checkpoints need
 
@@ -664,8 +669,9 @@ def _check_files(files: ProgramFiles, folder: Path) -> None:
     Raises:
         UsageError: if a file has changed, or the checkpoint belongs to another program.
     """
-    if not files or files[0][0] != str(folder.absolute() / GOALS):
-        raise UsageError(f"it is of another program: {files[0][0] if files else 'none'}")
+    goal_file = files[0][0] if files else "none"
+    if goal_file != str(folder.absolute() / GOALS):
+        raise UsageError(f"it is of another program: {goal_file}")
     for name, expected_digest in files:
-        if file_digest(name) != expected_digest:
+        if compute_file_digest(name) != expected_digest:
             raise UsageError(f"{name} has changed since it was read")

@@ -42,7 +42,7 @@ class Binding(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Solutions of a goal; ``complete`` tells whether there are no others."""
+    """Solutions of a goal, each as the values of its variables; ``complete`` tells whether there are no others."""
 
     solutions: List[List[Binding]]
     complete: bool
@@ -73,7 +73,7 @@ def ask(
     names = {name: var for name, var in parsed_goal.names.items() if not name.startswith("_")}
     logic = engine.logic
 
-    def work() -> Answer:
+    def collect_solutions() -> Answer:
         solution_bindings: List[List[Binding]] = []
         characters_left = max_characters
         engine_limits = logic.limits
@@ -99,7 +99,7 @@ def ask(
         return Answer(solution_bindings, True)
 
     # Executed exclusively, so the changed limits of the logic apply to this goal only.
-    return run_restricted(engine, work, parsed_goal.term)
+    return run_restricted(engine, collect_solutions, parsed_goal.term)
 
 
 def run_restricted(engine: Engine, work: Callable[[], Result], work_name: Term = UNNAMED_REQUEST) -> Result:
@@ -129,6 +129,7 @@ def _read_bindings(engine: Engine, names: Dict[str, Var], characters_left: int) 
 
 
 def _combine_limits(first: Limits, second: Limits) -> Limits:
+    """Return the stricter one of each limit; None is no limit."""
     return Limits(
         _minimum(first.seconds, second.seconds),
         _minimum(first.inferences, second.inferences),

@@ -63,7 +63,7 @@ class Deployment(NamedTuple):
         """Return the items that were added after an earlier state."""
         # Rules, clauses, memories, subscriptions, timers and states are compared by identity: one that was deleted
         # and defined again is new. The others are compared by value.
-        rules, files = set(before.rules), before.files
+        previous_rules = set(before.rules)
         clauses = {
             predicate: _exclude(clause_list, before.clauses.get(predicate, ()))
             for predicate, clause_list in self.clauses.items()
@@ -73,7 +73,7 @@ class Deployment(NamedTuple):
             for key, items in self.properties.items()
         }
         return Deployment(
-            [rule for rule in self.rules if rule not in rules],
+            [rule for rule in self.rules if rule not in previous_rules],
             {predicate: clause_list for predicate, clause_list in clauses.items() if clause_list},
             _select_new(self.memories, before.memories),
             _select_new(self.subscriptions, before.subscriptions),
@@ -81,7 +81,7 @@ class Deployment(NamedTuple):
             {name: value for name, value in self.flags.items() if value != before.flags[name]},
             self.dynamic - before.dynamic,
             self.replaced - before.replaced,
-            self.files - files,
+            self.files - before.files,
             _select_new(self.timers, before.timers),
             _select_new(self.states, before.states),
         )
@@ -109,7 +109,6 @@ class Deployment(NamedTuple):
 
 
 EMPTY_DEPLOYMENT = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
-"""The empty deployment."""
 
 
 def current_deployment(logic: PrologSystem, rules: RuleBase, knowledge: KnowledgeBase) -> Deployment:
@@ -176,7 +175,14 @@ def save_deployments(
     knowledge: KnowledgeBase,
     numbered_rules: List[EventRule],
 ) -> Dict[str, Any]:
-    """Return the deployments as data for a saved state."""
+    """Return the deployments as data for a saved state.
+
+    Args:
+        deployments: the deployments by folder.
+        logic: contains the clauses.
+        knowledge: contains memories, subscriptions and states.
+        numbered_rules: the rules of the saved state; a position in this list identifies a rule.
+    """
     rules = {id(rule): position for position, rule in enumerate(numbered_rules)}
     predicates = program_predicates(logic)
     clauses = {

@@ -46,7 +46,7 @@ from ..serialization.state_file_format import pack_sections, read_records, unpac
 from .deployments import Deployment
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state
-from .engine_status import DEFAULT_LISTED, EngineView, Status, StatusReader
+from .engine_status import DEFAULT_LISTING_LIMIT, Status, StatusReader, StatusSources
 from .event_input import EventInput, InputTopics, TextInput
 from .program_loader import (
     NullReports,
@@ -98,10 +98,13 @@ class OnEvent(Protocol):
 
 
 TERM_FLAGS = ReadFlags()
+"""Read flags for goals and patterns."""
+
 EVENT_FLAGS = ReadFlags(is_constructed=True)
-"""Read flags for goals and patterns, and for events."""
+"""Read flags for events."""
 
 Instant = Union[int, Term]
+"""A time: a number of seconds since the epoch, or a timestamp term."""
 Result = TypeVar("Result")
 EngineType = TypeVar("EngineType", bound="Engine")
 
@@ -203,7 +206,7 @@ class Engine:
         )
         budget.attach_executor(self.executor)
         self.watchdog = start_watchdog(self.executor, self.logic, self.dispatcher, reports, settings.watchdog)
-        call = self._call_undisturbed if settings.allow_goals else None
+        call_goal = self._call_restoring_context if settings.allow_goals else None
         self.event_input = EventInput(
             self.logic,
             self.dispatcher,
@@ -215,17 +218,18 @@ class Engine:
         # Bound once, which saves an attribute access per event.
         self._dispatch_event = self.event_input.dispatch_event
         self._dispatch_message = self.event_input.dispatch_message
-        self._text_input = TextInput(self.logic.operators, self._dispatch_event, call, reports, declared)
+        self._text_input = TextInput(self.logic.operators, self._dispatch_event, call_goal, reports, declared)
         self._output_callbacks: List[OnOutput] = []
         self._has_event_callbacks = False
         self._foreign_sources: List[Tuple[object, ...]] = []
+        """Arguments of the calls of `add_foreign`, which are repeated for a trial engine."""
         self.deployments: Dict[str, Deployment] = {}
         """Deployments by the real path of the program's folder."""
         self.loader = ProgramLoader(
-            self.logic, self.rules, self.executor, self.dispatcher, settings.limit_start, self._once
+            self.logic, self.rules, self.executor, self.dispatcher, settings.limit_start, self._call_once
         )
         self._status_reader = StatusReader(
-            EngineView(
+            StatusSources(
                 self.logic,
                 self.dispatcher,
                 self.rules,
@@ -318,16 +322,16 @@ class Engine:
 
     def _create_trial_engine(self) -> "Engine":
         """Return a second engine with the same settings, the same time and the same foreign predicates."""
-        trial = Engine(
+        trial_engine = Engine(
             create_fixed_clock(self.clock.now()),
             create_trial_settings(self.settings),
             NullReports(),
             self.slots.definitions,
         )
-        trial.input_topics.copy_for_trial(self.input_topics)
+        trial_engine.input_topics.copy_for_trial(self.input_topics)
         for sources in self._foreign_sources:
-            trial.add_foreign(*sources)
-        return trial
+            trial_engine.add_foreign(*sources)
+        return trial_engine
 
     def call_goals(self, text: str, source: str, folder: Optional[Path] = None) -> None:
         """Call the goals of a goal file in order; see `load`.
@@ -364,7 +368,7 @@ class Engine:
         """
         start_instant = None if start is None else timestamps.from_any(start)
         end_instant = start_instant if end is None else timestamps.from_any(end)
-        self._process(self._read(term, EVENT_FLAGS), start_instant, end_instant)
+        self._process(self._parse_term(term, EVENT_FLAGS), start_instant, end_instant)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
         """Process an event with an interval in nanoseconds; see `event`.
@@ -420,7 +424,7 @@ class Engine:
         self.executor.post(self._text_input.process_text, text)
 
     def advance(self, move: Optional[Callable[[], object]] = None) -> None:
-        """Run the alarms that are due, and reset the program if the clock went back.
+        """Run the alarms that are due, and clear the state of the program if the clock went back.
 
         >>> engine = Engine(StreamClock())
         >>> engine.clock.move_to(1_000_000_000)
@@ -441,8 +445,8 @@ class Engine:
         Raises:
             PrologError: the error that the goal raised.
         """
-        term = self._read(goal)
-        return self.do(lambda: self._once(term), term)
+        term = self._parse_term(goal)
+        return self.do(lambda: self._call_once(term), term)
 
     def query(self, goal: Union[str, Term], most: Optional[int] = None) -> List[Dict[str, Term]]:
         """Return the solutions of a goal, each a dictionary from variable names to values.
@@ -460,7 +464,7 @@ class Engine:
         else:
             term = goal
             names = {f"_{position}": var for position, var in enumerate(variables(goal))}
-        return self.do(lambda: self._solutions(term, names, most), term)
+        return self.do(lambda: self._collect_solutions(term, names, most), term)
 
     def do(self, work: Callable[[], Result], what: Term = UNNAMED_REQUEST) -> Result:
         """Execute a function exclusively, with no events processed meanwhile, and return its result.
@@ -580,7 +584,7 @@ class Engine:
         )
         return (finding.problem for finding in run_checks(program) if finding.severity != INFO)
 
-    def status(self, most: int = DEFAULT_LISTED) -> Status:
+    def status(self, most: int = DEFAULT_LISTING_LIMIT) -> Status:
         """Return the activity and contents of the engine, without waiting for it.
 
         If the engine is busy, ``work`` describes the current call and its duration.
@@ -811,25 +815,25 @@ class Engine:
             raise UsageError(f"event refused: {refusal_reason}")
         self._dispatch_event(term, start, end)
 
-    def _read(self, term: Union[str, Term], flags: ReadFlags = TERM_FLAGS) -> Term:
+    def _parse_term(self, term: Union[str, Term], flags: ReadFlags = TERM_FLAGS) -> Term:
         return read_term(term, self.logic.operators, "text", flags).term if isinstance(term, str) else term
 
-    def _once(self, goal: Term) -> bool:
+    def _call_once(self, goal: Term) -> bool:
         """Call a goal once.
 
         The trail is cleared afterwards if no other goal or event is active, because nothing will undo these bindings.
         """
         machine = self.logic.machine
         # Inside another goal or event the trail still belongs to an outer choice point and must stay.
-        outermost = not machine.trail and not machine.choices and self.dispatcher.current is None
+        is_outermost = not machine.trail and not machine.choices and self.dispatcher.current is None
         try:
             return self.logic.once(goal)
         finally:
-            if outermost:
+            if is_outermost:
                 machine.trail.clear()
 
-    def _call_undisturbed(self, goal: Term) -> bool:
-        return self.dispatcher.run_restoring_context(lambda: self._once(goal))
+    def _call_restoring_context(self, goal: Term) -> bool:
+        return self.dispatcher.run_restoring_context(lambda: self._call_once(goal))
 
     def _clear_state(self) -> None:
         """Clear all memories, transforms, pending queries and partial matches, because time went back."""
@@ -857,7 +861,9 @@ class Engine:
             f"events come in faster than they can be processed: {dropped} dropped so far", "dropped"
         )
 
-    def _solutions(self, term: Term, names: Dict[str, Var], most: Optional[int]) -> List[Dict[str, Term]]:
+    def _collect_solutions(
+        self, term: Term, names: Dict[str, Var], most: Optional[int]
+    ) -> List[Dict[str, Term]]:
         results: List[Dict[str, Term]] = []
         with closing(self.logic.solutions(term)) as solutions:
             for _ in solutions:
@@ -872,5 +878,5 @@ class Engine:
 
     def _call_or_raise(self, goal: Term) -> None:
         """Call a goal that must succeed."""
-        if not self.executor.call(lambda: self._call_undisturbed(goal), (goal,)):
+        if not self.executor.call(lambda: self._call_restoring_context(goal), (goal,)):
             raise UsageError(f"{self.logic.brief(goal)} fails")

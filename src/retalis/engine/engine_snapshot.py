@@ -60,7 +60,7 @@ class EngineSnapshot:
         # While a goal runs, choice points and bindings on the trail belong to its state, and they cannot be saved.
         if engine.dispatcher.current is not None or logic.machine.choices:
             raise UsageError("a goal or callback of an engine cannot take a snapshot of it")
-        matches, named_rules = snapshot_matches(rules, knowledge, engine.clock, rules.rules)
+        matches, numbered_rules = snapshot_matches(rules, knowledge, engine.clock, rules.rules)
         counters = {
             "clock": engine.clock.snapshot(),
             "clock_follows_events": engine.event_input.stream_clock is not None,
@@ -73,16 +73,16 @@ class EngineSnapshot:
         }
         sections = {"values": tuple(snapshot_values(logic)), "matches": matches, "run": counters}
         # The program rarely changes, so checkpoints omit it while its signature stays the same.
-        signature = self._program_signature(named_rules)
+        signature = self._program_signature(numbered_rules)
         if include_program or signature != self._signature:
             self._signature = signature
-            sections["program"] = self._collect_program(named_rules)
+            sections["program"] = self._collect_program(numbered_rules)
             # Clauses are a separate section, because it is large, and its variables are never bound: the caller can
             # encode it after the engine has continued.
             sections["clauses"] = tuple(snapshot_program(logic))
         return sections
 
-    def _program_signature(self, named_rules: List[EventRule]) -> object:
+    def _program_signature(self, numbered_rules: List[EventRule]) -> object:
         """Return a value that changes whenever the program changes."""
         engine = self._engine
         rules, knowledge = engine.rules, engine.knowledge
@@ -92,7 +92,7 @@ class EngineSnapshot:
             engine.logic.database.change_count,
             len(engine.logic.database.predicates),
             engine.logic.operators.changes(),
-            [rule.serial for rule in named_rules],
+            [rule.serial for rule in numbered_rules],
             len(rules.rules),
             rules.all_properties(),
             [rules.flags.get(name) for name in rules.flags.names()],
@@ -109,15 +109,15 @@ class EngineSnapshot:
             list(engine.deployments.values()),
         )
 
-    def _collect_program(self, named_rules: List[EventRule]) -> Sections:
+    def _collect_program(self, numbered_rules: List[EventRule]) -> Sections:
         engine = self._engine
         knowledge = engine.knowledge
         return {
-            "rules": snapshot_rules(engine.rules, named_rules),
+            "rules": snapshot_rules(engine.rules, numbered_rules),
             "memories": [(instance.definition, instance.active) for instance in knowledge.memories],
             "subscriptions": [subscription.definition for _, subscription in knowledge.subscriptions.items()],
             "states": [state.form.term for state in knowledge.states],
-            "deployments": save_deployments(engine.deployments, engine.logic, knowledge, named_rules),
+            "deployments": save_deployments(engine.deployments, engine.logic, knowledge, numbered_rules),
             "topics": [tuple(item) for item in engine.input_topics.snapshot()],
             "event_types": dict(engine.slots.events),
             "foreign_modules": list(engine.logic.foreign_modules),
@@ -154,7 +154,7 @@ class EngineSnapshot:
         restore_program(logic, ProgramSnapshot(*sections["clauses"]))
         restore_values(logic, ValuesSnapshot(*sections["values"]))
         with logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
-            named_rules = restore_rules(rules, program["rules"])
+            numbered_rules = restore_rules(rules, program["rules"])
             # Memories are created without emitting events.
             memories = [
                 knowledge.memories.create_unreported(definition, is_active)
@@ -172,12 +172,12 @@ class EngineSnapshot:
             raise UsageError("the state is damaged: expected records for each memory")
         for instance, batches in zip(memories, records):
             restore_records(instance, batches)
-        restore_matches(rules, knowledge, engine.clock, sections["matches"], named_rules)
+        restore_matches(rules, knowledge, engine.clock, sections["matches"], numbered_rules)
         rules.files.loaded = set(map(Path, program["rules"]["loaded_files"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
         rules.declared.in_use = True
         engine.deployments.update(
-            restore_deployments(program["deployments"], logic, knowledge, rules.timers, named_rules)
+            restore_deployments(program["deployments"], logic, knowledge, rules.timers, numbered_rules)
         )
         engine.input_topics.restore(TopicRequest(*item) for item in program["topics"])
         # Last, because adding rules and timers above may read the clock or set alarms.

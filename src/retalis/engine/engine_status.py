@@ -22,10 +22,10 @@ from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor
 from .runtime.watchdog import Watchdog, describe_work
 
-DEFAULT_LISTED = 100
+DEFAULT_LISTING_LIMIT = 100
 """Default limit for the listed rules, memories, subscriptions and queries."""
 
-MAX_AWAITED_LISTED = 20
+MAX_LISTED_AWAITED = 20
 """Maximum number of memories listed for a pending query."""
 
 Json = Union[None, bool, int, float, str, List[Any], Dict[str, Any]]
@@ -305,9 +305,10 @@ _FormatTerm = Callable[[Term, Optional[Mapping[Var, str]]], str]
 """A function that returns the beginning of a term's text, given names of its variables if they are known."""
 
 _CachedTexts = Dict[int, Tuple[Term, str]]
+"""Texts of terms by the id of the term; the entry keeps the term, so that its id is not reused."""
 
 
-class EngineView(NamedTuple):
+class StatusSources(NamedTuple):
     """The components of an engine that the status is read from.
 
     Attributes:
@@ -333,8 +334,8 @@ class StatusReader:
     Texts of rules and patterns are cached between calls, as long as their items are listed.
     """
 
-    def __init__(self, view: EngineView):
-        self._view = view
+    def __init__(self, sources: StatusSources):
+        self._sources = sources
         self._texts: _CachedTexts = {}
 
     def read(self, limit: int) -> Status:
@@ -343,67 +344,71 @@ class StatusReader:
         Args:
             limit: limit for the listed items of each kind.
         """
-        view = self._view
+        sources = self._sources
         texts: _CachedTexts = {}
         format_term = self._make_term_formatter(texts)
-        show = view.logic.brief
-        rules, more_rules = _list_rules(view.rules, format_term, show, limit)
-        memories, more_memories = _list_memories(view.knowledge, format_term, show, limit)
-        subscriptions, more_subscriptions = _list_subscriptions(view.knowledge, format_term, show, limit)
-        waiting, more_waiting = _list_queries(view.knowledge, show, limit)
+        format_brief = sources.logic.brief
+        rules, omitted_rules = _list_rules(sources.rules, format_term, format_brief, limit)
+        memories, omitted_memories = _list_memories(sources.knowledge, format_term, format_brief, limit)
+        subscriptions, omitted_subscriptions = _list_subscriptions(
+            sources.knowledge, format_term, format_brief, limit
+        )
+        waiting, omitted_queries = _list_queries(sources.knowledge, format_brief, limit)
         # Replaced and not extended, so that texts of deleted rules are not kept.
         self._texts = texts
         return Status(
-            now=int(view.clock.present()),
-            taken=view.taken(),
-            fired=view.rules.fired,
-            queued=len(view.executor),
-            queue=view.queue,
-            callers=view.executor.callers,
-            dropped=view.executor.dropped,
-            errors=view.reports.errors,
-            warnings=view.reports.warnings,
-            matches=view.rules.match_count,
-            alarms=len(view.clock.alarms),
-            next_alarm=_find_next_alarm(view.clock),
+            now=int(sources.clock.present()),
+            taken=sources.taken(),
+            fired=sources.rules.fired,
+            queued=len(sources.executor),
+            queue=sources.queue,
+            callers=sources.executor.callers,
+            dropped=sources.executor.dropped,
+            errors=sources.reports.errors,
+            warnings=sources.reports.warnings,
+            matches=sources.rules.match_count,
+            alarms=len(sources.clock.alarms),
+            next_alarm=_find_next_alarm(sources.clock),
             work=self._read_work(),
             rules=rules,
             memories=memories,
             subscriptions=subscriptions,
             waiting=waiting,
-            left_out=LeftOut(more_rules, more_memories, more_subscriptions, more_waiting),
-            transforms=_count_transforms(view.knowledge.transforms),
+            left_out=LeftOut(omitted_rules, omitted_memories, omitted_subscriptions, omitted_queries),
+            transforms=_read_transforms(sources.knowledge.transforms),
         )
 
     def count_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
         # Called during garbage collections, so it adds up counters and does not visit records. A memory removes old
         # records in blocks, so `ends` can be longer than `size`.
-        memories = [instance.memory for instance in list(self._view.knowledge.memories)]
-        return self._view.rules.match_count + sum(min(len(memory.ends), memory.size) for memory in memories)
+        memories = [instance.memory for instance in list(self._sources.knowledge.memories)]
+        return self._sources.rules.match_count + sum(
+            min(len(memory.ends), memory.size) for memory in memories
+        )
 
     def _read_work(self) -> Optional[Work]:
         # The watchdog keeps the start time of the entry, which the engine itself does not record.
-        running = self._view.watchdog.running_entry(time.monotonic())
+        running = self._sources.watchdog.find_running_entry(time.monotonic())
         if running is None:
             return None
         entry, seconds = running
-        work = describe_work(self._view.logic, self._view.dispatcher, entry)
+        work = describe_work(self._sources.logic, self._sources.dispatcher, entry)
         place = "" if work.place is None else str(work.place)
         return Work(work.entry, round(seconds, 3), work.goal, work.event, place)
 
     def _make_term_formatter(self, texts: _CachedTexts) -> _FormatTerm:
         """Return a function that converts terms to text with a cache, and stores the used texts in ``texts``."""
-        cached_texts, show = self._texts, self._view.logic.brief
+        cached_texts, format_brief = self._texts, self._sources.logic.brief
 
         def format_term(term: Term, names: Optional[Mapping[Var, str]] = None) -> str:
-            # The cached tuple holds a reference to the term, so its id cannot be reused for another term.
             key = id(term)
             entry = cached_texts.get(key)
             if entry is None:
-                entry = term, show(term, {**_name_variables(term), **(names or {})})
+                entry = term, format_brief(term, {**_name_variables(term), **(names or {})})
             texts[key] = entry
-            return entry[1]
+            _, text = entry
+            return text
 
         return format_term
 
@@ -425,12 +430,12 @@ def _name_variables(term: Term) -> Dict[Var, str]:
             counts[part] = counts.get(part, 0) + 1
         elif part.__class__ is tuple:
             pending.extend(reversed(part[1:]))
-    shared = [var for var, number in counts.items() if number > 1]
+    shared = [var for var, count in counts.items() if count > 1]
     return {**dict.fromkeys(counts, "_"), **{var: f"X{position}" for position, var in enumerate(shared, 1)}}
 
 
 def _list_rules(
-    rules: RuleBase, format_term: _FormatTerm, show: Callable[[Term], str], limit: int
+    rules: RuleBase, format_term: _FormatTerm, format_brief: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
     """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
     listed = rules.rules
@@ -439,10 +444,10 @@ def _list_rules(
         chosen = set(sorted(listed, key=lambda rule: -rule.metrics.error_count)[: max(0, limit)])
         listed = [rule for rule in listed if rule in chosen]
 
-    def convert(rule: Any) -> RuleStatus:
+    def read_status(rule: Any) -> RuleStatus:
         metrics = rule.metrics
         return RuleStatus(
-            "" if rule.label is None else show(rule.label),
+            "" if rule.label is None else format_brief(rule.label),
             format_term(rule.definition.term, rule.definition.names),
             "" if rule.place is None else str(rule.place),
             metrics.firing_count,
@@ -454,112 +459,114 @@ def _list_rules(
             rule.bytes,
         )
 
-    return tuple([convert(rule) for rule in listed]), len(rules.rules) - len(listed)
+    return tuple([read_status(rule) for rule in listed]), len(rules.rules) - len(listed)
 
 
 def _list_memories(
-    knowledge: KnowledgeBase, format_term: _FormatTerm, show: Callable[[Term], str], limit: int
+    knowledge: KnowledgeBase, format_term: _FormatTerm, format_brief: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
     """Return the status of memories, and the number of memories that are not listed."""
 
-    def convert(instance: Any) -> MemoryStatus:
+    def read_status(instance: Any) -> MemoryStatus:
         memory = instance.memory
         # The list only grows; removal of records replaces it. So `ends` and the length read here belong together even
         # while the engine adds records.
         ends = memory.ends
-        number = len(ends)
-        records = min(number, memory.size)
+        end_count = len(ends)
+        records = min(end_count, memory.size)
         return MemoryStatus(
-            show(instance.id),
+            format_brief(instance.id),
             format_term(instance.recorder.pattern, None),
             memory.size,
             records,
             memory.added_count,
-            ends[number - records] if records else None,
-            ends[number - 1] if number else None,
+            ends[end_count - records] if records else None,
+            ends[end_count - 1] if end_count else None,
         )
 
-    return _convert_first(list(knowledge.memories), convert, limit)
+    return _read_first(list(knowledge.memories), read_status, limit)
 
 
 def _list_subscriptions(
-    knowledge: KnowledgeBase, format_term: _FormatTerm, show: Callable[[Term], str], limit: int
+    knowledge: KnowledgeBase, format_term: _FormatTerm, format_brief: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
     """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
-    def convert(item: Any) -> SubscriptionStatus:
+    def read_status(item: Any) -> SubscriptionStatus:
         (topic, _), subscription = item
-        pattern, rate_limiter = subscription.definition[1], subscription.rate_limiter
+        _, pattern, *_ = subscription.definition
+        rate_limiter = subscription.rate_limiter
         late, dropped = (
             (0, 0) if rate_limiter is None else (rate_limiter.late_count, rate_limiter.dropped_count)
         )
         return SubscriptionStatus(
             beginning(topic),
-            show(subscription.id),
+            format_brief(subscription.id),
             format_term(pattern, None),
             subscription.sent_counter.count,
             late,
             dropped,
         )
 
-    return _convert_first(knowledge.subscriptions.items(), convert, limit)
+    return _read_first(knowledge.subscriptions.items(), read_status, limit)
 
 
 def _list_queries(
-    knowledge: KnowledgeBase, show: Callable[[Term], str], limit: int
+    knowledge: KnowledgeBase, format_brief: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[WaitingStatus, ...], int]:
     """Return the status of pending queries, and the number of queries that are not listed."""
 
-    def convert(query: Any) -> WaitingStatus:
-        _, definition, values, _, end, missing = query
-        statuses = [_awaited_status(instance, instant, show) for instance, instant in tuple(missing)]
+    def read_status(query: Any) -> WaitingStatus:
+        _, triggered_query, values, _, end, missing = query
+        statuses = [_read_awaited(source, instant, format_brief) for source, instant in tuple(missing)]
         awaited = [status for status in statuses if status is not None]
-        listed = tuple(awaited[:MAX_AWAITED_LISTED])
+        listed = tuple(awaited[:MAX_LISTED_AWAITED])
         return WaitingStatus(
-            show(definition.create_event(values)), int(end), listed, len(awaited) - len(listed)
+            format_brief(triggered_query.create_event(values)), int(end), listed, len(awaited) - len(listed)
         )
 
-    return _convert_first(knowledge.pending_queries.copy_all(), convert, limit)
+    return _read_first(knowledge.pending_queries.copy_all(), read_status, limit)
 
 
-def _count_transforms(transforms: Transforms) -> Optional[TransformStatus]:
+def _read_transforms(transforms: Transforms) -> Optional[TransformStatus]:
     buffer = transforms.buffer
     if not transforms.is_required:
         return None
     return TransformStatus(len(buffer), buffer.sample_count, buffer.refused)
 
 
-def _awaited_status(
-    instance: AwaitedSource, instant: int, show: Callable[[Term], str]
+def _read_awaited(
+    source: AwaitedSource, instant: int, format_brief: Callable[[Term], str]
 ) -> Optional[AwaitedMemory]:
     """Return the status of a memory or transform; None if it has reached the instant."""
     try:
-        if instance.has_reached(instant):
+        if source.has_reached(instant):
             return None
         return AwaitedMemory(
-            _name_awaited(instance, instant, show), int(instant), _compute_lag(instance, instant)
+            _format_awaited(source, instant, format_brief), int(instant), _compute_lag(source, instant)
         )
     except IndexError:
-        # The engine, which runs in another thread, has just cut the history of a frame.
-        return AwaitedMemory(show(instance.id), int(instant), None)
+        # The engine, which runs in another thread, has just cut the history of a frame. The frame and the lag are
+        # omitted.
+        return AwaitedMemory(format_brief(source.id), int(instant), None)
 
 
-def _name_awaited(instance: AwaitedSource, instant: int, show: Callable[[Term], str]) -> str:
+def _format_awaited(source: AwaitedSource, instant: int, format_brief: Callable[[Term], str]) -> str:
     """Return the id of a memory, or a transform with the frame that is behind."""
-    if not isinstance(instance, AwaitedTransform):
-        return show(instance.id)
-    frame = instance.blocking_frame(instant)
-    return f"{show(instance.id)}: {f'frame {frame[:80]}' if frame else 'not connected'}"
+    if not isinstance(source, AwaitedTransform):
+        return format_brief(source.id)
+    frame = source.blocking_frame(instant)
+    return f"{format_brief(source.id)}: {f'frame {frame[:80]}' if frame else 'not connected'}"
 
 
-def _compute_lag(instance: AwaitedSource, instant: int) -> Optional[int]:
-    newest = instance.latest_end
+def _compute_lag(source: AwaitedSource, instant: int) -> Optional[int]:
+    newest = source.latest_end
     return None if newest is None else max(0, int(instant) - newest)
 
 
-def _convert_first(
-    items: Sequence[_Item], convert: Callable[[_Item], _ItemStatus], limit: int
+def _read_first(
+    items: Sequence[_Item], read_status: Callable[[_Item], _ItemStatus], limit: int
 ) -> Tuple[Tuple[_ItemStatus, ...], int]:
     """Return the status of the first items, and the number of items that are not listed."""
     chosen = items[: max(0, limit)]
-    return tuple([convert(item) for item in chosen]), len(items) - len(chosen)
+    return tuple([read_status(item) for item in chosen]), len(items) - len(chosen)

@@ -112,7 +112,7 @@ def check_program(
     return _sort_findings([*collector.findings, *new_findings])
 
 
-def explain_missing_source(
+def explain_missing_events(
     engine: Engine, pattern: Term, definitions: Definitions, topics: Topics, direct: Iterable[TopicType]
 ) -> str:
     """Return the reason why events of a pattern will not occur, or "" if they may occur.
@@ -124,7 +124,7 @@ def explain_missing_source(
     return explain_missing_producer(program, pattern)
 
 
-def explain_unsendable(
+def explain_output_mismatch(
     subscription: CompoundTerm, topic: str, type_name: str, definitions: Definitions
 ) -> str:
     """Return the reason why no output of a subscription matches the message type of its topic.
@@ -150,7 +150,7 @@ def _sort_findings(findings: List[Finding]) -> List[Finding]:
     for finding in findings:
         file_positions.setdefault(_normalize_source(finding.problem.place), len(file_positions))
 
-    def position_key(finding: Finding) -> Tuple[int, int, int]:
+    def make_sort_key(finding: Finding) -> Tuple[int, int, int]:
         place = finding.problem.place
         return (
             (file_positions[_normalize_source(place)], 0, 0)
@@ -158,7 +158,7 @@ def _sort_findings(findings: List[Finding]) -> List[Finding]:
             else (file_positions[_normalize_source(place)], place.line, place.column)
         )
 
-    return sorted(findings, key=position_key)
+    return sorted(findings, key=make_sort_key)
 
 
 def _normalize_source(place: Optional[Place]) -> Optional[str]:

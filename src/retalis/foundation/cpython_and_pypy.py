@@ -101,9 +101,9 @@ else:
 
         release: Callable[[Any], None]
 
-        def __delitem__(self, where: Any) -> None:
-            removed = self[where]
-            super().__delitem__(where)
+        def __delitem__(self, index: Any) -> None:
+            removed = self[index]
+            super().__delitem__(index)
             # From the end, in the order in which CPython frees the items.
             while removed:
                 self.release(removed.pop())
@@ -168,12 +168,13 @@ class YoungCollector:
     def __init__(self, count_live_records: Callable[[], int]):
         self._count_live_records = count_live_records
         self._default_thresholds = gc.get_threshold()
-        self._full_due = False
+        self._is_full_collection_due = False
         self._blocks = 0
         self._records = 0
+        """Number of memory blocks and of live records after the last full collection, or when there were fewest."""
 
     @property
-    def _active(self) -> bool:
+    def _is_active(self) -> bool:
         return not PYPY and self._on_collection in gc.callbacks
 
     def start(self) -> None:
@@ -181,7 +182,7 @@ class YoungCollector:
         gc.collect()
         if PYPY:
             return
-        if not self._active:
+        if not self._is_active:
             self._default_thresholds = gc.get_threshold()
             gc.callbacks.append(self._on_collection)
         self._freeze_survivors()
@@ -191,7 +192,7 @@ class YoungCollector:
 
     def stop(self) -> None:
         """Restore the thresholds from before `start`, and unfreeze everything."""
-        if self._active:
+        if self._is_active:
             gc.callbacks.remove(self._on_collection)
             gc.set_threshold(*self._default_thresholds)
             gc.unfreeze()
@@ -204,19 +205,19 @@ class YoungCollector:
         Returns:
             True if a collection was run.
         """
-        due = self._active and self._has_grown(1.25, self.MAX_GARBAGE_BLOCKS_IDLE)
-        if due:
+        is_due = self._is_active and self._has_grown(1.25, self.MAX_GARBAGE_BLOCKS_IDLE)
+        if is_due:
             gc.unfreeze()
             gc.collect()
             self._freeze_survivors()
-        return due
+        return is_due
 
     def _freeze_survivors(self) -> None:
         gc.freeze()
-        self._full_due = False
+        self._is_full_collection_due = False
         self._blocks = sys.getallocatedblocks()
         self._records = self._count_live_records()
-        if self._active:
+        if self._is_active:
             gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, self.OLD_THRESHOLD)
 
     def _has_grown(self, factor: float, blocks: int) -> bool:
@@ -229,8 +230,8 @@ class YoungCollector:
         limit = factor * self._blocks + blocks
         if now <= limit:
             return False
-        more = max(0, self._count_live_records() - self._records)
-        return now - self.BLOCKS_PER_RECORD * more > limit
+        added_records = max(0, self._count_live_records() - self._records)
+        return now - self.BLOCKS_PER_RECORD * added_records > limit
 
     def _on_collection(self, phase: str, info: Dict[str, int]) -> None:
         """React to the end of a collection: freeze the survivors, or prepare a full collection.
@@ -242,11 +243,11 @@ class YoungCollector:
         # the second.
         if phase == "start" or info["generation"] == 0:
             return
-        if self._full_due:
+        if self._is_full_collection_due:
             if info["generation"] == 2:
                 self._freeze_survivors()
         elif self._has_grown(3, self.MAX_GARBAGE_BLOCKS):
-            self._full_due = True
+            self._is_full_collection_due = True
             gc.unfreeze()
             gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, 0)
         else:
@@ -263,9 +264,9 @@ def _count_records() -> int:
 _collector = YoungCollector(_count_records)
 
 
-def count_records_of(engine: "StatusReader") -> None:
-    """Treat the records of an engine as live heap, as long as the engine exists."""
-    _status_readers.add(engine)
+def count_records_of(status_reader: "StatusReader") -> None:
+    """Treat the records of an engine as live heap, as long as its status reader exists."""
+    _status_readers.add(status_reader)
 
 
 def limit_gc_pauses() -> None:

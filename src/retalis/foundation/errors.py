@@ -16,9 +16,9 @@ MAX_MESSAGE_CHARACTERS = 4000
 """Maximum length of an error message."""
 
 
-def beginning(text: str, most: int = MAX_SHOWN_CHARACTERS) -> str:
-    """Return a text, shortened to its first ``most`` characters."""
-    return text if len(text) <= most else f"{text[:most]}..."
+def beginning(text: str, limit: int = MAX_SHOWN_CHARACTERS) -> str:
+    """Return a text, shortened to its first ``limit`` characters."""
+    return text if len(text) <= limit else f"{text[:limit]}..."
 
 
 _FORGING_CHARACTERS = re.compile(
@@ -107,7 +107,7 @@ def place_on(source: str, line: int, text: str, start: int, offset: int) -> Plac
     end = text.find("\n", offset, offset + MAX_SHOWN_CHARACTERS)
     if end < 0:
         end = min(len(text), offset + MAX_SHOWN_CHARACTERS)
-    # Only a part of at most SHOWN characters around the offset is copied: a line may be as long as the file.
+    # Only a part of at most `MAX_SHOWN_CHARACTERS` around the offset is copied: a line may be as long as the file.
     before = max(0, min(offset - MAX_SHOWN_CHARACTERS // 2, end - MAX_SHOWN_CHARACTERS) - start)
     shown = text[start + before : min(end, start + before + MAX_SHOWN_CHARACTERS)]
     return Place(source, line, offset - start + 1, shown, before)

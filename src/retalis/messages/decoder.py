@@ -50,9 +50,9 @@ from .type_definition import (
     Definition,
     Field,
     check_empty_elements,
+    describe_mismatch,
     element_size,
     measure_of,
-    mismatch_text,
 )
 
 MAX_EAGER_BYTES = 1024
@@ -89,7 +89,7 @@ CACHE_BYTES_PER_CHARACTER = 5
 """Bytes of memory per byte of a cached string: one in the key, and up to four per character in the atom."""
 
 
-def text_cache() -> "Cache[bytes, _Value]":
+def create_text_cache() -> "Cache[bytes, _Value]":
     """Return a bounded cache of values by the bytes of strings.
 
     Only short strings are worth caching: frame names repeat, while long strings usually differ.
@@ -97,7 +97,8 @@ def text_cache() -> "Cache[bytes, _Value]":
     return Cache(2048, 1 << 20, 1024)
 
 
-cached_texts: Cache[bytes, Term] = text_cache()
+cached_texts: Cache[bytes, Term] = create_text_cache()
+"""Terms of short strings, by their bytes."""
 
 
 def cache_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value:
@@ -106,7 +107,7 @@ def cache_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value
 
 
 def read_text(data: bytes, start: int, stop: int) -> Term:
-    """Return the string at a position of a message, after generated code has missed it in the cache."""
+    """Return the string between two offsets of a message, which is not in the cache, and cache it."""
     raw = data[start:stop]
     # A slice beyond the end of the message is shorter than the length field says.
     if len(raw) != stop - start:
@@ -114,42 +115,43 @@ def read_text(data: bytes, start: int, stop: int) -> Term:
     return cache_text(cached_texts, raw, text_term(raw))
 
 
-def read_texts(key: bytes, number: int) -> Optional[Tuple[Term, ...]]:
+def read_texts(key: bytes, count: int) -> Optional[Tuple[Term, ...]]:
     """Return the strings that fill ``key``, each preceded by its length; None if they do not fill it exactly."""
     terms: List[Term] = []
     offset = 0
-    for _ in range(number):
+    for _ in range(count):
         size = int.from_bytes(key[offset : offset + 4], "little")
         raw = key[offset + 4 : offset + 4 + size]
-        # The counts do not fit the key, so the message does not have the assumed layout.
+        # The lengths do not fit the key, so the message does not have the assumed layout.
         if len(raw) != size:
             return None
         terms.append(text_term(raw))
         offset += 4 + size
-    return tuple(terms) if offset == len(key) and number else None
+    return tuple(terms) if offset == len(key) and count else None
 
 
-def number_decoder(slot: Field) -> Optional[ArrayDecoder]:
+def find_number_decoder(slot: Field) -> Optional[ArrayDecoder]:
     """Return the decoder of the array terms that have the bytes of a slot; None if its elements are no numbers."""
     if slot.definition is not None or slot.type == "bool" or slot.type not in PRIMITIVES:
         return None
     return decoder_of_code(PRIMITIVES[slot.type])
 
 
-MakeList = Callable[[bytes], Term]
+ArrayDecode = Callable[[bytes], Term]
+"""Function from the bytes of an array's elements to their list."""
 
 
 def repeated_list(element: Term, count: int) -> Term:
-    """Return the list of ``number`` elements that are the same term."""
+    """Return a list of ``count`` elements that are the same term."""
     term: Term = NIL
     for _ in range(count):
         term = (CONS, element, term)
     return term
 
 
-def record_maker(
+def compile_array_decoder(
     title: str, layout: Struct, targets: List[str], element: str, names: Dict[str, object]
-) -> MakeList:
+) -> ArrayDecode:
     """Return the function that decodes an array of elements of equal size into a list.
 
     Args:
@@ -167,11 +169,11 @@ def record_maker(
         "  return term",
     ]
     namespace = {**names, "unpack": layout.iter_unpack}
-    make: MakeList = codegen.function(lines, namespace, f"decode {title}", "make")
-    return make
+    decode: ArrayDecode = codegen.function(lines, namespace, f"decode {title}", "make")
+    return decode
 
 
-def variable_array(
+def make_variable_array_decoder(
     element: Callable[[bytes, int], Tuple[Term, int]], min_size: int
 ) -> Callable[[bytes, int, int], Tuple[Term, int]]:
     """Return the function that decodes an array of elements that differ in size.
@@ -263,6 +265,7 @@ class DecoderGenerator:
         if slot.type == "string":
             return self.read_string()
         if slot.type in TIMES:
+            # Both parts of a time have the same code.
             code = TIMES[slot.type][0]
             return f"(C, {self.add_to_run(code)}, (C, {self.add_to_run(code)}, N))"
         value = self.add_to_run(PRIMITIVES[slot.type])
@@ -287,7 +290,7 @@ class DecoderGenerator:
         value = self.add_to_run(f"{count * size}s")
         # The functor of a list is known before its elements are, so that patterns can reject the term without
         # decoding it.
-        return f"Lazy(C, {self.new_name('make', _array_decoder(slot))}, {value})"
+        return f"Lazy(C, {self.new_name('make', _find_array_decoder(slot))}, {value})"
 
     def read_variable_array(self, slot: Field) -> str:
         """Return the expression of an array whose length precedes its elements."""
@@ -301,7 +304,7 @@ class DecoderGenerator:
         if not size:
             return self.read_repeated_list(slot, count)
         value = self.new_name("t")
-        make = self.new_name("make", _array_decoder(slot))
+        make = self.new_name("make", _find_array_decoder(slot))
         # The count is not compared with the message's size here: slices beyond the end are empty, and the final
         # comparison of offset and length fails.
         self.advance(f"{count} * {size}")
@@ -321,7 +324,7 @@ class DecoderGenerator:
     def read_elements(self, slot: Field, count: str) -> str:
         """Return the expression of an array whose elements differ in size."""
         self.end_run()
-        read = self.new_name("read", variable_array(*_compile_element(slot)))
+        read = self.new_name("read", make_variable_array_decoder(*_compile_element(slot)))
         value = self.new_name("t")
         self.lines.append(f"{value}, o = {read}(data, {self.run_offset()}, {count})")
         # The end of the array is only known when the generated code runs: offsets restart at the variable `o`.
@@ -395,11 +398,11 @@ def _compile_records(slot: Field) -> Callable[[bytes], Term]:
     result = generator.read_value(slot._replace(length=None))
     # All elements have the same layout, so the run is never ended and its format covers a whole element.
     layout = Struct("<" + generator.run_format)
-    return record_maker(slot.describe(), layout, generator.run_variables, result, generator.globals)
+    return compile_array_decoder(slot.describe(), layout, generator.run_variables, result, generator.globals)
 
 
-def _array_decoder(slot: Field) -> Callable[[bytes], Term]:
-    return number_decoder(slot) or _compile_records(slot)
+def _find_array_decoder(slot: Field) -> Callable[[bytes], Term]:
+    return find_number_decoder(slot) or _compile_records(slot)
 
 
 CACHED_VALUE_BYTES = 400
@@ -411,7 +414,7 @@ class UnsupportedLayout(Exception):
 
 
 class StampWatch(NamedTuple):
-    """Observer of the stamps of messages, called while a message is decoded.
+    """Observer of the stamps of messages, which is called while a message is decoded.
 
     The cache of frame names is looked up for every message anyway, so comparing the second of the stamp there costs
     almost nothing.
@@ -452,7 +455,9 @@ class FrameDecoderGenerator(DecoderGenerator):
         super().__init__()
         self.watch = watch
         self.string_variables: List[str] = []
-        self.leading_numbers: Tuple[str, List[str]] = ("", [])
+        self.leading_format = ""
+        """`struct` codes of the numbers before the strings."""
+        self.leading_variables: List[str] = []
         self.element_count: Optional[str] = None
         self.cached_variables: List[str] = []
         """Variables of values that are cached beside the strings of a message; None until they are first computed."""
@@ -463,7 +468,7 @@ class FrameDecoderGenerator(DecoderGenerator):
         if self.string_variables and self.run_format:
             raise UnsupportedLayout
         if not self.string_variables:
-            self.leading_numbers = self.run_format, self.run_variables
+            self.leading_format, self.leading_variables = self.run_format, self.run_variables
             self.run_format, self.run_variables = "", []
         self.string_variables.append(self.new_name("t"))
         return self.string_variables[-1]
@@ -499,15 +504,15 @@ class FrameDecoderGenerator(DecoderGenerator):
         if definition.measure.may_have_empty_elements:
             raise UnsupportedLayout
         result = self.read_message(definition)
-        head, tail = Struct("<" + self.leading_numbers[0]), Struct("<" + self.run_format)
+        head, tail = Struct("<" + self.leading_format), Struct("<" + self.run_format)
         if not self.string_variables or not (head.size or tail.size):
             raise UnsupportedLayout
         result = self.finish_expression(result)
         self.globals.update(head=head.unpack_from, tail=tail.unpack_from, fallback=fallback)
         self._cache_texts()
         lines = ["def decode(data):", "  try:"]
-        if self.leading_numbers[1]:
-            lines.append(f"    {', '.join(self.leading_numbers[1])}, = head(data)")
+        if self.leading_variables:
+            lines.append(f"    {', '.join(self.leading_variables)}, = head(data)")
         if self.element_count:
             # Checked before the lookup: with another count, the key would contain the elements' numbers and fill the
             # cache.
@@ -543,32 +548,31 @@ class FrameDecoderGenerator(DecoderGenerator):
         """
         # The seconds follow ``seq``, and the array's count if there is an array.
         second_index = 2 if self.element_count else 1
-        code, targets = self.leading_numbers
         integers = "I" * (second_index + 2)
-        if len(self.string_variables) != watch.string_count or not code.startswith(integers):
+        if len(self.string_variables) != watch.string_count or not self.leading_format.startswith(integers):
             raise UnsupportedLayout
-        get_state, notify = watch.get_state, watch.observe
+        get_state, call_observer = watch.get_state, watch.observe
 
         def observe(key: bytes, second: int, nanosecond: int, entry: List[object]) -> None:
             """Call the observer, and cache the state of the frames beside the strings."""
             state = get_state(key)
             try:
                 if state is None or state.second != second:
-                    notify(key, second * SECOND + nanosecond)
+                    call_observer(key, second * SECOND + nanosecond)
                     state = get_state(key)
             finally:
                 # Also after an exception: the entry must not refer to a state that the observer has dropped.
                 entry[-1] = state or _UNKNOWN_STAMP
 
         self.globals["observe"] = observe
-        second, nanosecond = targets[second_index : second_index + 2]
+        second, nanosecond = self.leading_variables[second_index : second_index + 2]
         return [f"  if f.second != {second}: observe(key, {second}, {nanosecond}, k)"]
 
     def _cache_texts(self) -> None:
         """Define ``known`` and ``learn``, which return the strings of a message by the bytes that they occupy."""
         cached_bytes = CACHED_VALUE_BYTES * len(self.cached_variables)
         cache: Cache[bytes, object] = (
-            Cache(2048, 2 << 20, 1024 + cached_bytes) if cached_bytes else text_cache()
+            Cache(2048, 2 << 20, 1024 + cached_bytes) if cached_bytes else create_text_cache()
         )
         string_count = len(self.string_variables)
         cached_value, has_watch = self.to_cached_value, self.watch is not None
@@ -639,7 +643,7 @@ class Decoder:
         self.functor = functor(definition.functor_name, len(definition.fields))
         self.decode: Decode = _compile_decode(definition, bare)
         self.stamp: Callable[[bytes], Optional[int]] = _compile_stamp(definition)
-        # Set by `watching_decoder` on a copy.
+        # Set by `make_watching_decoder`, on a copy.
         self.watch: Optional[StampWatch] = None
         self.plain: Optional[Decoder] = None
 
@@ -659,7 +663,7 @@ class Decoder:
         return Lazy(self.functor, self.decode, data)
 
 
-def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
+def make_watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
     """Return a decoder that passes the stamps of the messages that it decodes to an observer.
 
     Raises:
@@ -672,11 +676,11 @@ def watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
         return decode(data)
 
     # The original decoder stays as it is: it is shared by all subscribers to topics of this type.
-    watching = copy(decoder)
-    watching.decode = _compile_frame_decoder(decoder.definition, fallback, watch)
-    watching.watch = watch
-    watching.plain = decoder
-    return watching
+    observed_decoder = copy(decoder)
+    observed_decoder.decode = _compile_frame_decoder(decoder.definition, fallback, watch)
+    observed_decoder.watch = watch
+    observed_decoder.plain = decoder
+    return observed_decoder
 
 
 def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
@@ -684,7 +688,7 @@ def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
     generator.run_base = "0"
     result = generator.read_message(definition)
     generator.end_run()
-    generator.globals["raise_mismatch"] = _error_function(definition)
+    generator.globals["raise_mismatch"] = _make_mismatch_function(definition)
     lines = ["def decode(data):", "  try:", *("    " + line for line in generator.lines)]
     lines += [
         # Trailing bytes are an error as well: they mean that the publisher uses another version of the type.
@@ -723,9 +727,9 @@ def _with_element_limit(definition: Definition, max_empty_elements: int, decode:
     return decode_checked
 
 
-def _error_function(definition: Definition) -> Callable[[bytes], None]:
+def _make_mismatch_function(definition: Definition) -> Callable[[bytes], None]:
     def raise_mismatch(data: bytes) -> None:
-        raise MessageError(mismatch_text(definition, data))
+        raise MessageError(describe_mismatch(definition, data))
 
     return raise_mismatch
 
@@ -735,7 +739,7 @@ def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
     if first is None or first.type != HEADER or first.length is not None or first.name != "header":
         return _no_stamp
     unpack = Struct("<II").unpack_from
-    raise_mismatch = _error_function(definition)
+    raise_mismatch = _make_mismatch_function(definition)
 
     def read_stamp(data: bytes) -> Optional[int]:
         try:

@@ -20,7 +20,7 @@ from ..foundation.errors import MessageError
 from ..prolog.terms.array_terms import MAX_EAGER_ELEMENTS
 from ..prolog.terms.byte_texts import text_bytes
 from ..prolog.terms.types import CONS, FALSE, NIL, TRUE, ArrayDecoder, Atom, Lazy, Term, atom, functor
-from .decoder import number_decoder, raw_bytes
+from .decoder import find_number_decoder, raw_bytes
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field
 from .validating_encoder import ValidatingEncoder
 
@@ -132,7 +132,7 @@ class _EncoderGenerator:
             for item in self.unpack_list(value, slot.length):
                 self.add_value(slot, item)
         else:
-            self.add_expression(f"{self.new_name('array', _array_packer(slot))}({value})")
+            self.add_expression(f"{self.new_name('array', _compile_array_packer(slot))}({value})")
 
     def add_value(self, slot: Field, value: str) -> None:
         """Add a single value of a slot's type."""
@@ -142,12 +142,13 @@ class _EncoderGenerator:
             # A cached string is at least the four bytes of its length, so a false value means a miss.
             self.add_expression(f"(packed({value}) or serialize({value}))")
         elif slot.type in TIMES:
+            # Both parts of a time have the same code.
             for item in self.unpack_list(value, 2):
-                self.add_fixed(TIMES[slot.type][0], item)
+                self.add_to_run(TIMES[slot.type][0], item)
         elif slot.type == "bool":
-            self.add_fixed("?", f"bools[{value}]")
+            self.add_to_run("?", f"bools[{value}]")
         else:
-            self.add_fixed(PRIMITIVES[slot.type], value)
+            self.add_to_run(PRIMITIVES[slot.type], value)
 
     def unpack_list(self, value: str, count: int) -> List[str]:
         """Unpack a list of a known length; return the variables of its items."""
@@ -174,7 +175,7 @@ class _EncoderGenerator:
         self.checks.append(f"len({encoded_bytes}) != {slot.length}")
         self.add_expression(encoded_bytes)
 
-    def add_fixed(self, code: str, value: str) -> None:
+    def add_to_run(self, code: str, value: str) -> None:
         """Add a value to the run, by its `struct` code."""
         self.run_format += code
         self.run_values.append(value)
@@ -191,18 +192,18 @@ class _EncoderGenerator:
         self.end_run()
         self.chunks.append(source)
 
-    def result_expression(self) -> str:
+    def make_result_expression(self) -> str:
         """Return the expression of the message's bytes."""
         self.end_run()
         if len(self.chunks) == 1:
             return self.chunks[0]
         return f"join(({', '.join(self.chunks)}))" if self.chunks else "b''"
 
-    def statements(self) -> List[str]:
+    def generate_statements(self) -> List[str]:
         """Return the statements of the function."""
         # All conditions are tested in one statement after unpacking. If one of them is true, the validating encoder
         # encodes the term.
-        result = self.result_expression()
+        result = self.make_result_expression()
         type_check = [f"if {' or '.join(self.checks)}: raise UnusualForm"] if self.checks else []
         return [*self.lines, *type_check, f"return {result}"]
 
@@ -210,7 +211,11 @@ class _EncoderGenerator:
 def _compile_encoder(definition: Definition) -> Callable[..., bytes]:
     generator = _EncoderGenerator()
     generator.add_message(definition, "term")
-    lines = ["def encode(term, topic=''):", "  try:", *("    " + line for line in generator.statements())]
+    lines = [
+        "def encode(term, topic=''):",
+        "  try:",
+        *("    " + line for line in generator.generate_statements()),
+    ]
     lines += ["  except errors:", "    return validate(term, topic)"]
     generator.globals["validate"] = ValidatingEncoder(definition).encode
     encode: Callable[..., bytes] = codegen.function(
@@ -219,14 +224,14 @@ def _compile_encoder(definition: Definition) -> Callable[..., bytes]:
     return encode
 
 
-def _array_packer(slot: Field) -> Callable[[Term], bytes]:
+def _compile_array_packer(slot: Field) -> Callable[[Term], bytes]:
     """Return the function that packs an array's list, preceded by its length if that is variable."""
-    decoder = number_decoder(slot)
+    decoder = find_number_decoder(slot)
     if decoder is not None:
-        return _number_packer(slot, decoder)
+        return _make_number_packer(slot, decoder)
     generator = _EncoderGenerator()
     generator.add_value(slot._replace(length=None), "term")
-    lines = ["def encode(term):", *("  " + line for line in generator.statements())]
+    lines = ["def encode(term):", *("  " + line for line in generator.generate_statements())]
     element = codegen.function(lines, generator.globals, f"encode element {slot.type}", "encode")
     length = slot.length
 
@@ -242,13 +247,13 @@ def _array_packer(slot: Field) -> Callable[[Term], bytes]:
     return encode
 
 
-def _number_packer(slot: Field, decoder: ArrayDecoder) -> Callable[[Term], bytes]:
+def _make_number_packer(slot: Field, decoder: ArrayDecoder) -> Callable[[Term], bytes]:
     code, length = PRIMITIVES[slot.type], slot.length
     size = Struct("<" + code).size
 
     def encode(term: Term) -> bytes:
-        # An array term has the bytes of the numbers, which are copied. The same decoder means that
-        # the elements have the same type.
+        # An array term has the bytes of the numbers, which are copied. The same decoder means that the elements have
+        # the same type.
         if term.__class__ is Lazy and term.decoder is decoder:
             encoded_bytes = bytes(term.source)
             count = len(encoded_bytes) // size

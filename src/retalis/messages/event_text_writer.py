@@ -23,9 +23,10 @@ _VALUE_DELIMITER = "\0"
 
 
 _MAX_CACHED_FLOATS = 8
-"""Longer sequences of floats are not cached."""
+"""Maximum length of a sequence of floats whose text is cached."""
 
 _WHOLE_MANTISSA = re.compile(r"(^|,)(-?[0-9]+)e")
+"""A float with an exponent and without a decimal point."""
 
 
 def _with_decimal_points(text: str) -> str:
@@ -33,7 +34,7 @@ def _with_decimal_points(text: str) -> str:
     return _WHOLE_MANTISSA.sub(r"\1\2.0e", text)
 
 
-def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
+def make_text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     """Return the function from the bytes of a message to the text of its event term.
 
     Types that `FrameDecoderGenerator` does not support are decoded, and the term is written. The function raises
@@ -54,7 +55,7 @@ def text_writer(decoder: Decoder) -> Callable[[bytes], str]:
     return write
 
 
-def text_without(decoder: Decoder, data: bytes, positions: AbstractSet[int], marker: Term) -> str:
+def write_without_unread(decoder: Decoder, data: bytes, positions: AbstractSet[int], marker: Term) -> str:
     """Return the text of a message in which long values of unread slots are replaced by a marker.
 
     Args:
@@ -115,9 +116,9 @@ class _Floats(NamedTuple):
             f'if "e" in {self.text}: {self.text} = points({self.text})',
         ]
         if not self.cache_variable:
-            # Offsets after the strings are counted from the end, because the strings' length varies.
             return [f"  {line}" for line in format_lines]
         cached = self.cache_variable
+        # Offsets after the strings are counted from the end, because the strings' length varies.
         start, end = (
             (self.start - tail_size, self.end - tail_size) if self.follows_strings else (self.start, self.end)
         )
@@ -147,13 +148,13 @@ class _TextGenerator(FrameDecoderGenerator):
         for is_float, group in groupby(definition.fields, _is_float):
             slots = list(group)
             if is_float:
-                slot_texts.append(self._float_text([PRIMITIVES[slot.type] for slot in slots]))
+                slot_texts.append(self._add_floats([PRIMITIVES[slot.type] for slot in slots]))
             else:
                 slot_texts += map(self.read_slot, slots)
         return f"{name}({','.join(slot_texts)})" if slot_texts else name
 
-    def _float_text(self, codes: List[str]) -> str:
-        """Return the source of the text of consecutive floats."""
+    def _add_floats(self, codes: List[str]) -> str:
+        """Add consecutive floats, by their `struct` codes; return the source of their text."""
         start = calcsize("<" + self.run_format)
         values = [self.add_to_run(code) for code in codes]
         # Comparing bytes costs as much as formatting one float. Long sequences rarely stay unchanged as a whole.
@@ -189,7 +190,7 @@ class _TextGenerator(FrameDecoderGenerator):
         # A boolean is written as an atom, and characters are bytes: neither is the value's own text.
         if code in "?c":
             raise UnsupportedLayout
-        return self._float_text([code]) if code in "fd" else _delimit(self.add_to_run(code))
+        return self._add_floats([code]) if code in "fd" else _delimit(self.add_to_run(code))
 
     def read_fixed_array(self, slot: Field) -> str:
         length = slot.length or 0
@@ -197,7 +198,7 @@ class _TextGenerator(FrameDecoderGenerator):
             raise UnsupportedLayout
         element = slot._replace(length=None)
         if _is_float(element):
-            return f"[{self._float_text([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
+            return f"[{self._add_floats([PRIMITIVES[slot.type]] * length)}]" if length else "[]"
         return f"[{','.join(self.read_value(element) for _ in range(length))}]"
 
     def format_single_element_list(self, element: str) -> str:

@@ -14,8 +14,8 @@ from struct import error as StructError
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..prolog.terms.timestamps import SECOND
-from .decoder import Decoder, StampWatch, UnsupportedLayout, watching_decoder
-from .type_definition import HEADER, VARIABLE_LENGTH, Definition, Field, element_end
+from .decoder import Decoder, StampWatch, UnsupportedLayout, make_watching_decoder
+from .type_definition import HEADER, VARIABLE_LENGTH, Definition, Field, find_slot_end
 
 FrameStamp = Tuple[bytes, int]
 """Bytes that identify a frame, and a time in nanoseconds."""
@@ -92,7 +92,7 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], observe
 
     try:
         watch = StampWatch(_count_frame_strings(definition), get_state, observe, observe_single)
-        return watching_decoder(decoder, watch)
+        return make_watching_decoder(decoder, watch)
     except UnsupportedLayout:
         pass
 
@@ -223,7 +223,7 @@ def _collect_stamps(data: bytes, fields: List[_StampedField], stamps: List[Frame
     offset = 0
     for field, suffix, has_child, trailing_bytes in fields:
         if has_child is None:
-            offset = element_end(data, field, offset)
+            offset = find_slot_end(data, field, offset)
             continue
         count = 1 if field.length is None else field.length
         if count == VARIABLE_LENGTH:
@@ -243,4 +243,4 @@ def _collect_stamps(data: bytes, fields: List[_StampedField], stamps: List[Frame
             elif trailing_bytes is not None:
                 offset = end + trailing_bytes
             else:
-                offset = element_end(data, field._replace(length=None), offset)
+                offset = find_slot_end(data, field._replace(length=None), offset)

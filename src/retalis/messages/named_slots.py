@@ -1,7 +1,7 @@
 """Message slots by name, near misses of message names, and templates of messages.
 
 Programs may write a message with named slots (``T{a: X}``). `SlotNames` supplies the slots of the type and their
-default values. If the name is not a message, it suggests the messages that the name is another notation of
+default values. If the name is not a message, it suggests the messages that the name is another spelling of
 (``Temperature``, ``sensor_msgs/Temperature``, ``sensor_msgs_Temperature``) or that are spelt like it.
 
 `format_positional`, `format_with_names` and `format_with_zeros` print a type as a term that can be pasted into a
@@ -9,7 +9,7 @@ program.
 """
 
 from difflib import get_close_matches
-from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, UsageError, counted
@@ -38,12 +38,15 @@ SENSOR_PREDICATES = {
 }
 """Predicates whose first argument is a message, by its type."""
 
+_MIN_SIMILARITY = 0.75
+"""Minimum similarity of a suggested name, from 0 to 1, as `difflib` measures it."""
+
 _MAX_NAME_CHARACTERS = 200
 """Names longer than this are not compared with similar names."""
 
 
-class TypeNotations:
-    """Index of message names by their lower-case letters and digits, which are equal for all spellings of a name.
+class TypeSpellings:
+    """Index of message names by their lower-case normalized and digits, which are equal for all spellings of a name.
 
     Args:
         names: pairs of a message's name in programs and its type (or the name again).
@@ -54,21 +57,23 @@ class TypeNotations:
         # `difflib` is slow, so candidates are restricted to names with the same first letter.
         self._by_first_letter: Dict[str, List[str]] = {}
         for name, message_type in names:
-            for letters in dict.fromkeys(map(_normalize, (message_type, message_type.rpartition("/")[2]))):
-                self._names.setdefault(letters, []).append(name)
-        for letters in self._names:
-            self._by_first_letter.setdefault(letters[:1], []).append(letters)
+            for normalized in dict.fromkeys(map(_normalize, (message_type, message_type.rpartition("/")[2]))):
+                self._names.setdefault(normalized, []).append(name)
+        for normalized in self._names:
+            self._by_first_letter.setdefault(normalized[:1], []).append(normalized)
 
-    def other_notations(self, name: str) -> List[str]:
-        """Return the names of the messages that ``name`` is another notation of."""
+    def find_other_spellings(self, name: str) -> List[str]:
+        """Return the names of the messages that ``name`` is another spelling of."""
         return self._names.get(_normalize(name.replace("__0__", "/")), [])
 
     def find_similar(self, name: str) -> List[str]:
         """Return the names of the message whose spelling is closest to ``name`` and begins with the same letter."""
         if len(name) > _MAX_NAME_CHARACTERS:
             return []
-        letters = _normalize(name)
-        matches = get_close_matches(letters, self._by_first_letter.get(letters[:1], ()), 1, 0.75)
+        normalized = _normalize(name)
+        matches = get_close_matches(
+            normalized, self._by_first_letter.get(normalized[:1], ()), 1, _MIN_SIMILARITY
+        )
         return self._names[matches[0]] if matches else []
 
 
@@ -76,10 +81,10 @@ def _normalize(name: str) -> str:
     return "".join(filter(str.isalnum, name)).lower()
 
 
-MAX_ZERO_BYTES = 1 << 20
-"""Maximum size in bytes of a message with default values, for types whose slots are written by name.
+MAX_DEFAULT_MESSAGE_BYTES = 1 << 20
+"""Maximum size in bytes of a message with default values.
 
-Each omitted slot is filled with a default value.
+Messages of types above it cannot be written with named slots, because each omitted slot gets its default value.
 """
 
 
@@ -98,7 +103,7 @@ class SlotNames:
         self._definitions = definitions
         self.events: Dict[str, str] = {}
         self.notations: Cache[MessageNotation, bool] = Cache(1000, 1 << 20)
-        self._installed: Optional[TypeNotations] = None
+        self._installed: Optional[TypeSpellings] = None
 
     @property
     def definitions(self) -> Definitions:
@@ -130,41 +135,46 @@ class SlotNames:
                 "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: a definition that publishers "
                 "send arrives too late"
             ) from error
-        # Each omitted slot gets its zero value in the term, which must stay small.
-        if definition.measure.min_size > MAX_ZERO_BYTES:
+        if definition.measure.min_size > MAX_DEFAULT_MESSAGE_BYTES:
             raise UsageError(
                 f"messages of {message_type} have {counted(definition.measure.min_size, 'byte')} at least: "
                 "write all slots in their order"
             )
-        return self._slots(definition)
+        return self._make_slots(definition)
 
     def suggest(self, name: str) -> MessageSuggestions:
         """Return suggestions for a name that is not a message."""
         if self._installed is None:
-            self._installed = TypeNotations(
-                (functor_name(notation), notation) for notation in self.definitions.installed()
+            self._installed = TypeSpellings(
+                (functor_name(message_type), message_type) for message_type in self.definitions.installed()
             )
-        declared = TypeNotations((event, event) for event in self.events)
-        added = TypeNotations((functor_name(notation), notation) for notation in self.definitions.added())
+        declared = TypeSpellings((event, event) for event in self.events)
+        added = TypeSpellings(
+            (functor_name(message_type), message_type) for message_type in self.definitions.added()
+        )
         # Names that the program declares come first: they are most likely meant.
-        notations = (declared, added, self._installed)
-        same_message = [match for notation in notations for match in notation.other_notations(name)]
+        indexes = (declared, added, self._installed)
+        same_message = [match for index in indexes for match in index.find_other_spellings(name)]
         if same_message:
             return MessageSuggestions(tuple(dict.fromkeys(same_message)), True)
-        similar_names = [match for notation in notations for match in notation.find_similar(name)]
+        similar_names = [match for index in indexes for match in index.find_similar(name)]
         return MessageSuggestions(tuple(dict.fromkeys(similar_names)))
 
-    def _slots(self, definition: Definition) -> List[MessageSlot]:
+    def _make_slots(self, definition: Definition) -> List[MessageSlot]:
+        """Return the slots of a type with their default values."""
         # A message of zero bytes contains the default value of every slot. It is copied, because terms of a program
         # must not be lazy: they would refer to functions of the decoder.
-        zero = copy(self.definitions.decoder(definition).decode(bytes(definition.measure.min_size)))
-        return [_slot(slot, zero[position]) for position, slot in enumerate(definition.fields, 1)]  # type: ignore[index]
+        data = bytes(definition.measure.min_size)
+        default_message: Any = copy(self.definitions.decoder(definition).decode(data))
+        return [
+            _make_slot(slot, default_message[position]) for position, slot in enumerate(definition.fields, 1)
+        ]
 
 
-def _slot(slot: Field, zero: object) -> MessageSlot:
+def _make_slot(slot: Field, default: object) -> MessageSlot:
     message = "" if slot.definition is None else functor_name(slot.type)
     is_float = slot.type in ("float32", "float64")
-    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, zero, is_float)  # type: ignore[arg-type]
+    return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, default, is_float)  # type: ignore[arg-type]
 
 
 _INDENT = "    "
@@ -226,12 +236,12 @@ class _Template:
 
     def format_type(self, definition: Definition) -> str:
         """Return the term of a type, with those of the elements of arrays and the constants as comments."""
-        lines = list(self.format_message(definition, "", "", [], _size_text(definition.measure)))
+        lines = list(self.format_message(definition, "", "", [], _format_size(definition.measure)))
         template_lines = _align_comments(lines)
-        elements = _element_types(definition)
+        elements = _find_element_types(definition)
         for element_type in elements.values():
             template_lines += ["", f"% {element_type.name}, an element:"]
-            size = _size_text(element_type.measure)
+            size = _format_size(element_type.measure)
             element_lines = list(
                 _Template(self.uses_slot_names).format_message(element_type, "", "", [], size)
             )
@@ -240,11 +250,11 @@ class _Template:
             if element_type.constants:
                 template_lines += ["", f"% constants of {element_type.name}:"]
                 texts = [
-                    f"{constant.name} = {_one_line(constant.text)} ({constant.type})"
+                    f"{constant.name} = {_format_one_line(constant.text)} ({constant.type})"
                     for constant in element_type.constants
                 ]
                 template_lines += [f"%   {text}" for text in texts]
-        return "\n".join(template_lines + _predicate_lines(definition)) + "\n"
+        return "\n".join(template_lines + _make_predicate_comments(definition)) + "\n"
 
     def format_message(
         self,
@@ -283,8 +293,8 @@ class _Template:
         self, slot: Field, indent: str, outer_names: List[str], comma: str
     ) -> Iterator[_TemplateLine]:
         """Yield the lines of a slot; ``comma`` is the text after it."""
-        prefix = f"{_slot_name(slot.name)}: " if self.uses_slot_names else ""
-        comment = f"{slot.describe()}, {_slot_size_text(slot)}"
+        prefix = f"{_quote_slot_name(slot.name)}: " if self.uses_slot_names else ""
+        comment = f"{slot.describe()}, {_format_slot_size(slot)}"
         if not self.uses_slot_names:
             comment = f"{slot.name}: {comment}"
         if slot.definition is not None and slot.length is None:
@@ -316,13 +326,13 @@ class _Template:
         return variable
 
 
-def _size_text(measure: Measure) -> str:
+def _format_size(measure: Measure) -> str:
     """Return the size of a message: ``8 bytes`` if it is fixed, or the minimum: ``8 bytes or more``."""
     size = counted(measure.min_size, "byte")
     return size if measure.is_fixed_size else f"{size} or more"
 
 
-def _slot_size_text(slot: Field) -> str:
+def _format_slot_size(slot: Field) -> str:
     """Return the serialized size of a slot: fixed, or the minimum and that of each element."""
     element = measure_of(slot)
     if slot.length == VARIABLE_LENGTH:
@@ -330,23 +340,23 @@ def _slot_size_text(slot: Field) -> str:
         return f"4 bytes + {element_size} per element"
     if slot.length is None and slot.type == "string":
         return "4 bytes + text"
-    return _size_text(measure_of_slots([slot]))
+    return _format_size(measure_of_slots([slot]))
 
 
 def _capitalize(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 
-def _slot_name(name: str) -> str:
+def _quote_slot_name(name: str) -> str:
     return to_text(atom(name))
 
 
-def _one_line(text: str) -> str:
+def _format_one_line(text: str) -> str:
     """Return the text of a constant in a form that fits into a comment of one line."""
     return text if text.isprintable() else ascii(text)
 
 
-def _element_types(definition: Definition) -> Dict[str, Definition]:
+def _find_element_types(definition: Definition) -> Dict[str, Definition]:
     """Return the message types of array elements, each once."""
     types: Dict[str, Definition] = {}
     pending: List[Optional[Definition]] = [definition]
@@ -360,9 +370,9 @@ def _element_types(definition: Definition) -> Dict[str, Definition]:
     return types
 
 
-def _predicate_lines(definition: Definition) -> List[str]:
+def _make_predicate_comments(definition: Definition) -> List[str]:
     """Return comments that name the predicates for the arrays of numbers in a message, and for the message."""
-    arrays = list(_number_arrays(definition, ""))
+    arrays = list(_find_number_arrays(definition, ""))
     lines = []
     if arrays:
         lines += ["", f"% for array_min/2, array_percentile/3 and others: {', '.join(arrays)}"]
@@ -372,13 +382,13 @@ def _predicate_lines(definition: Definition) -> List[str]:
     return lines
 
 
-def _number_arrays(definition: Definition, prefix: str) -> Iterator[str]:
+def _find_number_arrays(definition: Definition, prefix: str) -> Iterator[str]:
     """Yield the names of the arrays of numbers of a message and of the messages in it."""
     for slot in definition.fields:
         name = f"{prefix}{slot.name}"
         if slot.definition is not None:
             if slot.length is None:
-                yield from _number_arrays(slot.definition, f"{name}.")
+                yield from _find_number_arrays(slot.definition, f"{name}.")
         elif slot.length is not None and slot.type not in (*TIMES, "bool", "string"):
             yield name
 

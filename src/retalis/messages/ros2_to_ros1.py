@@ -37,9 +37,9 @@ from .type_definition import (
     VARIABLE_LENGTH,
     Definition,
     Field,
-    constant_value,
     lines_with_offsets,
     measure_of,
+    parse_constant,
     split_sections,
 )
 from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, InstalledTypes
@@ -126,6 +126,7 @@ class _Ros2Section(NamedTuple):
 
 
 def _split_by_type(name: str, text: str) -> Dict[str, str]:
+    """Return the definitions in a concatenated text by their types, ``pkg/Type``."""
     return {ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()}
 
 
@@ -173,8 +174,8 @@ class _Ros2DefinitionReader:
         self.wide_slots: List[str] = []
         self.slot_types: List[str] = []
         self.by_short_name: Dict[str, List[str]] = {}
-        for other in texts:
-            self.by_short_name.setdefault(other.rpartition("/")[2], []).append(other)
+        for full_name in texts:
+            self.by_short_name.setdefault(full_name.rpartition("/")[2], []).append(full_name)
 
     def read(self) -> _Ros2Section:
         """Return the definition in ROS 1 form."""
@@ -213,7 +214,7 @@ class _Ros2DefinitionReader:
         else:
             value = text.partition("#")[0].strip()
         try:
-            constant_value(type_name, value)
+            parse_constant(type_name, value)
         except ValueError:
             return
         self.lines.append(f"{type_name} {name}={value}")
@@ -228,13 +229,13 @@ class _Ros2DefinitionReader:
         type_name = ros1_type_name(type_name)
         type_name = _ROS1_TYPES.get(type_name, type_name)
         if type_name not in PRIMITIVES and type_name not in TIMES and type_name != "string":
-            type_name = self._full_name(type_name)
+            type_name = self._qualify_name(type_name)
             self.slot_types.append(type_name)
         # A bounded array is one of variable length.
         length = (match["array"] or "").replace("<=", "]")
         self.lines.append(f"{type_name}{length.partition(']')[0] + ']' if length else ''} {name}")
 
-    def _full_name(self, type_name: str) -> str:
+    def _qualify_name(self, type_name: str) -> str:
         """Return the name of a nested type with its package."""
         if "/" in type_name:
             return type_name
@@ -248,6 +249,7 @@ class _Ros2DefinitionReader:
 
 _Write = Callable[[bytes], object]
 _Converter = Callable[[bytes, int, _Write], int]
+"""Function from a CDR message and an offset in it to the offset after the value; it writes the value for ROS 1."""
 
 _WideSlots = FrozenSet[Tuple[str, str]]
 """Wide strings, as pairs of a type's name and a slot's name."""
@@ -357,7 +359,7 @@ class _ConverterGenerator:
             self.end_run()
             self.lines.append(self.copy_string(is_wide))
         else:
-            self.run_sizes += _number_sizes(slot)
+            self.run_sizes += _list_number_sizes(slot)
 
     @staticmethod
     def copy_string(is_wide: bool) -> str:
@@ -366,7 +368,7 @@ class _ConverterGenerator:
 
     def add_array(self, slot: Field, is_wide: bool, length: int) -> None:
         """Add an array."""
-        numbers = _number_sizes(slot)
+        numbers = _list_number_sizes(slot)
         if numbers and 0 <= length <= _MAX_INLINE_NUMBERS:
             self.run_sizes += numbers * length
             return
@@ -411,7 +413,7 @@ class _ConverterGenerator:
         output_layout = Struct(
             "<" + "".join("4x" if not size else _CODES.get(size, "") for size in self.run_sizes)
         )
-        input_layouts = [Struct(self.order + _input_format(self.run_sizes, phase)) for phase in range(8)]
+        input_layouts = [Struct(self.order + _make_input_format(self.run_sizes, phase)) for phase in range(8)]
         layouts = self.bound_names.name(
             "layouts", [(layout.unpack_from, layout.size) for layout in input_layouts]
         )
@@ -424,7 +426,7 @@ class _ConverterGenerator:
         self.run_sizes = []
 
 
-def _number_sizes(slot: Field) -> List[int]:
+def _list_number_sizes(slot: Field) -> List[int]:
     """Return the sizes of the numbers in one element if all are equal, otherwise an empty list."""
     if slot.definition is None:
         if slot.type in TIMES:
@@ -435,7 +437,9 @@ def _number_sizes(slot: Field) -> List[int]:
         return sizes
     for inner in slot.definition.fields:
         element_sizes = (
-            _number_sizes(inner) if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS else []
+            _list_number_sizes(inner)
+            if inner.length is None or 0 < inner.length <= _MAX_INLINE_NUMBERS
+            else []
         )
         if not element_sizes or element_sizes[0] != (sizes or element_sizes)[0]:
             return []
@@ -443,7 +447,7 @@ def _number_sizes(slot: Field) -> List[int]:
     return sizes if len(sizes) <= _MAX_INLINE_NUMBERS else []
 
 
-def _input_format(sizes: List[int], phase: int) -> str:
+def _make_input_format(sizes: List[int], phase: int) -> str:
     """Return the `struct` format of numbers that begin at an offset, given modulo 8."""
     codes, offset = [], phase
     for size in sizes:
@@ -459,7 +463,7 @@ def _input_format(sizes: List[int], phase: int) -> str:
 
 def _swap_bytes(data: bytes, size: int) -> bytes:
     """Reverse the byte order of numbers of equal size."""
-    numbers = array(_CODES[size] if size != 4 else "I", data)
+    numbers = array(_CODES[size], data)
     # `array` uses the machine's byte order, which is that of ROS 1 messages.
     numbers.byteswap()
     return numbers.tobytes()

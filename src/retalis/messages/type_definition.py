@@ -88,7 +88,7 @@ class Constant(NamedTuple):
 
 
 class Field(NamedTuple):
-    """A slot of a message.
+    """A slot of a message; ROS calls it a field.
 
     Attributes:
         name: the slot's name.
@@ -119,18 +119,18 @@ class Measure(NamedTuple):
 
     Attributes:
         min_size: minimum size of a message in bytes.
-        is_fixed_size: if all messages have that size.
-        slots: number of slots, including those of nested types.
+        is_fixed_size: whether all messages have that size.
+        slot_count: number of slots, including those of nested types.
         depth: nesting depth of types.
-        empty_elements: number of zero-byte elements in arrays of fixed length.
-        may_have_empty_elements: if there is an array, of fixed or variable length, whose elements have no bytes.
+        empty_element_count: number of zero-byte elements in arrays of fixed length.
+        may_have_empty_elements: whether there is an array, of fixed or variable length, whose elements have no bytes.
     """
 
     min_size: int = 0
     is_fixed_size: bool = True
-    slots: int = 0
+    slot_count: int = 0
     depth: int = 0
-    empty_elements: int = 0
+    empty_element_count: int = 0
     may_have_empty_elements: bool = False
 
     def plus(self, slot: Field) -> "Measure":
@@ -143,16 +143,16 @@ class Measure(NamedTuple):
         return Measure(
             self.min_size + (4 if is_variable else element.min_size * count),
             self.is_fixed_size and element.is_fixed_size and not is_variable,
-            self.slots + element.slots + 1,
+            self.slot_count + element.slot_count + 1,
             max(self.depth, element.depth + 1),
-            self.empty_elements
-            + (0 if is_variable else count * (element.empty_elements + elements_are_empty)),
+            self.empty_element_count
+            + (0 if is_variable else count * (element.empty_element_count + elements_are_empty)),
             self.may_have_empty_elements or element.may_have_empty_elements or elements_are_empty,
         )
 
     def exceeded_limit(self) -> str:
         """Return a description of the exceeded limit, or an empty string."""
-        if self.slots > MAX_SLOTS:
+        if self.slot_count > MAX_SLOTS:
             return f"a type cannot have more than {MAX_SLOTS} slots, including those of the types it contains"
         if self.depth > MAX_TYPE_DEPTH:
             return f"types cannot be nested more than {MAX_TYPE_DEPTH} deep"
@@ -192,7 +192,7 @@ class Definition:
         text: the text of the definition, without those of nested types.
         event: name of its event terms if it differs from ``pkg__0__Type``.
         md5sum: checksum that identifies the version of the type in ROS.
-        measure: size of its messages.
+        measure: sizes of its messages, and its complexity.
 
     Raises:
         MessageError: if ``name`` is not a valid type name.
@@ -321,17 +321,17 @@ def element_size(slot: Field) -> Optional[int]:
     return measure.min_size if measure.is_fixed_size else None
 
 
-def mismatch_text(definition: Definition, data: bytes) -> str:
+def describe_mismatch(definition: Definition, data: bytes) -> str:
     """Return an error text that says why the bytes are not a message of a type."""
     size = len(data)
     try:
-        end = _SlotSkipper(data).message_end(definition, 0, "")
+        end = _SlotSkipper(data).skip_message(definition, 0, "")
     except _Truncated as truncated:
-        return f"{_byte_count_text(size)} not a {definition.name}: they end inside slot {beginning(truncated.path)}"
-    return f"{_byte_count_text(size)} not a {definition.name}: {size - end} left over"
+        return f"{_format_byte_count(size)} not a {definition.name}: they end inside slot {beginning(truncated.path)}"
+    return f"{_format_byte_count(size)} not a {definition.name}: {size - end} left over"
 
 
-def _byte_count_text(size: int) -> str:
+def _format_byte_count(size: int) -> str:
     return f"{counted(size, 'byte')} {'is' if size == 1 else 'are'}"
 
 
@@ -343,24 +343,24 @@ def check_empty_elements(definition: Definition, data: bytes, limit: int) -> Non
     """
     skipper = _SlotSkipper(data)
     try:
-        skipper.message_end(definition, 0, "")
+        skipper.skip_message(definition, 0, "")
     except _Truncated:
-        raise MessageError(mismatch_text(definition, data)) from None
-    if skipper.empty_elements > limit:
-        count = skipper.empty_elements
+        raise MessageError(describe_mismatch(definition, data)) from None
+    if skipper.empty_element_count > limit:
+        count = skipper.empty_element_count
         raise MessageError(
             f"a {definition.name} has {count} zero-byte elements in its arrays: at most {limit} are allowed"
         )
 
 
-def element_end(data: bytes, slot: Field, offset: int) -> int:
+def find_slot_end(data: bytes, slot: Field, offset: int) -> int:
     """Return the end offset of a slot that begins at ``offset``.
 
     Raises:
         struct.error: if the bytes end before.
     """
     try:
-        return _SlotSkipper(data).slot_end(slot, offset, slot.name)
+        return _SlotSkipper(data).skip_slot(slot, offset, slot.name)
     except _Truncated as truncated:
         raise StructError(truncated.path) from None
 
@@ -374,41 +374,44 @@ class _Truncated(Exception):
 
 
 class _SlotSkipper:
-    """Traversal of a serialized message that skips its slots without decoding, and counts zero-byte elements."""
+    """Traversal of a serialized message that skips its slots without decoding, and counts zero-byte elements.
+
+    Each method returns the offset after what it has skipped.
+    """
 
     def __init__(self, data: bytes):
         self.data = data
-        self.empty_elements = 0
+        self.empty_element_count = 0
 
-    def message_end(self, definition: Definition, offset: int, prefix: str) -> int:
-        """Return the end offset of a message that begins at ``offset``."""
+    def skip_message(self, definition: Definition, offset: int, prefix: str) -> int:
+        """Skip a message that begins at ``offset``; ``prefix`` is put before the names of its slots in errors."""
         for slot in definition.fields:
-            offset = self.slot_end(slot, offset, prefix + slot.name)
+            offset = self.skip_slot(slot, offset, prefix + slot.name)
         return offset
 
-    def slot_end(self, slot: Field, offset: int, path: str) -> int:
-        """Return the end offset of a slot that begins at ``offset``."""
+    def skip_slot(self, slot: Field, offset: int, path: str) -> int:
+        """Skip a slot that begins at ``offset``; ``path`` is its name in errors."""
         count = 1 if slot.length is None else slot.length
         if slot.length == VARIABLE_LENGTH:
             offset, count = offset + 4, self.read_count(offset, path)
         element = measure_of(slot)
         # Elements of fixed size are skipped with one multiplication, however many there are.
         if not element.is_fixed_size:
-            return self.elements_end(slot, count, offset, path)
+            return self.skip_elements(slot, count, offset, path)
         offset += count * element.min_size
-        self.empty_elements += count * (
-            element.empty_elements + (slot.length is not None and not element.min_size)
+        self.empty_element_count += count * (
+            element.empty_element_count + (slot.length is not None and not element.min_size)
         )
         if offset > len(self.data):
             raise _Truncated(path)
         return offset
 
-    def elements_end(self, slot: Field, count: int, offset: int, path: str) -> int:
-        """Return the end offset of elements that differ in size."""
+    def skip_elements(self, slot: Field, count: int, offset: int, path: str) -> int:
+        """Skip ``count`` elements that differ in size."""
         for index in range(count):
             place = path if slot.length is None else f"{path}[{index}]"
             if slot.definition is not None:
-                offset = self.message_end(slot.definition, offset, place + ".")
+                offset = self.skip_message(slot.definition, offset, place + ".")
             else:
                 offset += 4 + self.read_count(offset, place)
                 if offset > len(self.data):
@@ -450,6 +453,7 @@ def split_sections(name: str, text: str) -> Dict[str, str]:
         MessageError: if a type does not follow a separator, or a type has two different texts.
     """
     sections: Dict[str, str] = {}
+    # The line number of a separator, directly after it; otherwise 0.
     current, separator_line = name, 0
     lines: List[str] = []
     for line_number, line in enumerate(text.splitlines(), 1):
@@ -525,7 +529,7 @@ class _DefinitionReader:
         try:
             self.text.encode()
         except UnicodeEncodeError as error:
-            raise self._error(
+            raise self._make_error(
                 "an unpaired surrogate is not allowed: expected text that can be encoded in UTF-8",
                 error.start,
             ) from None
@@ -551,7 +555,7 @@ class _DefinitionReader:
             self._add_constant(match["type"], match, offset)
             return
         start = offset + len(line) - len(line.lstrip())
-        raise self._error(
+        raise self._make_error(
             f"expected 'type name' or 'type NAME=value', found {shortened(line.strip())}", start
         )
 
@@ -561,27 +565,29 @@ class _DefinitionReader:
         self._check_name(match, offset, self.constants)
         # Constants are not slots of messages, but their count must be bounded as well.
         if len(self.constants) >= MAX_SLOTS:
-            raise self._error(
+            raise self._make_error(
                 f"a type cannot have more than {MAX_SLOTS} constants", offset + match.start("name")
             )
         if type_name not in PRIMITIVES and type_name != "string":
-            raise self._error(
+            raise self._make_error(
                 f"a constant cannot be of type {type_name[:MAX_SHOWN_CHARACTERS]}: {EXPECTED_CONSTANT_TYPE}",
                 offset + match.start(),
             )
         try:
-            value = constant_value(type_name, text)
+            value = parse_constant(type_name, text)
         except ValueError:
             position = offset + match.start("value")
-            problem = f"{shortened(text)} is not a value of type {type_name}: {_expected_value(type_name)}"
-            raise self._error(problem, position) from None
+            problem = (
+                f"{shortened(text)} is not a value of type {type_name}: {_describe_expected_value(type_name)}"
+            )
+            raise self._make_error(problem, position) from None
         self.constants[match["name"]] = Constant(type_name, match["name"], text, value)
 
     def _add_field(self, match: "re.Match[str]", offset: int) -> None:
         self._check_name(match, offset, self.fields)
         type_name, array, length = ros1_type_name(match["type"]), match["array"], None
         if array is not None:
-            length = self._array_length(array[1:-1].strip(), offset + match.start("array"))
+            length = self._parse_array_length(array[1:-1].strip(), offset + match.start("array"))
         if type_name in BUILTIN:
             definition = None
         else:
@@ -591,11 +597,11 @@ class _DefinitionReader:
         self.measure = self.measure.plus(slot)
         exceeded_limit = self.measure.exceeded_limit()
         if exceeded_limit:
-            raise self._error(exceeded_limit, offset + match.start("type"))
+            raise self._make_error(exceeded_limit, offset + match.start("type"))
 
-    def _array_length(self, digits: str, position: int) -> int:
+    def _parse_array_length(self, digits: str, position: int) -> int:
         if len(digits) > len(str(MAX_MESSAGE_BYTES)) or (digits and int(digits) > MAX_MESSAGE_BYTES):
-            raise self._error(f"an array cannot have more than {MAX_MESSAGE_BYTES} elements", position)
+            raise self._make_error(f"an array cannot have more than {MAX_MESSAGE_BYTES} elements", position)
         return int(digits) if digits else VARIABLE_LENGTH
 
     def _find_nested(self, type_name: str, position: int) -> Definition:
@@ -605,17 +611,19 @@ class _DefinitionReader:
         except MessageError as error:
             if error.place is not None:
                 raise
-            raise self._error(error.message, position) from None
+            raise self._make_error(error.message, position) from None
 
     def _check_name(self, match: "re.Match[str]", offset: int, names: Container[str]) -> None:
         name = match["name"]
         fault = name_fault(name)
         if fault is not None:
-            raise self._error(fault, offset + match.start("name"))
+            raise self._make_error(fault, offset + match.start("name"))
         if name in names:
-            raise self._error(f"{name[:MAX_SHOWN_CHARACTERS]} is defined twice", offset + match.start("name"))
+            raise self._make_error(
+                f"{name[:MAX_SHOWN_CHARACTERS]} is defined twice", offset + match.start("name")
+            )
 
-    def _error(self, message: str, offset: int) -> MessageError:
+    def _make_error(self, message: str, offset: int) -> MessageError:
         return MessageError(message, place_at(self.source, self.text, offset))
 
 
@@ -630,7 +638,7 @@ def lines_with_offsets(text: str) -> Iterator[Tuple[int, str]]:
 _BOOL_TEXTS = {"true": True, "True": True, "1": True, "false": False, "False": False, "0": False}
 
 
-def constant_value(type_name: str, text: str) -> ConstantValue:
+def parse_constant(type_name: str, text: str) -> ConstantValue:
     """Return the value of a constant.
 
     Raises:
@@ -658,7 +666,7 @@ EXPECTED_CONSTANT_TYPE = "expected bool, string, or a type of integers or floats
 """End of the error for a constant of another type."""
 
 
-def _expected_value(type_name: str) -> str:
+def _describe_expected_value(type_name: str) -> str:
     if type_name == "bool":
         return "expected True, False, 1 or 0"
     if type_name in ("float32", "float64"):

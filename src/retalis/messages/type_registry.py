@@ -47,6 +47,7 @@ from .type_definition import (
 _ROS_FOLDER = "/opt/ros"
 _SHARE_FOLDERS = ("/usr/share", "/usr/local/share")
 _MAX_FOLDER_DEPTH = 4
+"""Maximum depth of packages below a folder of a workspace."""
 
 
 class GeneratedClass(NamedTuple):
@@ -318,6 +319,7 @@ def _find_distributions() -> List[str]:
 
 
 def _find_packages(folder: str, depth: int, packages: Dict[str, str]) -> None:
+    """Add the packages with messages, at most ``depth`` folders below a folder, to ``packages``: folders by name."""
     try:
         entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
     except OSError:  # the folder does not exist or is not readable
@@ -342,7 +344,7 @@ def _read_rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
         return None
     store = get_typestore(Stores.ROS1_NOETIC)
     try:
-        text = store.generate_msgdef(f"{package}/msg/{type_name}", ros_version=1)[0]
+        text, *_ = store.generate_msgdef(f"{package}/msg/{type_name}", ros_version=1)
     except KeyError:
         return None
     except Exception as error:
@@ -359,10 +361,10 @@ _ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 _FALLBACK_DEFINITIONS = {"tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
 """Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
 
-_Key = Tuple[str, str]
+_TypeKey = Tuple[str, str]
 """Name of a type with its text or its checksum."""
 
-_CodeKey = Tuple[str, str, str]
+_DecoderKey = Tuple[str, str, str]
 """Type, checksum and name of the events."""
 
 MAX_DEFINITION_CHARACTERS = 1_000_000
@@ -375,7 +377,7 @@ MAX_ADDED_CHARACTERS = 16_000_000
 """Maximum total length of their definitions."""
 
 _BYTES_PER_SLOT = 2000
-"""Measured memory of a slot in a definition or in the generated functions of its type."""
+"""Memory in bytes of a slot in a definition or in the generated functions of its type, as measured."""
 
 
 class Learned(NamedTuple):
@@ -383,7 +385,7 @@ class Learned(NamedTuple):
 
     Attributes:
         decoder: the decoder.
-        is_replacement: if the requested type is unknown and the publisher declares another name.
+        is_replacement: whether the requested type is unknown and the publisher declares another name.
     """
 
     decoder: Decoder
@@ -413,9 +415,9 @@ class Definitions:
         self._added: Dict[str, Definition] = {}
         self._nested: Dict[str, Definition] = {}
         self._resolved: Dict[str, Definition] = {}
-        self._by_text: Cache[_Key, Definition] = Cache(1000, 32 << 20, 32 << 20)
-        self._decoders: Cache[_CodeKey, Decoder] = Cache(1000, 32 << 20, 32 << 20)
-        self._encoders: Cache[_Key, Encoder] = Cache(1000, 32 << 20, 32 << 20)
+        self._by_text: Cache[_TypeKey, Definition] = Cache(1000, 32 << 20, 32 << 20)
+        self._decoders: Cache[_DecoderKey, Decoder] = Cache(1000, 32 << 20, 32 << 20)
+        self._encoders: Cache[_TypeKey, Encoder] = Cache(1000, 32 << 20, 32 << 20)
 
     def add(self, name: str, text: str, md5sum: str = "") -> Definition:
         """Add a type from its text, which may contain the texts of nested types (``MSG: pkg/Type``).
@@ -450,7 +452,7 @@ class Definitions:
         if definition is None:
             definition = _Resolver(self, self._installed, split_sections(name, text)).resolve(name)
             self._by_text.store(
-                (name, text), definition, 2 * len(text) + _BYTES_PER_SLOT * definition.measure.slots
+                (name, text), definition, 2 * len(text) + _BYTES_PER_SLOT * definition.measure.slot_count
             )
         if md5sum not in ("", "*", definition.md5sum):
             raise MessageError(
@@ -555,7 +557,7 @@ class Definitions:
             decoder = self._decoders.store(
                 key,
                 Decoder(definition, self._max_empty_elements),
-                _BYTES_PER_SLOT * (definition.measure.slots + 2),
+                _BYTES_PER_SLOT * (definition.measure.slot_count + 2),
             )
         return decoder
 
@@ -572,7 +574,7 @@ class Definitions:
         encoder = self._encoders.get(key)
         if encoder is None:
             encoder = self._encoders.store(
-                key, Encoder(definition), _BYTES_PER_SLOT * (definition.measure.slots + 2)
+                key, Encoder(definition), _BYTES_PER_SLOT * (definition.measure.slot_count + 2)
             )
         return encoder
 
@@ -602,17 +604,18 @@ class Definitions:
                 (
                     f"{candidate}/{match}"
                     for candidate in packages
-                    for match in self._most_similar(candidate, type_name, 1)
+                    for match in self._find_most_similar(candidate, type_name, 1)
                 ),
                 "",
             )
+        # The last arguments are minimum similarities, from 0 to 1.
         for candidate in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
-            matches = self._most_similar(candidate, type_name, 0.7)
+            matches = self._find_most_similar(candidate, type_name, 0.7)
             if matches and (candidate == package or matches[0] == type_name):
                 return f"{candidate}/{matches[0]}"
         return ""
 
-    def _most_similar(self, package: str, type_name: str, cutoff: float) -> List[str]:
+    def _find_most_similar(self, package: str, type_name: str, cutoff: float) -> List[str]:
         """Return the type of a package with the most similar name, ignoring case, as a list of at most one name."""
         by_lower_case: Dict[str, str] = {}
         for name in self._installed.types(package):
@@ -705,7 +708,7 @@ class _Resolver:
         """Parse the definition of a type, from the first place that has one."""
         text = self.sections.get(name)
         if text is not None:
-            return parse(name, text, self._nested)
+            return parse(name, text, self._resolve_nested)
         installed_type = self.installed.find(name)
         if installed_type is not None:
             return self.read_installed(name, installed_type)
@@ -714,7 +717,7 @@ class _Resolver:
         if known is not None:
             return known
         if name in _FALLBACK_DEFINITIONS:
-            return parse(name, _FALLBACK_DEFINITIONS[name], self._nested)
+            return parse(name, _FALLBACK_DEFINITIONS[name], self._resolve_nested)
         if name in _ALIASES:
             return self.resolve(_ALIASES[name]).renamed(name)
         raise MessageError(
@@ -728,24 +731,24 @@ class _Resolver:
         if len(sections) > 1:
             definition = _Resolver(self.registry, self.installed, sections, self.in_progress).read(name)
         else:
-            definition = parse(name, installed_type.text, self._nested, installed_type.source)
+            definition = parse(name, installed_type.text, self._resolve_nested, installed_type.source)
         if installed_type.generated is not None:
             installed_type.generated.check(definition)
         return definition
 
-    def _nested(self, written_name: str, package: str) -> Definition:
+    def _resolve_nested(self, written_name: str, package: str) -> Definition:
         """Return the definition of a nested type, by the name that a type of ``package`` uses for it."""
-        for name in _candidates(written_name, package, self.sections):
+        for name in _list_possible_names(written_name, package, self.sections):
             if name in self.sections:
                 return self.resolve(name)
         return self.resolve(written_name if "/" in written_name else f"{package}/{written_name}")
 
 
-def _candidates(written_name: str, package: str, sections: Dict[str, str]) -> Sequence[str]:
+def _list_possible_names(written_name: str, package: str, sections: Dict[str, str]) -> Sequence[str]:
     """Return the possible names of a nested type in a concatenated text, the most likely name first."""
     if "/" in written_name:
         return [written_name]
-    others: List[str] = [name for name in sections if name.endswith("/" + written_name)]
+    matching_names: List[str] = [name for name in sections if name.endswith("/" + written_name)]
     # A type without a package belongs to the same package. Old bags also omit the package of others, if the name is
     # unique.
-    return [f"{package}/{written_name}"] + (others if len(others) == 1 else [])
+    return [f"{package}/{written_name}"] + (matching_names if len(matching_names) == 1 else [])

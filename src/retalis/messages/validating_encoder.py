@@ -4,8 +4,8 @@
 type slot by slot, accepts alternatives (Prolog strings, lists of bytes, ``True``, 0 and 1, ``datime`` terms,
 ``inf``), and names the slot and the expected type in errors.
 
-`fault_of` applies the same rules to terms with variables, for checks before the program runs: variables are replaced
-by values that fit their slots, so that an error concerns the constant parts of the term only.
+`find_fault` applies the same rules to terms with variables, for checks before the program runs: variables are
+replaced by values that fit their slots, so that an error concerns the constant parts of the term only.
 """
 
 from struct import error as StructError
@@ -31,7 +31,7 @@ from ..prolog.terms.types import (
     functor,
 )
 from ..prolog.terms.types import String as PrologString
-from .decoder import number_decoder
+from .decoder import find_number_decoder
 from .type_definition import PRIMITIVES, TIMES, VARIABLE_LENGTH, Definition, Field, integer_range
 
 _BOOL_ATOMS: Dict[Atom, bool] = {TRUE: True, atom("True"): True, FALSE: False, atom("False"): False}
@@ -65,6 +65,8 @@ class ValidatingEncoder:
 
 
 class _Misfit(Exception):
+    """Raised for the slot ``path`` if a term does not fit it."""
+
     def __init__(self, path: str, reason: str):
         super().__init__(path, reason)
         self.path = path
@@ -72,14 +74,19 @@ class _Misfit(Exception):
 
 
 def _create_misfit(path: str, expected: str, term: Term) -> _Misfit:
-    return _Misfit(path, f"expected {expected}, got {describe(term)}")
+    return _Misfit(path, f"expected {expected}, got {describe_term(term)}")
 
 
 def _encode_message(definition: Definition, term: Term, path: str, chunks: List[bytes]) -> None:
+    """Add the bytes of a message to ``chunks``.
+
+    Raises:
+        _Misfit: if the term does not fit the type.
+    """
     term = deref(term)
     slots = definition.fields
     if not slots:
-        if not _is_empty(term, definition.functor_name):
+        if not _is_empty_message(term, definition.functor_name):
             raise _create_misfit(path, f"the atom {definition.functor_name}", term)
         return
     if term.__class__ is not tuple or term[0].name != definition.functor_name or term[0].arity != len(slots):
@@ -88,7 +95,7 @@ def _encode_message(definition: Definition, term: Term, path: str, chunks: List[
         _encode_slot(slot, value, f"{path}.{slot.name}" if path else slot.name, chunks)
 
 
-def _is_empty(term: Term, name: str) -> bool:
+def _is_empty_message(term: Term, name: str) -> bool:
     if term.__class__ is tuple:
         return len(term) == 1 and term[0].name == name
     return term.__class__ is Atom and term.name == name
@@ -105,7 +112,7 @@ def _encode_slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> Non
         chunks.append(raw)
         return
     array = lazy_array(term)
-    if array is not None and array.decoder is number_decoder(slot):
+    if array is not None and array.decoder is find_number_decoder(slot):
         # The array has the bytes of the slot.
         count = element_count(array)
         _check_length(slot, count, path)
@@ -139,7 +146,7 @@ def _check_length(slot: Field, count: int, path: str) -> None:
 def _get_bytes(slot: Field, term: Term, path: str) -> bytes:
     """Return the bytes of a byte array, which may be a string or a list of numbers."""
     array = lazy_array(term)
-    if array is not None and array.decoder in (BLOB, number_decoder(slot)):
+    if array is not None and array.decoder in (BLOB, find_number_decoder(slot)):
         _check_length(slot, len(array.source), path)
         return bytes(array.source)
     value = deref(term)
@@ -220,7 +227,7 @@ def _encode_float(type_name: str, value: Term, path: str) -> bytes:
         return pack("<" + PRIMITIVES[type_name], value)
     # A float64 that exceeds the range of float32, or an integer that exceeds that of floats.
     except (OverflowError, StructError):
-        raise _Misfit(path, f"{describe(value)} is too large for {type_name}") from None
+        raise _Misfit(path, f"{describe_term(value)} is too large for {type_name}") from None
 
 
 def _check_range(code: str, value: int, path: str, expected: str) -> None:
@@ -230,6 +237,8 @@ def _check_range(code: str, value: int, path: str, expected: str) -> None:
 
 
 _Packer = Callable[[str, Term, str], bytes]
+"""Takes a type, a dereferenced term, and the path of the slot; returns the bytes of the value."""
+
 _PACKERS: Dict[str, _Packer] = {
     **dict.fromkeys(PRIMITIVES, _encode_integer),
     "bool": _encode_bool,
@@ -241,7 +250,7 @@ _PACKERS: Dict[str, _Packer] = {
 }
 
 
-def describe(term: Term) -> str:
+def describe_term(term: Term) -> str:
     """Return a short description of a term for an error: its type and its beginning."""
     term = deref(term)
     if term.__class__ is Var:
@@ -275,7 +284,7 @@ MAX_CHECKED_BYTES = 1 << 20
 """Types with larger minimum messages are not checked: values would have to be created for all their variables."""
 
 
-def fault_of(definition: Definition, term: Term, topic: str = "") -> Optional[str]:
+def find_fault(definition: Definition, term: Term, topic: str = "") -> Optional[str]:
     """Return why a term with variables cannot become a message of a type, or None if it can.
 
     Types whose smallest message exceeds `MAX_CHECKED_BYTES` are not checked.

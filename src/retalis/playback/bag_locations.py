@@ -245,8 +245,8 @@ def location_exists(location: str) -> bool:
     """Return whether a location exists."""
     if not is_url(location):
         return os.path.lexists(location)
-    files, path = _open_filesystem(location)
-    return bool(_call_filesystem(location, files.exists, path))
+    filesystem, path = _open_filesystem(location)
+    return bool(_call_filesystem(location, filesystem.exists, path))
 
 
 @contextmanager
@@ -263,16 +263,16 @@ def local_copy(location: str, scratch: str) -> Iterator[str]:
     if not is_url(location):
         yield location
         return
-    files, path = _open_filesystem(location)
+    filesystem, path = _open_filesystem(location)
     with TemporaryDirectory(dir=scratch) as folder:
         local = str(Path(folder) / PurePosixPath(path).name)
-        _call_filesystem(location, _download, files, path, local)
+        _call_filesystem(location, _download, filesystem, path, local)
         yield local
 
 
-def _download(files: Any, path: str, local: str) -> None:
+def _download(filesystem: Any, path: str, local: str) -> None:
     """Copy a file or a folder; each file up to its stated size and up to half of the free disk space."""
-    names = files.find(path) if files.isdir(path) else [path]
+    names = filesystem.find(path) if filesystem.isdir(path) else [path]
     for name in names:
         relative_path = PurePosixPath(name).relative_to(path)
         # The names come from a server, so they must not lead out of the target folder.
@@ -281,9 +281,9 @@ def _download(files: Any, path: str, local: str) -> None:
         target = Path(local) / relative_path
         target.parent.mkdir(parents=True, exist_ok=True)
         # A server may send more than it states, and a full disk would stop other programs of the robot.
-        stated_size, available_bytes = files.size(name), shutil.disk_usage(target.parent).free // 2
+        stated_size, available_bytes = filesystem.size(name), shutil.disk_usage(target.parent).free // 2
         max_bytes = available_bytes if stated_size is None else min(stated_size, available_bytes)
-        with files.open(name, "rb") as source, target.open("wb") as file:
+        with filesystem.open(name, "rb") as source, target.open("wb") as file:
             if copy_up_to(source, file, max_bytes) > max_bytes:
                 raise ValueError(
                     f"'{name}' has more than {max_bytes} bytes, as stated or as half of the disk has"
@@ -302,12 +302,12 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
         BagError: if the target cannot be written.
     """
     if is_url(target):
-        files, path = _open_filesystem(target)
+        filesystem, path = _open_filesystem(target)
         with TemporaryDirectory(dir=scratch) as folder:
             local = str(Path(folder) / PurePosixPath(path).name)
             yield local
-            _call_filesystem(target, files.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
-            _call_filesystem(target, files.put_file, local, path)
+            _call_filesystem(target, filesystem.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
+            _call_filesystem(target, filesystem.put_file, local, path)
         return
     folder, name = os.path.split(target)
     # In the target's folder, because a move is only atomic within one file system.
@@ -323,11 +323,11 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
 
 def remove_incomplete_results(targets: Iterable[str]) -> None:
     """Remove incomplete results of worker processes that were killed."""
-    names = {os.path.split(target) for target in targets if not is_url(target)}
-    for folder in {folder for folder, _ in names}:
+    result_names = {os.path.split(target) for target in targets if not is_url(target)}
+    for folder in {folder for folder, _ in result_names}:
         for path in Path(folder).glob(f".*{_INCOMPLETE_SUFFIX}"):
             # Other runs may be writing other results to the same folder.
-            if (folder, path.name[1 : -len(_INCOMPLETE_SUFFIX)].rpartition(".")[0]) in names:
+            if (folder, path.name[1 : -len(_INCOMPLETE_SUFFIX)].rpartition(".")[0]) in result_names:
                 path.unlink()
 
 
@@ -349,14 +349,14 @@ def _list_names_below(location: str) -> Optional[List[str]]:
         if not is_folder_of_bags(location):
             return None
         return [path.relative_to(location).as_posix() for path in Path(location).rglob("*")]
-    files, path = _open_filesystem(location)
-    if not _call_filesystem(location, files.isdir, path) or _call_filesystem(
-        location, files.exists, f"{path.rstrip('/')}/{METADATA}"
+    filesystem, path = _open_filesystem(location)
+    if not _call_filesystem(location, filesystem.isdir, path) or _call_filesystem(
+        location, filesystem.exists, f"{path.rstrip('/')}/{METADATA}"
     ):
         return None
     return [
         PurePosixPath(name).relative_to(path).as_posix()
-        for name in _call_filesystem(location, files.find, path)
+        for name in _call_filesystem(location, filesystem.find, path)
     ]
 
 
@@ -376,8 +376,8 @@ def _open_filesystem(url: str) -> Tuple[Any, str]:
         raise BagError(
             f"{url}: URLs need the Python package fsspec (pip install fsspec, and s3fs for s3://)"
         ) from None
-    files, path = _call_filesystem(url, url_to_fs, url)
-    return files, str(path)
+    filesystem, path = _call_filesystem(url, url_to_fs, url)
+    return filesystem, str(path)
 
 
 def _call_filesystem(url: str, function: Any, *arguments: Any, **options: Any) -> Any:

@@ -95,7 +95,7 @@ def read_chunks(
             yield from reader.read_ahead(pool.submit)
         return
     for index in range(len(order)):
-        yield reader.start_reading(index, _completed_future).result()
+        yield reader.start_reading(index, _call_at_once).result()
 
 
 _Submit = Callable[..., "Future[bytes]"]
@@ -119,6 +119,7 @@ class _ChunkReader:
         # A chunk whose last use has passed is freed at once.
         self._last_use = {position: index for index, position in enumerate(position_order)}
         self._cached: Dict[int, Tuple[int, Future[bytes]]] = {}
+        """Size and content of the chunks that are needed again, by position."""
         self._cached_bytes = 0
         self._read_positions: Set[int] = set()
         self._rereadable_bytes = MAX_REPEATS * sum(
@@ -142,7 +143,7 @@ class _ChunkReader:
             # Chunks are yielded in order, so the pending ones come first.
             while pending:
                 yield pending.popleft().result()
-            yield self.start_reading(index, _completed_future).result()
+            yield self.start_reading(index, _call_at_once).result()
         while pending:
             yield pending.popleft().result()
 
@@ -150,22 +151,23 @@ class _ChunkReader:
         """Return a future of the contents of a chunk, given by its index in the order, or of the error."""
         position = self._position_order[index]
         if position in self._cached:
-            records = self._cached[position][1]
+            _, content = self._cached[position]
         else:
             try:
                 chunk, packed = self._read_packed(position)
             # The error is raised when this chunk is next: the chunks before it are still read.
             except (OSError, ValueError) as error:
-                return _completed_future(_raise_error, error)
+                return _call_at_once(_raise_error, error)
             # The file is read here and only decompressed elsewhere, since all threads share its position.
-            records = submit(_unpack, chunk, packed, position)
+            content = submit(_unpack, chunk, packed, position)
             # Kept until its last use, within the limit for one chunk, so that memory does not depend on the index.
             if index < self._last_use[position] and self._cached_bytes + chunk.size <= self._limit.bytes:
-                self._cached[position] = chunk.size, records
+                self._cached[position] = chunk.size, content
                 self._cached_bytes += chunk.size
         if index == self._last_use[position] and position in self._cached:
-            self._cached_bytes -= self._cached.pop(position)[0]
-        return records
+            size, _ = self._cached.pop(position)
+            self._cached_bytes -= size
+        return content
 
     def _read_packed(self, position: int) -> Tuple[Chunk, bytes]:
         chunk = self._chunks_by_position.get(position)
@@ -185,7 +187,8 @@ class _ChunkReader:
         return chunk, self._file.read(chunk.packed_size)
 
 
-def _completed_future(function: Callable[..., bytes], *arguments: object) -> "Future[bytes]":
+def _call_at_once(function: Callable[..., bytes], *arguments: object) -> "Future[bytes]":
+    """Call a function in this thread; return its result or error as a future."""
     future: Future[bytes] = Future()
     try:
         future.set_result(function(*arguments))
@@ -244,7 +247,7 @@ class Topic(NamedTuple):
         definition: text of the type's definition, including nested types.
         md5sum: checksum of the type.
         messages: number of messages of this connection in the bag.
-        latched: if the publisher latched its last message.
+        latched: whether the publisher latched its last message.
         caller: name of the publishing node, if the bag contains it.
     """
 
@@ -382,7 +385,7 @@ class BagWriter:
 
     Args:
         path: path of the file.
-        overwrite: if an existing file may be replaced.
+        overwrite: whether an existing file may be replaced.
 
     Raises:
         BagError: if the file exists already, or cannot be written.
@@ -390,14 +393,14 @@ class BagWriter:
 
     def __init__(self, path: PathLike, overwrite: bool = False):
         self.path = Path(path)
-        writer = _import_rosbag1().Writer
+        writer_class = _import_rosbag1().Writer
         # A folder is never replaced.
         if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
         try:
             if self.path.exists():
                 self.path.unlink()
-            self._writer = writer(self.path)
+            self._writer = writer_class(self.path)
             self._writer.open()
         except OSError as error:
             raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
@@ -448,26 +451,26 @@ def _read_messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> I
 
     `rosbags` reads every header field from a file object, which takes three times as long.
     """
-    size_at = _SIZE_STRUCT.unpack_from
-    current, chunk, unclaimed_in_chunk = -1, b"", 0
+    unpack_size = _SIZE_STRUCT.unpack_from
+    current_position, chunk, unclaimed_in_chunk = -1, b"", 0
     # Bytes of each chunk that no message has claimed. The sizes of messages must add up to the size of the chunk at
     # most: otherwise index entries of 12 bytes each could repeat a message of megabytes.
     unclaimed: Dict[int, int] = {}
     for time, position, offset, topic in entries:
         # Consecutive messages of a chunk need no lookup.
-        if position != current:
-            unclaimed[current] = unclaimed_in_chunk
-            current, chunk = position, next(contents)
+        if position != current_position:
+            unclaimed[current_position] = unclaimed_in_chunk
+            current_position, chunk = position, next(contents)
             unclaimed_in_chunk = unclaimed.get(position, len(chunk))
-        (size,) = size_at(chunk, offset)
+        (size,) = unpack_size(chunk, offset)
         body_offset = offset + 4 + size
         # The index may point to a connection record that precedes the message.
         while chunk.find(_MESSAGE_FIELD, offset, body_offset) < 0:
             if chunk.find(_CONNECTION_FIELD, offset, body_offset) < 0:
                 raise ValueError(f"the index of the chunk at byte {position} does not point to a message")
-            offset = body_offset + 4 + size_at(chunk, body_offset)[0]
-            body_offset = offset + 4 + size_at(chunk, offset)[0]
-        (size,) = size_at(chunk, body_offset)
+            offset = body_offset + 4 + unpack_size(chunk, body_offset)[0]
+            body_offset = offset + 4 + unpack_size(chunk, offset)[0]
+        (size,) = unpack_size(chunk, body_offset)
         data = chunk[body_offset + 4 : body_offset + 4 + size]
         if len(data) != size:
             raise ValueError(f"a message in the chunk at byte {position} is truncated")
@@ -482,7 +485,7 @@ def _open_reader(path: Path) -> Any:
     if not path.is_file():
         raise BagError(f"{path}: there is no such file")
     try:
-        reader = _index_reader(rosbag1)(path)
+        reader = _define_index_reader(rosbag1)(path)
         reader.path = _BagPath(path)
         reader.open()
         reader.bio.lift_read_limit()
@@ -536,7 +539,7 @@ class _BagPath:
         return _BagFile(self._path)
 
 
-def _index_reader(rosbag1: Any) -> Any:
+def _define_index_reader(rosbag1: Any) -> Any:
     """Return a reader class of ``rosbags`` that locates chunks, and rejects repeated connections and chunks."""
     from rosbags.rosbag1.reader import Header, RecordType  # noqa: PLC0415 - an optional package
 

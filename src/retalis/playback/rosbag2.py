@@ -251,6 +251,10 @@ _COUNT_STRUCT = Struct("<HQ")
 """Opcodes of records."""
 
 
+_AFTER_ALL_TIMES = 1 << 64
+"""Time after all times of messages, which have 64 bits."""
+
+
 class _McapChunk(NamedTuple):
     """Index entry of a chunk: time range, offset, and length including the record's header."""
 
@@ -275,10 +279,14 @@ class McapFile:
         self._limit = limit
         self._size = path.stat().st_size
         self._schemas: Dict[int, Tuple[str, str, str]] = {0: ("", "", "")}
+        """Type, encoding and text of each schema, by its id."""
         self._channels: Dict[int, Tuple[int, str, str]] = {}
+        """Id of the schema, topic and serialization format of each channel, by its id."""
         self._counts: Dict[int, int] = {}
+        """Number of messages of each channel, by its id."""
         self._chunks: List[_McapChunk] = []
         self._has_loose_messages = False
+        """True if messages may be outside of chunks."""
         self.start = self.end = 0
         with ExitStack() as stack:
             self._file = stack.enter_context(path.open("rb"))
@@ -302,7 +310,7 @@ class McapFile:
             Exception: if the file is malformed, or too many chunks overlap in time.
         """
         first = 0 if start is None else start
-        last = 1 << 64 if stop is None else stop
+        last = _AFTER_ALL_TIMES if stop is None else stop
         wanted = set(ids)
         return (
             self._read_sequentially(wanted, first, last)
@@ -343,7 +351,7 @@ class McapFile:
         has_totals = False
         for opcode, position, length in self._scan_records(self._data_end, footer):
             if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
-                self._add_type(opcode, self._read_bytes(position, length))
+                self._add_schema_or_channel(opcode, self._read_bytes(position, length))
             elif opcode == _CHUNK_INDEX_OPCODE:
                 self._chunks.append(
                     _McapChunk(*_INDEX_STRUCT.unpack_from(self._read_bytes(position, length)))
@@ -369,10 +377,10 @@ class McapFile:
         self._chunks.clear()
         self._has_loose_messages = False
         counts: Counter[int] = Counter()
-        first, last = 1 << 64, -1
+        first, last = _AFTER_ALL_TIMES, -1
         for opcode, position, length in self._scan_records(self._data_start, self._data_end):
             if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
-                self._add_type(opcode, self._read_bytes(position, length))
+                self._add_schema_or_channel(opcode, self._read_bytes(position, length))
             elif opcode == _MESSAGE_OPCODE:
                 self._has_loose_messages = True
                 channel, _, time, _ = _MESSAGE_STRUCT.unpack(
@@ -382,11 +390,11 @@ class McapFile:
                 first, last = min(first, time), max(last, time)
             elif opcode == _CHUNK_OPCODE:
                 chunk = _McapChunk(0, 0, position - _RECORD_STRUCT.size, length + _RECORD_STRUCT.size)
-                data = self._unpack(chunk)
-                begin, end = 1 << 64, -1
+                data = self._unpack_chunk(chunk)
+                begin, end = _AFTER_ALL_TIMES, -1
                 for inner_opcode, body_start, body_end in _scan_chunk_records(data):
                     if inner_opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
-                        self._add_type(inner_opcode, data[body_start:body_end])
+                        self._add_schema_or_channel(inner_opcode, data[body_start:body_end])
                     elif inner_opcode == _MESSAGE_OPCODE:
                         channel, _, time, _ = _MESSAGE_STRUCT.unpack_from(data, body_start)
                         counts[channel] += 1
@@ -397,17 +405,20 @@ class McapFile:
         self._counts = counts
         self.start, self.end = (first, last) if last >= 0 else (0, 0)
 
-    def _add_type(self, opcode: int, body: bytes) -> None:
+    def _add_schema_or_channel(self, opcode: int, body: bytes) -> None:
+        """Store a record with a schema or a channel."""
         if opcode == _SCHEMA_OPCODE:
             (identifier,) = _ID_STRUCT.unpack_from(body)
             name, offset = _read_text(body, _ID_STRUCT.size)
             encoding, offset = _read_text(body, offset)
+            text, _ = _read_text(body, offset)
             # Repeated definitions are ignored: the summary contains those of the data section again.
-            self._schemas.setdefault(identifier, (name, encoding, _read_text(body, offset)[0]))
+            self._schemas.setdefault(identifier, (name, encoding, text))
         else:
             identifier, schema = _IDS_STRUCT.unpack_from(body)
             topic, offset = _read_text(body, _IDS_STRUCT.size)
-            self._channels.setdefault(identifier, (schema, topic, _read_text(body, offset)[0]))
+            message_format, _ = _read_text(body, offset)
+            self._channels.setdefault(identifier, (schema, topic, message_format))
 
     def _merge_chunks(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
         """Yield the messages of all chunks by time; only chunks that overlap in time are in memory."""
@@ -415,10 +426,12 @@ class McapFile:
         heap: List[Tuple[int, int, Message, Iterator[Message], int]] = []
 
         def push_next(index: int, messages: Iterator[Message], size: int) -> int:
+            """Put the next message of a chunk into the heap; at its end, return its size, which is free then."""
             message = next(messages, None)
             if message is None:
                 return size
-            heappush(heap, (message[1], index, message, messages, size))
+            _, time, _ = message
+            heappush(heap, (time, index, message, messages, size))
             return 0
 
         # By start time, because a heap of the chunks that have started is sufficient to merge them.
@@ -429,7 +442,7 @@ class McapFile:
                 _, earlier_index, message, messages, size = heappop(heap)
                 yield message
                 bytes_in_memory -= push_next(earlier_index, messages, size)
-            data = self._unpack(chunk)
+            data = self._unpack_chunk(chunk)
             size = len(data)
             bytes_in_memory += size
             self._limit.check(bytes_in_memory, "chunks that overlap in time have")
@@ -448,18 +461,20 @@ class McapFile:
             if opcode == _MESSAGE_OPCODE:
                 data = _RECORD_STRUCT.pack(opcode, length) + self._read_bytes(position, length)
             elif opcode == _CHUNK_OPCODE:
-                data = self._unpack(
+                data = self._unpack_chunk(
                     _McapChunk(0, 0, position - _RECORD_STRUCT.size, length + _RECORD_STRUCT.size)
                 )
             for message in _read_messages(data, wanted, start, stop):
-                if message[1] < previous_time:
+                _, time, _ = message
+                if time < previous_time:
                     raise ValueError(
                         "its messages are not in the order of time: expected an index of its chunks"
                     )
-                previous_time = message[1]
+                previous_time = time
                 yield message
 
-    def _unpack(self, chunk: _McapChunk) -> bytes:
+    def _unpack_chunk(self, chunk: _McapChunk) -> bytes:
+        """Return the records in a chunk, decompressed."""
         location = f"the chunk at byte {chunk.position}"
         opcode, length = self._read_record_header(chunk.position, self._size)
         if opcode != _CHUNK_OPCODE or length + _RECORD_STRUCT.size != chunk.length:
@@ -555,10 +570,10 @@ Storage = Union[SqliteFile, McapFile]
 
 log = logging.getLogger("retalis")
 
-COMPRESSED = ".zstd"
+_COMPRESSED_SUFFIX = ".zstd"
 """Suffix that ``ros2 bag record --compression-mode file`` adds to file names."""
 
-SUFFIXES = (".db3", ".mcap", f".db3{COMPRESSED}", f".mcap{COMPRESSED}")
+SUFFIXES = (".db3", ".mcap", f".db3{_COMPRESSED_SUFFIX}", f".mcap{_COMPRESSED_SUFFIX}")
 """Suffixes of the files of a ROS 2 bag."""
 
 METADATA = "metadata.yaml"
@@ -601,8 +616,8 @@ class Ros2BagReader:
         self._limit = ChunkLimit(max_chunk_megabytes)
         self._stack = ExitStack()
         self._files, self._has_packed_messages = _open_files(self.path, self._limit, self._stack)
-        self._sources = self._read_types()
-        self.topics: Tuple[Topic, ...] = tuple(source.topic for source in self._sources.values())
+        self._converted_topics = self._read_types()
+        self.topics: Tuple[Topic, ...] = tuple(source.topic for source in self._converted_topics.values())
         self.messages = sum(connection.messages for file in self._files for connection in file.connections)
         non_empty_files = [
             file for file in self._files if any(connection.messages for connection in file.connections)
@@ -626,7 +641,7 @@ class Ros2BagReader:
         unreadable: Dict[Tuple[str, str], List[str]] = {}
         for key, connection in merged.items():
             try:
-                sources[key] = types.source(connection)
+                sources[key] = types.convert_topic(connection)
             except MessageError as error:
                 problem = str(error).partition("\n")[0]  # without the source line
                 topics = unreadable.setdefault((ros1_type_name(connection.type), problem), [])
@@ -654,9 +669,9 @@ class Ros2BagReader:
         try:
             for file in self._files:
                 sources = {
-                    connection.id: self._sources[connection.topic, connection.type]
+                    connection.id: self._converted_topics[connection.topic, connection.type]
                     for connection in file.connections
-                    if (connection.topic, connection.type) in self._sources
+                    if (connection.topic, connection.type) in self._converted_topics
                     and (wanted is None or connection.topic.lstrip("/") in wanted)
                 }
                 if not sources:
@@ -701,7 +716,7 @@ class _Types:
         self._installed = InstalledTypes()
         self._by_definition: Dict[Tuple[str, str], Ros2Type] = {}
 
-    def source(self, connection: Connection) -> _ConvertedTopic:
+    def convert_topic(self, connection: Connection) -> _ConvertedTopic:
         """Return the topic of a connection and the conversion of its messages.
 
         Raises:
@@ -713,7 +728,7 @@ class _Types:
         message_type = self._by_definition.get(key)
         if message_type is None:
             text = self._find_definition(connection)
-            message_type = self._by_definition[key] = parse_ros2_type(connection.type, text, self._find)
+            message_type = self._by_definition[key] = parse_ros2_type(connection.type, text, self._find_text)
         definition = message_type.definition
         topic = Topic(
             connection.topic,
@@ -727,7 +742,7 @@ class _Types:
     def _find_definition(self, connection: Connection) -> str:
         name, text = connection.type, connection.definition
         if not text:
-            definition = self._find(ros1_type_name(name))
+            definition = self._find_text(ros1_type_name(name))
             if definition is None:
                 raise MessageError("the type is not defined in the bag or on this system")
             return definition
@@ -745,17 +760,17 @@ class _Types:
             store.register({**field_definitions, **self._typesys.get_types_from_idl(text)})
             return str(store.generate_msgdef(name, ros_version=2)[0])
         except Exception as error:  # the IDL parser raises arbitrary exceptions for malformed text
-            raise _idl_error(name, text, error) from error
+            raise _make_idl_error(name, text, error) from error
 
-    def _find(self, type_name: str) -> Optional[str]:
+    def _find_text(self, type_name: str) -> Optional[str]:
         name = "/msg/".join(type_name.split("/"))
         if name in self._ros2_store.types:
             return str(self._ros2_store.generate_msgdef(name, ros_version=2)[0])
-        installed = self._installed.text(type_name)
-        return None if installed is None else installed[0]
+        installed = self._installed.find(type_name)
+        return None if installed is None else installed.text
 
 
-def _idl_error(name: str, text: str, error: Exception) -> MessageError:
+def _make_idl_error(name: str, text: str, error: Exception) -> MessageError:
     """Return the error for a definition in IDL that rosbags cannot parse.
 
     Its errors contain the complete text; in version 0.11 the offset of the first part that it cannot parse and the
@@ -789,9 +804,9 @@ def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[S
             paths, has_packed_messages = _read_metadata(path / METADATA) if path.is_dir() else ([path], False)
             files: List[Storage] = []
             for file in paths:
-                if file.suffix == COMPRESSED:
+                if file.suffix == _COMPRESSED_SUFFIX:
                     folder = open_files.enter_context(TemporaryDirectory(prefix="retalis-"))
-                    file = _unpack(file, Path(folder) / file.stem, limit)
+                    file = _unpack_file(file, Path(folder) / file.stem, limit)
                 reader_class = McapFile if file.suffix == ".mcap" else SqliteFile
                 files.append(reader_class(file, limit))
                 open_files.callback(files[-1].close)
@@ -822,7 +837,9 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
         raise ValueError(f"{path.name} names no files, or no storage_identifier: expected sqlite3 or mcap")
     mode = mode.lower() or "none"
     # Other modes would yield compressed bytes as messages.
-    if mode not in ("none", "file", "message") or (mode != "none" and compression_format != COMPRESSED[1:]):
+    if mode not in ("none", "file", "message") or (
+        mode != "none" and compression_format != _COMPRESSED_SUFFIX[1:]
+    ):
         raise ValueError(
             f"its compression by '{mode}' with '{compression_format}' is unknown: expected zstd by file or message"
         )
@@ -830,7 +847,7 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
         raise ValueError("a file is named twice")
     files = [path.parent / name for name in names]
     for file in files:
-        if file.suffix != (COMPRESSED if mode == "file" else suffix):
+        if file.suffix != (_COMPRESSED_SUFFIX if mode == "file" else suffix):
             raise ValueError(f"the name '{file.name}' does not have the suffix of storage '{storage}'")
         if not file.is_file():
             raise ValueError(f"its file {file.name} is missing")
@@ -881,7 +898,7 @@ def _unquote(value: str) -> str:
     return "" if value in ("~", "null") else value
 
 
-def _unpack(path: Path, target: Path, limit: ChunkLimit) -> Path:
+def _unpack_file(path: Path, target: Path, limit: ChunkLimit) -> Path:
     """Decompress a file; return the path of the new file.
 
     Raises:

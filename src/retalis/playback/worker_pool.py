@@ -66,7 +66,7 @@ def run_in_processes(
     Args:
         function: performs a task; each process imports it.
         tasks: the tasks.
-        jobs: maximum number of concurrent processes.
+        jobs: maximum number of processes at a time.
         scratch: folder for temporary files.
         on_worker_death: called with the index of each task that is repeated, and a description of its worker's death.
         ready: indexes of the tasks to run, all by default. The consumer may add indexes while it iterates.
@@ -137,7 +137,7 @@ class _Worker(Generic[Task, Result]):
         self.task_index = task_index
         try:
             self.connection.send(tasks[task_index])
-        except OSError:  # the process has died, which `result` reports
+        except OSError:  # the process has died, which `receive_result` reports
             pass
 
     def receive_result(self) -> Union[Result, _WorkerDeath]:

@@ -15,7 +15,7 @@ from ..events.dispatch.listeners import NOT_READ
 from ..events.program.topic_configuration import TOPICS, Topics, direct_topics, read_topics
 from ..foundation.errors import RetalisError, UsageError, beginning
 from ..messages.decoder import Decoder
-from ..messages.event_text_writer import text_without, text_writer
+from ..messages.event_text_writer import make_text_writer, write_without_unread
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, event_text, to_text
 from ..prolog.terms.types import deref
@@ -108,13 +108,13 @@ class InterfaceNode:
 
     def _handler_factory(self, decoder: Decoder) -> MessageHandler:
         """Return the handler of messages of a type, which adds their texts to the next write."""
-        write, stamp, add = text_writer(decoder), decoder.stamp, self._texts.add
+        write, stamp, add = make_text_writer(decoder), decoder.stamp, self._texts.add
         receipt_stamp = self._receipts.stamp
 
         def handle(data: bytes) -> None:
             instant = stamp(data)
             unread = self._unread.of(decoder.functor) if len(data) > MIN_PROJECTED_BYTES else None
-            text = text_without(decoder, data, unread, NOT_READ) if unread else write(data)
+            text = write_without_unread(decoder, data, unread, NOT_READ) if unread else write(data)
             add(event_text(text, receipt_stamp() if instant is None else instant))
 
         return handle
@@ -128,9 +128,9 @@ class InterfaceNode:
         self, decoder: Decoder, publisher: Publisher, connection: LatchedConnection
     ) -> MessageHandler:
         """Return the handler of a latched connection's messages, which stores the last one for later receivers."""
-        write, stamp, receipts = text_writer(decoder), decoder.stamp, self._receipts
+        write, stamp, receipts = make_text_writer(decoder), decoder.stamp, self._receipts
         # Without the clock skew check, which is done.
-        write_again = text_writer(decoder.plain or decoder)
+        write_again = make_text_writer(decoder.plain or decoder)
 
         def handle(data: bytes) -> None:
             text = write(data)

@@ -23,7 +23,7 @@ from ..engine.checkpoints import (
     resume,
 )
 from ..engine.engine import Engine
-from ..engine.program_check import explain_missing_source, explain_unsendable
+from ..engine.program_check import explain_missing_events, explain_output_mismatch
 from ..engine.runtime.clock import Alarm, Clock
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor
@@ -473,7 +473,7 @@ class RetalisNode:
     def _explain_missing_source(self, pattern: Term, topics: Topics, direct: Iterable[TopicType]) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
         definitions = Definitions(installed_types(include_rosbags=False))
-        return explain_missing_source(self.engine, pattern, definitions, topics, direct)
+        return explain_missing_events(self.engine, pattern, definitions, topics, direct)
 
     def _explain_type_mismatch(
         self, goal: CompoundTerm, topic: str, types: Mapping[str, str], definitions: Definitions
@@ -492,7 +492,7 @@ class RetalisNode:
             if definitions.known(message_type)
             else Definitions(installed_types(include_rosbags=False))
         )
-        return explain_unsendable(goal, topic, message_type, type_definitions)
+        return explain_output_mismatch(goal, topic, message_type, type_definitions)
 
     def _load(self) -> None:
         try:

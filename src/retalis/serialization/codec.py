@@ -24,10 +24,10 @@ from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor
 from .schema import FlatKey
 
-_ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _BIG, _KIND, _INSTANT, _STAMP = range(10)
+_ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _LONG_INTEGER, _MARKER, _INSTANT, _STAMP = range(10)
 """Codes of the extension types."""
 
-_MARKS = (float, Var)
+_MARKERS = (float, Var)
 """Classes that occur as markers in keys of terms, see `term_key`."""
 
 _MAX_NESTING = 40
@@ -49,11 +49,13 @@ _MAX_ARITY = 10_000_000
 
 _TERMS = frozenset((int, float, Atom, String, Var, tuple))
 _VALUES = _TERMS | {FloatSeconds, Stamp}
+"""Classes of terms, and of values of a match."""
+
 _IN_KEYS = frozenset((int, str, Atom, Functor, String, FlatKey, type, type(None)))
-_IN_PAIRS = frozenset((str, int))
+"""Classes of the items of keys."""
 
-
-_SIGNED: Dict[int, Callable[[int], int]] = {_BIG: int, _INSTANT: FloatSeconds}
+_SIGNED_NUMBERS: Dict[int, Callable[[int], int]] = {_LONG_INTEGER: int, _INSTANT: FloatSeconds}
+"""Classes of the extension types that consist of a signed number."""
 
 
 class Ref:
@@ -75,19 +77,19 @@ _LEAVES = _PLAIN - {tuple, list}
 _IN_TERMS = _LEAVES | {tuple}
 
 
-def _index(number: int) -> bytes:
+def _encode_index(number: int) -> bytes:
     width = 1 if number < 1 << 8 else 2 if number < 1 << 16 else 4
     return number.to_bytes(width, "little")
 
 
-def _signed(number: int) -> bytes:
+def _encode_signed(number: int) -> bytes:
     return number.to_bytes(number.bit_length() // 8 + 1, "little", signed=True)
 
 
 @lru_cache(maxsize=1024)
-def _extension(code: int, number: int) -> Any:
+def _make_extension(code: int, number: int) -> Any:
     """Return an extension type. Low numbers occur in every state, and msgpack checks each new object."""
-    return msgpack.ExtType(code, _index(number))
+    return msgpack.ExtType(code, _encode_index(number))
 
 
 # ---- encoding ----------------------------------------------------------------------------------------
@@ -101,38 +103,39 @@ class _SymbolTable(Dict[Any, Any]):
         self.atoms: List[str] = []
         self.names: List[str] = []
         self.arities: List[int] = []
-        self._variables = 0
+        self._variable_count = 0
 
     def __missing__(self, value: Any) -> Any:
         # MessagePack looks up each value that it cannot encode; this is called on the first lookup only.
         value_class = value.__class__
         if value_class is Atom:
-            extension = _extension(_ATOM, len(self.atoms))
+            extension = _make_extension(_ATOM, len(self.atoms))
             self.atoms.append(value.name)
         elif value_class is Functor:
-            extension = _extension(_FUNCTOR, len(self.names))
+            extension = _make_extension(_FUNCTOR, len(self.names))
             self.names.append(value.name)
             self.arities.append(value.arity)
         elif value_class is Ref:
-            extension = msgpack.ExtType(_REF, _index(value.number))
+            extension = msgpack.ExtType(_REF, _encode_index(value.number))
         elif value_class is Var and value.ref is None:
-            extension = _extension(_VARIABLE, self._variables)
-            self._variables += 1
+            extension = _make_extension(_VARIABLE, self._variable_count)
+            self._variable_count += 1
         elif value_class is String:
             return msgpack.ExtType(_STRING, value.text.encode("utf-8", "surrogatepass"))
         elif value_class is int:
-            return msgpack.ExtType(_BIG, _signed(value))
-            # Not stored: the same variable may be bound to another value in the next term.
+            # MessagePack encodes integers of at most 64 bits.
+            return msgpack.ExtType(_LONG_INTEGER, _encode_signed(value))
+        # A bound variable is not stored: it may be bound to another value in the next term.
         elif value_class is Var or value_class is Lazy:
-            return self.of(deref(value))
-        elif value in _MARKS:
-            extension = msgpack.ExtType(_KIND, _index(_MARKS.index(value)))
+            return self.lookup(deref(value))
+        elif value in _MARKERS:
+            extension = msgpack.ExtType(_MARKER, _encode_index(_MARKERS.index(value)))
         else:
             raise TypeError(f"{value_class.__name__} cannot be stored in a state")
         self[value] = extension
         return extension
 
-    def of(self, value: Any) -> Any:
+    def lookup(self, value: Any) -> Any:
         """Return the value that MessagePack encodes for a dereferenced value."""
         if value.__class__ in (Atom, Functor, String, Var) or (
             value.__class__ is int and value.bit_length() > 63
@@ -149,27 +152,27 @@ def to_bytes(data: Any) -> bytes:
     """
     nodes: List[Any] = []
     # Maps are not part of the encoding, since their keys can be terms, which the reader could not hash safely.
-    data = _pairs(data, _ENGINE_LEVELS)
+    data = _replace_mappings(data, _ENGINE_LEVELS)
     # The general encoder visits every item in Python, and is needed for few states.
     if not _is_simple(data):
-        data = _split(data, nodes)
+        data = _extract_nodes(data, nodes)
     table = _SymbolTable()
     packer = msgpack.Packer(default=table.__getitem__, use_bin_type=True, unicode_errors="surrogatepass")
     body = [packer.pack(item) for item in (*nodes, data)]
     return b"".join((packer.pack((table.atoms, table.names, table.arities, len(nodes))), *body))
 
 
-def _pairs(data: Any, depth: int) -> Any:
+def _replace_mappings(data: Any, depth: int) -> Any:
     """Return data with mappings as lists of pairs, where they occur in short sequences that the engine creates."""
     if data.__class__ is dict:
-        return [[key, _pairs(value, depth - 1)] for key, value in data.items()]
+        return [[key, _replace_mappings(value, depth - 1)] for key, value in data.items()]
     if (
         data.__class__ in (tuple, list)
         and depth
         and 0 < len(data) <= _SHORT_SEQUENCE
         and data[0].__class__ is not Functor
     ):
-        return [_pairs(item, depth - 1) for item in data]
+        return [_replace_mappings(item, depth - 1) for item in data]
     return data
 
 
@@ -208,7 +211,7 @@ def _is_simple(data: Any) -> bool:
     return False
 
 
-def _children(container: Any) -> List[Any]:
+def _list_children(container: Any) -> List[Any]:
     """Return the items of a sequence, the pairs of a mapping, or the term of a stamp."""
     if isinstance(container, dict):
         children: List[Any] = [[key, value] for key, value in container.items()]
@@ -227,7 +230,7 @@ def _is_container(value: Any) -> bool:
     )
 
 
-def _split(data: Any, nodes: List[Any]) -> Any:
+def _extract_nodes(data: Any, nodes: List[Any]) -> Any:
     """Return data in which sequences that are used repeatedly or nested too deeply are references to nodes.
 
     Args:
@@ -242,7 +245,7 @@ def _split(data: Any, nodes: List[Any]) -> Any:
     # The replacement of each sequence by its id; None while its items are being processed, which detects cycles.
     replacements: Dict[int, Any] = {}
     depths: Dict[int, int] = {}
-    uses, children_of = _uses(data)
+    uses, children_of = _count_uses(data)
     # An explicit stack: lists in Prolog are nested as deeply as they are long.
     stack: List[Tuple[Any, bool]] = [(data, False)]
     while stack:
@@ -259,7 +262,7 @@ def _split(data: Any, nodes: List[Any]) -> Any:
             stack.append((sequence, True))
             stack += [(child, False) for child in children if _is_container(child)]
             continue
-        items = _replaced(sequence, children, replacements)
+        items = _replace_children(sequence, children, replacements)
         depth = max((depths[id(child)] for child in children if _is_container(child)), default=0)
         depths[id(sequence)] = 0
         if sequence.__class__ is Stamp:
@@ -267,33 +270,33 @@ def _split(data: Any, nodes: List[Any]) -> Any:
             nodes.append(items[0])
             number = len(nodes) - 1
             replacements[id(sequence)] = msgpack.ExtType(
-                _STAMP, number.to_bytes(4, "little") + _signed(int(sequence))
+                _STAMP, number.to_bytes(4, "little") + _encode_signed(int(sequence))
             )
         # A shared sequence is stored once, which also preserves identity; deep ones are cut so that no reader
         # overflows.
         elif uses[id(sequence)] > 1 or depth >= _MAX_NESTING:
             nodes.append(items)
-            replacements[id(sequence)] = msgpack.ExtType(_NODE, _index(len(nodes) - 1))
+            replacements[id(sequence)] = msgpack.ExtType(_NODE, _encode_index(len(nodes) - 1))
         else:
             replacements[id(sequence)], depths[id(sequence)] = items, depth + 1
     return replacements[id(data)]
 
 
-def _replaced(sequence: Any, parts: List[Any], replacements: Dict[int, Any]) -> List[Any]:
+def _replace_children(sequence: Any, parts: List[Any], replacements: Dict[int, Any]) -> List[Any]:
     """Return the items of a sequence with nested sequences replaced; instants in terms become integers."""
     if sequence.__class__ is tuple and parts[0].__class__ is Functor and parts[0].name != ITEM_FUNCTOR_NAME:
         parts = [int(part) if part.__class__ in (FloatSeconds, Stamp) else part for part in parts]
     return [
         replacements[id(part)]
         if _is_container(part)
-        else msgpack.ExtType(_INSTANT, _signed(int(part)))
+        else msgpack.ExtType(_INSTANT, _encode_signed(int(part)))
         if part.__class__ is FloatSeconds
         else part
         for part in parts
     ]
 
 
-def _uses(data: Any) -> Tuple[Dict[int, int], Dict[int, List[Any]]]:
+def _count_uses(data: Any) -> Tuple[Dict[int, int], Dict[int, List[Any]]]:
     """Return the number of uses and the items of each sequence, by its id."""
     uses: Dict[int, int] = {}
     parts: Dict[int, List[Any]] = {}
@@ -304,7 +307,7 @@ def _uses(data: Any) -> Tuple[Dict[int, int], Dict[int, List[Any]]]:
             uses[id(sequence)] += 1
             continue
         uses[id(sequence)] = 1
-        parts[id(sequence)] = children = _children(sequence)
+        parts[id(sequence)] = children = _list_children(sequence)
         stack += [part for part in children if _is_container(part)]
     return uses, parts
 
@@ -326,7 +329,7 @@ class _StateReader:
         """Return the decoded data."""
         # Counted first, see `_count_objects`.
         object_count = _count_objects(data)
-        unpacker = _unpacker(data, self._sequence, self._extension)
+        unpacker = _create_unpacker(data, self._decode_sequence, self._decode_extension)
         unpacker.feed(data)
         head = unpacker.unpack()
         atoms, names, arities, nodes = head
@@ -340,13 +343,15 @@ class _StateReader:
             and object_count == nodes + 2
         ):
             raise UsageError("its symbol table is malformed")
-        self._atoms = {_index(index): atom(name) for index, name in enumerate(atoms)}
-        self._functors = {_index(index): functor(*entry) for index, entry in enumerate(zip(names, arities))}
+        self._atoms = {_encode_index(index): atom(name) for index, name in enumerate(atoms)}
+        self._functors = {
+            _encode_index(index): functor(*entry) for index, entry in enumerate(zip(names, arities))
+        }
         for _ in range(nodes):
             self._nodes.append(unpacker.unpack())
         return unpacker.unpack()
 
-    def _sequence(self, items: Any) -> Any:
+    def _decode_sequence(self, items: Any) -> Any:
         """Return a compound term as a tuple, a key of a term as a `FlatKey`, and any other sequence as a list."""
         if not items:
             return items
@@ -366,7 +371,7 @@ class _StateReader:
             return FlatKey(items)
         return items
 
-    def _extension(self, code: int, data: bytes) -> Any:
+    def _decode_extension(self, code: int, data: bytes) -> Any:
         """Return the value of an extension type."""
         if code == _ATOM:
             return self._atoms[data]
@@ -374,22 +379,22 @@ class _StateReader:
             return self._functors[data]
         if code == _STRING:
             return String(str(data, "utf-8", "surrogatepass"))
-        if code in _SIGNED:
-            return _SIGNED[code](int.from_bytes(data, "little", signed=True))
+        if code in _SIGNED_NUMBERS:
+            return _SIGNED_NUMBERS[code](int.from_bytes(data, "little", signed=True))
         if code == _STAMP:
             term: Any = self._nodes[int.from_bytes(data[:4], "little")]
             term_class = term.__class__
             if term_class not in _TERMS:
                 raise UsageError("the text of an instant is not a term")
             return Stamp.of(int.from_bytes(data[4:], "little", signed=True), term)
-        return self._by_number(code, int.from_bytes(data, "little"))
+        return self._decode_numbered(code, int.from_bytes(data, "little"))
 
-    def _by_number(self, code: int, number: int) -> Any:
+    def _decode_numbered(self, code: int, number: int) -> Any:
         """Return the value of an extension type with a number."""
         if code == _NODE:
             return self._nodes[number]
-        if code == _KIND:
-            return _MARKS[number]
+        if code == _MARKER:
+            return _MARKERS[number]
         if code == _VARIABLE:
             # The same number is the same variable in all parts of the data.
             return self._variables.get(number) or self._variables.setdefault(number, Var())
@@ -398,7 +403,7 @@ class _StateReader:
         raise UsageError(f"extension type {code} is unknown")
 
 
-def _unpacker(data: bytes, sequence_hook: Any = None, extension_hook: Any = None) -> Any:
+def _create_unpacker(data: bytes, sequence_hook: Any = None, extension_hook: Any = None) -> Any:
     # No object can be larger than the data. Without these limits, a false length would allocate memory.
     max_size = max(len(data), 1)
     return msgpack.Unpacker(
@@ -425,7 +430,7 @@ def _count_objects(data: bytes) -> int:
     A sequence states its length before its items. Decoding it directly would allocate memory for that many items;
     skipping over all objects first verifies that they exist.
     """
-    unpacker = _unpacker(data)
+    unpacker = _create_unpacker(data)
     unpacker.feed(data)
     count = 0
     while unpacker.tell() < len(data):

@@ -115,14 +115,14 @@ def group_fits(node: RepeatNode, group: RunGroup) -> bool:
     if group.node is not node or len(group.cursors) >= node.times:
         return False
     child = MatchShape(node.child)
-    present = [
+    numbered_cursors = [
         (number, cursor)
         for number, cursor in enumerate(group.cursors, 1)
         if cursor is not None and cursor.buffer is group
     ]
     return (
-        bool(present)
-        and all(_cursor_fits(node, child, number, cursor) for number, cursor in present)
+        bool(numbered_cursors)
+        and all(_cursor_fits(node, child, number, cursor) for number, cursor in numbered_cursors)
         and all(map(child.fits, group.log.items))
     )
 
@@ -132,13 +132,13 @@ def _cursor_fits(node: RepeatNode, child: MatchShape, number: int, cursor: RunCu
     return cursor.prefix_length <= number and len(cursor.values) == first.width and first.fits(cursor.first)
 
 
-def _negation_shapes(negation: NegationBuffer, node: NetworkNode) -> List[Any]:
+def _shapes_of_negation(negation: NegationBuffer, node: NetworkNode) -> List[Any]:
     """Return the shapes for `NegationBuffer.buffers`."""
     return [MatchShape(node), *_shapes_of_negations(negation.deferred_negations)]
 
 
 def _shapes_of_negations(negations: Iterable[Tuple[NegationBuffer, NetworkNode]]) -> List[Any]:
-    return [shape for negation, node in negations for shape in _negation_shapes(negation, node)]
+    return [shape for negation, node in negations for shape in _shapes_of_negation(negation, node)]
 
 
 def buffer_shapes(node: Any, saved: Any) -> List[Any]:
@@ -156,7 +156,7 @@ def buffer_shapes(node: Any, saved: Any) -> List[Any]:
             for times in node.buffer_lengths(saved)
         ]
     if isinstance(node, NotNode):
-        return _negation_shapes(node.negation, node.negated)
+        return _shapes_of_negation(node.negation, node.negated)
     if isinstance(node, (EarlyTestNode, StreamNode)):
         return _shapes_of_negations(node.deferred_negations)
     return [_NoMatches() for _ in node.buffers()]
@@ -179,10 +179,11 @@ def check_arrivals(rule: EventRule, state: RuleState, shapes: Sequence[Any]) -> 
     # Sequence numbers reproduce the order in which partial matches arrived.
     if len(set(orders)) != len(orders):
         raise UsageError(f"{rule.name}: two partial matches have the same sequence number")
-    if max(orders, default=0) > state.times[1]:
+    _, last_order, _ = state.times
+    if max(orders, default=0) > last_order:
         raise UsageError(f"{rule.name}: a partial match has a sequence number that was not assigned")
-    later = [(match, buffer_number) for buffer_number, match in state.deferred_matches]
-    for match, buffer_number in chain(zip(matches, buffer_numbers), later):
+    deferred = [(match, buffer_number) for buffer_number, match in state.deferred_matches]
+    for match, buffer_number in chain(zip(matches, buffer_numbers), deferred):
         if buffer_number < 0:
             if match.buffer is None:
                 raise UsageError(f"{rule.name}: a run does not belong to a group")
@@ -201,7 +202,8 @@ def check_stored_once(rules: Sequence[EventRule], states: Sequence[RuleState]) -
     """
     stored: Set[int] = set()
     for rule, state in zip(rules, states):
-        matches = [*state.arrivals[0], *(match for _, match in state.deferred_matches)]
+        stored_matches, _, _ = state.arrivals
+        matches = [*stored_matches, *(match for _, match in state.deferred_matches)]
         size = len(stored) + len(matches)
         stored.update(map(id, matches))
         if len(stored) != size:
@@ -227,28 +229,22 @@ def check_lineage(graph: GraphReader) -> None:
             if (id(node), id(owner)) in checked:
                 continue
             checked.add((id(node), id(owner)))
-            of_node = isinstance(node, StreamNode) or (
+            fits_node = isinstance(node, StreamNode) or (
                 _run_fits(node, owner) if isinstance(node, KleeneNode) else owner.node is node
             )
-            if not of_node:
+            if not fits_node:
                 raise UsageError("a match with repetitions does not fit its node")
 
 
 def _can_retry(node: Any, suppressed: Any) -> bool:
     """Return whether `retry` of a node accepts a suppressed match or pair."""
-    is_pair = suppressed.__class__ is tuple
-    if isinstance(node, JoinNode):
-        return (
-            is_pair
-            and MatchShape(node.left).fits(suppressed[0])
-            and MatchShape(node.right).fits(suppressed[1])
-        )
-    if isinstance(node, KleeneNode):
-        return (
-            is_pair
-            and MatchShape(node, Run).fits(suppressed[0])
-            and MatchShape(node.repeated).fits(suppressed[1])
-        )
     if isinstance(node, (NotNode, EarlyTestNode)):
-        return not is_pair and MatchShape(node.child).fits(suppressed)
+        return suppressed.__class__ is not tuple and MatchShape(node.child).fits(suppressed)
+    if suppressed.__class__ is not tuple:
+        return False
+    first, second = suppressed
+    if isinstance(node, JoinNode):
+        return MatchShape(node.left).fits(first) and MatchShape(node.right).fits(second)
+    if isinstance(node, KleeneNode):
+        return MatchShape(node, Run).fits(first) and MatchShape(node.repeated).fits(second)
     return False

@@ -38,6 +38,7 @@ _SEQUENCES = frozenset((list, tuple, FlatKey))
 _TERMS = frozenset((int, float, Atom, String, Var, tuple))
 _INSTANTS = frozenset((int, FloatSeconds, Stamp))
 _INSTANTS_OF_PARTS = frozenset((FloatSeconds, Stamp))
+"""Classes of instants among the values of a match; an ``int`` there is a term."""
 _KEYS = frozenset((int, Atom, String, Functor))
 
 

@@ -86,18 +86,18 @@ def test_what_is_over_when_its_time_is_noted_takes_nothing_from_the_next(executo
 
 
 def test_what_is_held_and_for_how_long_is_said_between_the_looks(executor, watched):
-    assert watched.running_entry(0.0) is None
+    assert watched.find_running_entry(0.0) is None
     for first, name in ((1.0, "a"), (10.0, "b")):
         executor.begin(name)
-        assert watched.running_entry(first) == ((name,), 0.0)
-        assert watched.running_entry(first + 0.5) == ((name,), 0.5)
+        assert watched.find_running_entry(first) == ((name,), 0.0)
+        assert watched.find_running_entry(first + 0.5) == ((name,), 0.5)
         for passed in (0.9, 1.0, 1.5, 2.0):
             watched.sample(first + passed)
-        assert watched.running_entry(first + 3.0) == ((name,), 3.0)
+        assert watched.find_running_entry(first + 3.0) == ((name,), 3.0)
         assert watched.warned == [(1.0, (name,)), (2.0, (name,))]
         watched.warned.clear()
     executor.thread = None
-    assert watched.running_entry(14.0) is None
+    assert watched.find_running_entry(14.0) is None
 
 
 @pytest.mark.parametrize(
@@ -113,9 +113,9 @@ def test_what_is_held_and_for_how_long_is_said_between_the_looks(executor, watch
 def test_looks_are_a_fifth_of_the_shortest_time_apart_within_bounds(executor, patience, seconds, pause):
     budget = Budget()
     budget.set_limits(Limits(seconds=seconds))
-    assert Watchdog(executor, budget, patience, lambda ran, entry: None).sample_interval() == pytest.approx(
-        pause
-    )
+    assert Watchdog(
+        executor, budget, patience, lambda ran, entry: None
+    ).compute_sample_interval() == pytest.approx(pause)
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_what_cannot_be_named_is_ended_all_the_same(monkeypatch, caplog):
         assert budget.needs_check
         raise RuntimeError("changed size during iteration")
 
-    monkeypatch.setattr(_watchdog, "_slow_work_warning", changed_meanwhile)
+    monkeypatch.setattr(_watchdog, "_make_slow_work_warning", changed_meanwhile)
 
     def hold(machine):
         dog.sample(0.0)

@@ -1,7 +1,7 @@
 """Texts of message definitions."""
 
 from retalis import Definitions
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.type_registry import InstalledTypes
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
@@ -77,7 +77,7 @@ class Inputs(Kind):
         encoder = self.attempt(self.known.encoder, definition)
         if decoder is None or encoder is None:
             return
-        write = text_writer(decoder)
+        write = make_text_writer(decoder)
         for size in (0, 64):
             message = bytes(size)
             self.attempt(decoder.stamp, message)

@@ -4,7 +4,7 @@ import random
 import struct
 
 from retalis import Definitions
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 
@@ -90,7 +90,7 @@ class Inputs(Kind):
             name, _, text = path.read_text().partition("\n")
             self.types[name] = self.known.add(name, text)
         self.names = sorted(self.types)
-        self.writers = {name: text_writer(self.known.decoder(kind)) for name, kind in self.types.items()}
+        self.writers = {name: make_text_writer(self.known.decoder(kind)) for name, kind in self.types.items()}
         self.valid = {}
 
     def reset(self):

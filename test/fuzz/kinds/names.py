@@ -8,7 +8,7 @@ import json
 import re
 
 from retalis import Definitions, atom, functor
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.type_definition import functor_name
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader
@@ -179,7 +179,7 @@ class Inputs(Kind):
     def _use(self, definition):
         decoder, encoder = self.known.decoder(definition), self.known.encoder(definition)
         term = decoder.decode(bytes(4))
-        text = text_writer(decoder)(bytes(4))
+        text = make_text_writer(decoder)(bytes(4))
         self.same(text, text_of(term))
         self.same(encoder.encode(self.reader.read(text)), bytes(4))
         self.attempt(decoder.decode, b"")
@@ -217,7 +217,7 @@ class Inputs(Kind):
         raw = name.encode("utf-8", "surrogatepass")
         data = len(raw).to_bytes(4, "little") + raw
         decoder = self.known.decoder(definition)
-        text = text_writer(decoder)(data)
+        text = make_text_writer(decoder)(data)
         term = self.reader.read(text)
         self.same(text_of(term), text_of(decoder.decode(data)))
         self.same(self.known.encoder(definition).encode(decoder.decode(data)), data)

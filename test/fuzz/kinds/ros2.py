@@ -3,7 +3,7 @@
 import struct
 
 from retalis import Definitions
-from retalis.messages.event_text_writer import text_writer
+from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.ros2_to_ros1 import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of
 
@@ -168,7 +168,7 @@ class Inputs(Kind):
         encoder = self.attempt(self.known.encoder, definition)
         if decoder is None or encoder is None:
             return
-        write = text_writer(decoder)
+        write = make_text_writer(decoder)
         for raw in self.messages(data):
             message = self.attempt(found.to_ros1, raw)
             if message is None:

@@ -73,6 +73,20 @@ class _BufferedBatch(NamedTuple):
     size: int
 
 
+class _ClockTime(NamedTuple):
+    """Times of the clock, which are replaced together, so that reads by other threads are consistent.
+
+    Attributes:
+        reset_count: number of resets.
+        now: current time in ns; 0 before the first message of the clock.
+        previous_end: time before the last reset, in ns.
+    """
+
+    reset_count: int
+    now: int
+    previous_end: int
+
+
 class ClockEpochs:
     """The current epoch of a simulated clock, and a buffer of messages that belong to the next one.
 
@@ -88,7 +102,7 @@ class ClockEpochs:
 
     Attributes:
         epoch: number of the current epoch.
-        epoch_start: its start, by ``monotonic``.
+        epoch_start: time of its start by ``monotonic``, in seconds.
         is_buffering: whether messages may have to wait; see `must_buffer` and `must_buffer_texts`.
         dropped: number of messages that did not fit into the buffer.
     """
@@ -105,8 +119,7 @@ class ClockEpochs:
         self._wake = wake
         self._monotonic = monotonic
         self._newest_time = read_clock()
-        self._time: Tuple[int, int, int] = (0, self._newest_time, 0)
-        """Number of resets, current time, time before the last reset; one tuple, so that reads are atomic."""
+        self._time = _ClockTime(0, self._newest_time, 0)
         self._lock = threading.Lock()
         self._senders: Dict[object, Tuple[int, int]] = {}
         """For each sender of texts: its epoch, and the offset between its count of epochs and ours."""
@@ -138,7 +151,7 @@ class ClockEpochs:
         reset_count, _, end = self._time
         if instant >= self._newest_time - JUMP:
             self._newest_time = max(instant, self._newest_time)
-            self._time = reset_count, instant, end
+            self._time = _ClockTime(reset_count, instant, end)
             return
         if reset_count == self.epoch:
             end = self._newest_time
@@ -146,19 +159,19 @@ class ClockEpochs:
         with self._lock:
             self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
             self.is_buffering = True
-            self._time = reset_count + 1, instant, end
+            self._time = _ClockTime(reset_count + 1, instant, end)
         self._wake()
 
-    def report_epoch(self, sender: object, reported: int) -> None:
-        """Store that all further texts of a sender belong to an epoch, given by the count of the sender."""
-        reset_count = self._time[0]
+    def report_epoch(self, sender: object, sender_epoch: int) -> None:
+        """Store that all further texts of a sender belong to an epoch, which is given by the sender's own count."""
+        reset_count = self._time.reset_count
         with self._lock:
             # The first report of a sender defines the offset between the two counts.
-            _, offset = self._senders.get(sender, (0, reset_count - reported))
+            _, offset = self._senders.get(sender, (0, reset_count - sender_epoch))
             if sender not in self._senders and len(self._senders) >= MAX_SENDERS:
                 del self._senders[next(iter(self._senders))]
-            self._senders[sender] = reported + offset, offset
-            if reported + offset > self.epoch:
+            self._senders[sender] = sender_epoch + offset, offset
+            if sender_epoch + offset > self.epoch:
                 self._start_buffering()
         self._wake()
 
@@ -168,14 +181,15 @@ class ClockEpochs:
 
     def must_buffer(self, publisher: str) -> bool:
         """Return whether messages of a publisher must be buffered."""
-        return self._time[0] != self.epoch or publisher in self._early_publishers
+        return self._time.reset_count != self.epoch or publisher in self._early_publishers
 
     def must_buffer_texts(self, sender: object) -> bool:
         """Return whether texts of a sender must be buffered: it is ahead, or has not reported a pending reset."""
         sender_state = self._senders.get(sender)
         if sender_state is None:
-            return self._time[0] != self.epoch
-        return sender_state[0] > self.epoch
+            return self._time.reset_count != self.epoch
+        sender_epoch, _ = sender_state
+        return sender_epoch > self.epoch
 
     def buffer_early(
         self, publisher: str, process: Callable[[List[bytes]], object], messages: List[bytes]
@@ -265,7 +279,7 @@ class ClockEpochs:
             self._message_count = self._byte_count = 0
             self._early_publishers.clear()
             # True if the clock went back again in the meantime.
-            self.is_buffering = self._time[0] != self.epoch
+            self.is_buffering = self._time.reset_count != self.epoch
             if self.is_buffering:
                 self._deadline = self._monotonic() + CLOCK_WAIT_SECONDS
         # Outside of the lock: the consumers may buffer messages again.

@@ -299,7 +299,7 @@ class ClockSkewMonitor:
     def watch(self, decoder: Decoder, topic: str, publisher: str = "") -> Decoder:
         """Return a decoder that also checks the timestamps of each message.
 
-        The caller must call both `decode` and `stamp`, because the check is in one of them. The check raises
+        The caller must call both `decode` and `stamp`, because either may run the check. The check raises
         `RefusedMessage` for a message to be dropped, and `EarlyMessage` for one to be delayed.
 
         Args:

@@ -22,6 +22,7 @@ from .problem_reports import Reports
 from .serial_executor import SerialExecutor
 
 OnSlowWork = Callable[[float, object], None]
+"""Takes the duration of an entry in seconds, and the entry."""
 
 _SAMPLES_PER_LIMIT = 5
 """Minimum number of samples within the shortest configured time limit."""
@@ -80,16 +81,16 @@ class Watchdog:
             self._start_measurement(entry, now)
             return
         elapsed = now - self._start_time
-        seconds = budget.limits.seconds
-        # After a goal has caught a resource error, the budget grants the time limit once more; `rounds` counts the
-        # grants.
-        if seconds is not None and elapsed >= seconds * budget.allowance_count:
+        time_limit = budget.limits.seconds
+        # After a goal has caught a resource error, the budget grants the time limit once more, and increments
+        # `allowance_count`.
+        if time_limit is not None and elapsed >= time_limit * budget.allowance_count:
             budget.expire(entry)
         if self._next_warning is not None and elapsed >= self._next_warning:
             self._next_warning *= 2
             self._on_warning(elapsed, entry)
 
-    def running_entry(self, now: float) -> Optional[Tuple[object, float]]:
+    def find_running_entry(self, now: float) -> Optional[Tuple[object, float]]:
         """Return the running entry and its measured duration in seconds; None if nothing is running.
 
         The duration of a new entry is measured from this call on.
@@ -107,7 +108,7 @@ class Watchdog:
         self._start_time = now
         self._next_warning = self._warn_after
 
-    def sample_interval(self) -> float:
+    def compute_sample_interval(self) -> float:
         """Return the time until the next sample in seconds."""
         limits = [limit for limit in (self._warn_after, self._budget.limits.seconds) if limit is not None]
         return max(
@@ -131,23 +132,23 @@ def start_watchdog(
 
     def warn(seconds: float, entry: object) -> None:
         try:
-            reports.warning(*_slow_work_warning(logic, dispatcher, entry, seconds))
+            reports.warning(*_make_slow_work_warning(logic, dispatcher, entry, seconds))
         except Exception as error:
             # The engine's thread may change the data while it is read here. Such an error must not end the watchdog.
             reports.error(error)
 
     def warn_of_refusal(goal_count: int, limit: str, entry: object) -> None:
-        text = f"{_short_name(entry)} has exceeded its limit of {limit}; goals refused: {goal_count}"
-        reports.warning(text, ("refused goals", _short_name(entry)))
+        text = f"{_describe_entry(entry)} has exceeded its limit of {limit}; goals refused: {goal_count}"
+        reports.warning(text, ("refused goals", _describe_entry(entry)))
 
     def warn_of_stop(rule: Any, limit: str, omitted_count: int, entry: object) -> None:
         name = "retraction of events" if rule is None else rule.name
         text = (
-            f"{name}: {_short_name(entry)} has exceeded its limit of {limit} while patterns were matched:"
+            f"{name}: {_describe_entry(entry)} has exceeded its limit of {limit} while patterns were matched:"
             f" {omitted_count} pairs, items or derived events were omitted, with all their consequences"
         )
         reports.warning(
-            RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _short_name(entry))
+            RuleError(text, getattr(rule, "place", None)), ("pattern work", name, _describe_entry(entry))
         )
 
     budget.on_refused = warn_of_refusal
@@ -180,19 +181,20 @@ if hasattr(os, "register_at_fork"):
 
 
 def _sample_periodically(reference: "ref[Watchdog]") -> None:
+    """Sample the running work until the watchdog is deleted."""
     while True:
         # A weak reference, so that the thread ends when the engine is deleted.
         watchdog = reference()
         if watchdog is None:
             return
         watchdog.sample(time.monotonic())
-        pause = watchdog.sample_interval()
+        pause = watchdog.compute_sample_interval()
         # The reference must not be held during the sleep, or the engine would never be deleted.
         del watchdog
         time.sleep(pause)
 
 
-def _slow_work_warning(
+def _make_slow_work_warning(
     logic: PrologSystem, dispatcher: Dispatcher, entry: object, seconds: float
 ) -> Tuple[RuleError, Tuple[str, str]]:
     """Return a warning about the running work, and the key by which equal warnings are counted.
@@ -215,13 +217,13 @@ def describe_work(logic: PrologSystem, dispatcher: Dispatcher, entry: object) ->
         place = goal.place
         goal_text = f"{goal.name}: goal {beginning(logic.show(goal.term))}"
     elif goal is not None:
-        goal_text = f"goal {_short_name((_first_goal(goal),))}"
+        goal_text = f"goal {_describe_entry((_find_first_goal(goal),))}"
     return RunningWork(
-        _short_name(entry), goal_text, "" if current is None else _short_name((current[TERM],)), place
+        _describe_entry(entry), goal_text, "" if current is None else _describe_entry((current[TERM],)), place
     )
 
 
-def _first_goal(term: Any) -> Any:
+def _find_first_goal(term: Any) -> Any:
     """Return the first goal of a conjunction, because the functor ``,/2`` does not identify a goal; else the term."""
     term = deref(term)
     for _ in range(_MAX_CONJUNCTION_DEPTH):
@@ -231,9 +233,12 @@ def _first_goal(term: Any) -> Any:
     return term
 
 
-def _short_name(entry: object) -> str:
-    """Return a short name of an entry, an event or a goal: the functor of its term, or the beginning of its text."""
-    goal = _first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
+def _describe_entry(entry: object) -> str:
+    """Return a short name of an entry: the functor of its term, or the beginning of its text.
+
+    An entry is a tuple that begins with the term or the text; other objects have no name.
+    """
+    goal = _find_first_goal(entry[0]) if isinstance(entry, tuple) and entry else None
     if isinstance(goal, str):
         return beginning(goal)
     if isinstance(goal, Atom):

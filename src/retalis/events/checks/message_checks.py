@@ -10,7 +10,7 @@ from xml.parsers import expat
 
 from ...foundation.errors import Place, RuleError, UsageError, beginning, counted, place_in, printable
 from ...messages.type_definition import Definition, Field, type_name
-from ...messages.validating_encoder import fault_of
+from ...messages.validating_encoder import find_fault
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import (
     FALSE,
@@ -298,7 +298,7 @@ def find_output_fault(definition: Definition, subscription: CompoundTerm, topic:
     """
     output = deref(EventConsumer(subscription, "", no_place).output_term)
     # The event itself is sent if the form is a variable, and events may be anything.
-    return None if is_variable(output) else fault_of(definition, output, topic)
+    return None if is_variable(output) else find_fault(definition, output, topic)
 
 
 _ROOT_ELEMENT = "publish_subscribe"
