@@ -215,7 +215,7 @@ _REMAINING_SOLUTIONS = Code("findnsols", _remaining_solutions, True)
 
 # Aggregates
 
-AggregateFunction = Callable[[List[Term]], Optional[Term]]
+AggregateComputation = Callable[[List[Term]], Optional[Term]]
 """Function that computes an aggregate from the collected terms; it returns None if the aggregate has no value."""
 
 _COUNT = atom("count")
@@ -267,7 +267,7 @@ def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Option
     return machine.logic.control.collect(inner_goal, template, unify_aggregate)
 
 
-def _parse_aggregate(term: Term) -> Tuple[AggregateFunction, Term]:
+def _parse_aggregate(term: Term) -> Tuple[AggregateComputation, Term]:
     """Return the function that computes an aggregate, and the template to collect."""
     spec = deref(term)
     if spec is _COUNT:
@@ -288,8 +288,8 @@ def _parse_aggregate(term: Term) -> Tuple[AggregateFunction, Term]:
 
 
 def _compound_aggregate(
-    key: Functor, parts: List[Tuple[AggregateFunction, Term]]
-) -> Tuple[AggregateFunction, Term]:
+    key: Functor, parts: List[Tuple[AggregateComputation, Term]]
+) -> Tuple[AggregateComputation, Term]:
     """Return the aggregate of a compound specification such as ``r(count, max(X))``."""
 
     def compute_aggregate(solutions: List[Term]) -> Optional[Term]:
@@ -304,7 +304,7 @@ def _columns(solutions: List[Any], count: int) -> List[List[Term]]:
     return [[item[column] for item in solutions] for column in range(1, count + 1)]
 
 
-def _extremum(choose: Callable[..., Number]) -> AggregateFunction:
+def _extremum(choose: Callable[..., Number]) -> AggregateComputation:
     def compute_aggregate(terms: List[Term]) -> Optional[Term]:
         value: Optional[Number] = None
         for item in terms:
@@ -315,7 +315,7 @@ def _extremum(choose: Callable[..., Number]) -> AggregateFunction:
     return compute_aggregate
 
 
-def _extremum_with_witness(key: Functor, sign: int) -> AggregateFunction:
+def _extremum_with_witness(key: Functor, sign: int) -> AggregateComputation:
     def compute_aggregate(terms: List[Any]) -> Optional[Term]:
         best: Optional[Tuple[Number, Term]] = None
         for _, item, witness in terms:
@@ -330,7 +330,7 @@ def _extremum_with_witness(key: Functor, sign: int) -> AggregateFunction:
     return compute_aggregate
 
 
-_AGGREGATES: Dict[Functor, AggregateFunction] = {
+_AGGREGATES: Dict[Functor, AggregateComputation] = {
     functor("count", 1): len,
     functor("sum", 1): _sum,
     functor("bag", 1): make_list,

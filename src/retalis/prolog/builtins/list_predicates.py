@@ -436,25 +436,11 @@ def _merge(
 ) -> Optional[Frame]:
     """Return the frame that compares the next items of both lists, or the continuation if one list has ended.
 
-    Args:
-        machine: the machine of the program.
-        call: predicate and first arguments of the comparison goal.
-        first: the first list.
-        position: position of its next item.
-        second: the second list.
-        second_position: position of its next item.
-        merged: the merged items.
-        result: unified with the merged list at the end.
-        continuation: continuation of the merge.
+    ``call`` is the predicate and the first arguments of the comparison goal, ``merged`` the items merged so far.
     """
     if position == len(first) or second_position == len(second):
-        return (
-            continuation
-            if unify(
-                result, make_list([*merged, *first[position:], *second[second_position:]]), machine.trail
-            )
-            else None
-        )
+        merged_list = make_list([*merged, *first[position:], *second[second_position:]])
+        return continuation if unify(result, merged_list, machine.trail) else None
     order = Var()
     height = len(machine.choices)
     after_comparison = (
