@@ -181,7 +181,7 @@ class Engine:
             on_reset=lambda past: self.knowledge.reset(past),
             is_external_event=lambda key: key in OWN_EVENTS or key.name in self.slots.events,
         )
-        declared = self.rules.declared
+        declared = self.rules.declared_events
         self._files = self.rules.files
         self._files.sandbox.allow(
             settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE
@@ -193,7 +193,7 @@ class Engine:
             self._pass_output,
             reports.warning,
             self.rules,
-            on_pattern=declared.require,
+            on_pattern=declared.require_declared,
             on_conditions=self.rules.warn_unknown_calls,
             buffer=settings.transform_buffer(settings.tf_cache),
         )
@@ -809,8 +809,8 @@ class Engine:
         Raises:
             UsageError: if it does not match its declaration.
         """
-        declared = self.rules.declared
-        refusal_reason = declared.refusal(term) if declared.in_use else ""
+        declared = self.rules.declared_events
+        refusal_reason = declared.refusal(term) if declared.checks_events else ""
         if refusal_reason:
             raise UsageError(f"event refused: {refusal_reason}")
         self._dispatch_event(term, start, end)

@@ -175,7 +175,7 @@ class EngineSnapshot:
         restore_matches(rules, knowledge, engine.clock, sections["matches"], numbered_rules)
         rules.files.loaded = set(map(Path, program["rules"]["loaded_files"]))
         # Each event checks the flag before it looks up a declaration; here it is not known whether there are any.
-        rules.declared.in_use = True
+        rules.declared_events.checks_events = True
         engine.deployments.update(
             restore_deployments(program["deployments"], logic, knowledge, rules.timers, numbered_rules)
         )

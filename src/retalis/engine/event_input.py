@@ -399,7 +399,7 @@ class TextInput:
             self._reject(error if error.place else f"{beginning(text)}: {error}")
             return
         if event is not None:
-            refusal_reason = self._declared.refusal(event.term) if self._declared.in_use else ""
+            refusal_reason = self._declared.refusal(event.term) if self._declared.checks_events else ""
             if refusal_reason:
                 self._reject(f"{beginning(text)}: {refusal_reason}")
             else:

@@ -141,8 +141,8 @@ class _GraphBuilder:
             )
         for state in self._engine.knowledge.states:
             event = self._add_event(state.form.state)
-            self._add_edge(self._add_event(state.form.begins), event, "")
-            self._add_edge(self._add_event(state.form.ends), event, "")
+            self._add_edge(self._add_event(state.form.begin_event), event, "")
+            self._add_edge(self._add_event(state.form.end_event), event, "")
         self._add_topics(topics)
         return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._left_out))
 

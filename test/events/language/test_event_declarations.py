@@ -82,7 +82,7 @@ def test_rules_that_keep_to_their_declarations_have_no_errors(data, found):
     rules = f":- event {declared}.\n" + "".join(
         f"made <- {event()} and ({event()} or {event()}) and {event()}.\n" for _ in range(2)
     )
-    checker = FileChecker(declared=Declarations(str))
+    checker = FileChecker(declarations=Declarations(str))
     for clause in read_program(rules, OPERATORS):
         checker.check_read_term(clause)
     assert list(checker.errors) == [] and len(checker.rules) == 2

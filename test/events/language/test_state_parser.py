@@ -10,14 +10,14 @@ from retalis.prolog.terms.timestamps import SECOND
 
 def test_a_declaration_says_what_begins_and_ends_a_state():
     form = parse_state_declaration(parse_term("state(at(R, P), from(arrive(R, P)), until(leave(R)))"))
-    assert (form.within, form.past, form.open) == (None, 1000, 10_000)
+    assert (form.max_duration, form.max_past, form.max_open) == (None, 1000, 10_000)
     assert str(form.functor) == "at/2"
     same = parse_state_declaration(parse_term("state(at(X, Y), from(come(X, Y, _)), until(all_out))"))
     assert same.key == form.key
     form = parse_state_declaration(
         parse_term("state(on, from(go), until(stop), [open(1), within(2.5), past(0)])")
     )
-    assert (form.within, form.past, form.open) == (int(2.5 * SECOND), 0, 1)
+    assert (form.max_duration, form.max_past, form.max_open) == (int(2.5 * SECOND), 0, 1)
 
 
 @pytest.mark.parametrize(

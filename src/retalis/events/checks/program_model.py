@@ -409,7 +409,7 @@ class ProgramModel:
         self.goals: List[SourceTerm] = files.goals
         self.rules = [*files.rules, *_rules_from_elsewhere(rules, files.paths)]
         self.clauses = [*files.clauses, *_clauses_from_elsewhere(self.logic, files.paths)]
-        self.declarations = rules.declared.current()
+        self.declarations = rules.declared_events.current_declarations()
         self.memories: List[EventConsumer] = []
         self.subscriptions: List[EventConsumer] = []
         self.states: List[StateDeclaration] = []

@@ -147,7 +147,9 @@ class DeclaredState:
         self._logic = logic
         self._dispatcher = dispatcher
         self._warn = warn
-        begin_vars, end_vars, state_vars = (variables(term) for term in (form.begins, form.ends, form.state))
+        begin_vars, end_vars, state_vars = (
+            variables(term) for term in (form.begin_event, form.end_event, form.state)
+        )
         self.name = f"state {logic.brief(form.state, dict.fromkeys(state_vars, '_'))}"
         shared_vars = [var for var in state_vars if var in set(end_vars)]
         self._build_state_term = compile_builder(form.state, begin_vars, "state")
@@ -162,7 +164,7 @@ class DeclaredState:
         self._open_by_shared_key: Dict[Hashable, Dict[Hashable, OpenState]] = {}
         self._open_by_order: Dict[int, OpenState] = {}
         self._next_order = count()
-        self.past: Deque[PastState] = deque(maxlen=form.past)
+        self.past: Deque[PastState] = deque(maxlen=form.max_past)
         self.dropped_count = 0
         self.version = next(_VERSIONS)
         self._timeouts = Timeouts(clock, self._open_by_order, self._end_by_timeout)
@@ -175,9 +177,14 @@ class DeclaredState:
         """
         listen, (begin_vars, end_vars) = self._dispatcher.listen, self._unused_vars
         self.listeners = [
-            listen(ListenerPhase.STATES, self.form.ends, self._process_end_event, unread_variables=end_vars),
             listen(
-                ListenerPhase.STATES, self.form.begins, self._process_begin_event, unread_variables=begin_vars
+                ListenerPhase.STATES, self.form.end_event, self._process_end_event, unread_variables=end_vars
+            ),
+            listen(
+                ListenerPhase.STATES,
+                self.form.begin_event,
+                self._process_begin_event,
+                unread_variables=begin_vars,
             ),
         ]
 
@@ -215,19 +222,19 @@ class DeclaredState:
         self.version = next(_VERSIONS)
         # Open states that never end would accumulate, so their number is bounded, and the oldest is dropped with a
         # warning.
-        if len(self.open) >= self.form.open:
+        if len(self.open) >= self.form.max_open:
             self._drop_oldest(next(iter(self.open.values())))
         self.open[state.key] = state
         self._open_by_shared_key.setdefault(state.shared_key, {})[state.key] = state
         self._open_by_order[state.order] = state
         start = state.start
-        if self.form.within is not None and start is not None:
-            self._timeouts.add_at(state.order, int(start) + self.form.within)
+        if self.form.max_duration is not None and start is not None:
+            self._timeouts.add_at(state.order, int(start) + self.form.max_duration)
 
     def _drop_oldest(self, oldest: OpenState) -> None:
         self._remove_open_state(oldest)
         self.dropped_count += 1
-        text = f"more than {self.form.open} are open; {self.dropped_count} of the oldest have been dropped so far"
+        text = f"more than {self.form.max_open} are open; {self.dropped_count} of the oldest have been dropped so far"
         self._warn(f"{self.name}: {text}", ("open", self.name))
 
     def _remove_open_state(self, state: OpenState) -> None:
@@ -299,11 +306,11 @@ class DeclaredState:
 
     def _end_by_timeout(self, order: int, instant: int) -> None:
         """End a state whose time has passed."""
-        state, within = self._open_by_order[order], self.form.within
+        state, max_duration = self._open_by_order[order], self.form.max_duration
         start = state.start
-        if within is not None and start is not None and int(start) + within > instant:
+        if max_duration is not None and start is not None and int(start) + max_duration > instant:
             # The first opening was retracted, so the state began later.
-            self._timeouts.add_at(order, int(start) + within)
+            self._timeouts.add_at(order, int(start) + max_duration)
             return
         ended_state = self._end_state(state, int(instant), None)
         if ended_state is not None:

@@ -144,8 +144,8 @@ class KnowledgeBase:
         for pattern, (topic, _) in self.subscriptions.patterns():
             yield pattern, f"a subscription of topic {topic}"
         for state in self.states:
-            yield state.form.begins, state.name
-            yield state.form.ends, state.name
+            yield state.form.begin_event, state.name
+            yield state.form.end_event, state.name
 
     def _define_predicates(self) -> None:
         logic = self._logic

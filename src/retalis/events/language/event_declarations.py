@@ -618,7 +618,7 @@ class DeclaredEvents:
             events of the package itself.
 
     Attributes:
-        in_use: whether anything has been declared. If not, events are not checked at all.
+        checks_events: whether events are checked: something was declared, or the flag requires declarations.
     """
 
     def __init__(self, logic: PrologSystem, flags: "Flags", is_external_event: Callable[[Functor], bool]):
@@ -629,11 +629,11 @@ class DeclaredEvents:
         self._parsed_clauses: Dict[Clause, List[Declaration]] = {}
         self._strict = False
         self._current_declarations = Declarations(logic.brief)
-        self.in_use = False
+        self.checks_events = False
         self._is_external_event = is_external_event
         logic.define(DECLARE_EVENT.name, 1, self._declare)
 
-    def current(self) -> Declarations:
+    def current_declarations(self) -> Declarations:
         """Return a copy of the present declarations; additions to it have no effect on others."""
         return Declarations(
             self._logic.brief,
@@ -657,11 +657,11 @@ class DeclaredEvents:
         return key in _ALWAYS_DECLARED or type_name(key.name) is not None or self._is_external_event(key)
 
     def _declare(self, machine: Machine, declared: Term) -> bool:
-        declarations = self.current()
+        declarations = self.current_declarations()
         goal = (DECLARE_EVENT, deref(declared))
         try:
             for declaration, _ in parse_declarations(goal, no_place):
-                self.in_use = True
+                self.checks_events = True
                 if declarations.add(declaration):
                     self._logic.add_clause((_DECLARED, declaration.term))
         except (RuleError, UsageError) as error:
@@ -696,16 +696,16 @@ class DeclaredEvents:
                 retracted_count,
                 strict,
             )
-            self._current_declarations = self.current()
+            self._current_declarations = self.current_declarations()
         return self._current_declarations.refusal(term)
 
-    def require(self, pattern: Term) -> None:
+    def require_declared(self, pattern: Term) -> None:
         """Check a pattern or event in a goal.
 
         Raises:
             PrologError: if it does not match its declaration.
         """
-        reason = self.refusal(pattern) if self.in_use else ""
+        reason = self.refusal(pattern) if self.checks_events else ""
         if reason:
             raise domain_error("declared_event", pattern, reason)
 

@@ -27,7 +27,9 @@ DEFAULT_MAX_OPEN = 10_000
 """Default maximum for states that hold at the same time."""
 
 _FROM, _UNTIL = functor("from", 1), functor("until", 1)
-_OPTION_RANGES = {"past": (0, 1_000_000), "open": (1, 1_000_000)}
+_NUMBER_OPTIONS = {"past": ("max_past", 0, 1_000_000), "open": ("max_open", 1, 1_000_000)}
+"""Options with a number: the field of `StateForm`, minimum and maximum."""
+
 _OPTION_NOTATIONS = "the options are within(Seconds), past(Number) and open(Number)"
 
 
@@ -37,25 +39,25 @@ class StateForm(NamedTuple):
     Attributes:
         term: the whole declaration.
         state: the state, and also the event that occurs when it ends.
-        begins: the event whose end starts the state.
-        ends: the event whose start ends the state.
-        within: time in ns after which the state ends by itself, or None.
-        past: maximum number of stored intervals that have ended.
-        open: maximum number of instances that hold at the same time.
+        begin_event: the event whose end starts the state.
+        end_event: the event whose start ends the state.
+        max_duration: time in ns after which the state ends by itself, or None.
+        max_past: maximum number of stored intervals that have ended.
+        max_open: maximum number of instances that hold at the same time.
     """
 
     term: Term
     state: Term
-    begins: Term
-    ends: Term
-    within: Optional[int] = None
-    past: int = DEFAULT_MAX_PAST
-    open: int = DEFAULT_MAX_OPEN
+    begin_event: Term
+    end_event: Term
+    max_duration: Optional[int] = None
+    max_past: int = DEFAULT_MAX_PAST
+    max_open: int = DEFAULT_MAX_OPEN
 
     @property
     def events(self) -> Tuple[Term, Term, Term]:
         """The events in the declaration."""
-        return self.state, self.begins, self.ends
+        return self.state, self.begin_event, self.end_event
 
     @property
     def functor(self) -> Functor:
@@ -73,9 +75,9 @@ def declares_state(term: Term) -> bool:
     goal: Any = deref(term)
     if goal.__class__ is not tuple or goal[0] not in STATE:
         return False
-    begins = deref(goal[2])
+    begin_event = deref(goal[2])
     # ``state/3`` is a likely name in programs, so the form of its second argument decides.
-    return begins.__class__ is tuple and begins[0] is _FROM
+    return begin_event.__class__ is tuple and begin_event[0] is _FROM
 
 
 def parse_state_declaration(term: Term) -> StateForm:
@@ -86,14 +88,16 @@ def parse_state_declaration(term: Term) -> StateForm:
     """
     goal: Any = deref(term)
     state = _require_event(goal[1], "a state")
-    begins, ends = _wrapped_event(goal[2], _FROM), _wrapped_event(goal[3], _UNTIL)
+    begin_event, end_event = _wrapped_event(goal[2], _FROM), _wrapped_event(goal[3], _UNTIL)
     # The end of a state raises an event of its name, which would start or end the state again without end.
-    if _event_functor(state) in (_event_functor(begins), _event_functor(ends)):
+    if _event_functor(state) in (_event_functor(begin_event), _event_functor(end_event)):
         raise UsageError("a state cannot begin or end with events of its own name")
     # Instances of a state are told apart by their bound arguments from the start on.
-    if not set(variables(state)) <= set(variables(begins)):
+    if not set(variables(state)) <= set(variables(begin_event)):
         raise UsageError("each variable of the state must occur in from(...), which binds it")
-    return StateForm(goal, state, begins, ends, **(_parse_options(goal[4]) if len(goal) == 5 else {}))
+    return StateForm(
+        goal, state, begin_event, end_event, **(_parse_options(goal[4]) if len(goal) == 5 else {})
+    )
 
 
 def _wrapped_event(term: Term, wrapper: Functor) -> Term:
@@ -122,10 +126,11 @@ def _event_functor(event: Term) -> Functor:
 
 
 def _parse_options(term: Term) -> Dict[str, Any]:
+    """Return the fields of `StateForm` that the options of a declaration set."""
     items: Optional[List[Term]] = list_items(term)
     if items is None:
         raise UsageError(f"expected a list of options; {_OPTION_NOTATIONS}")
-    options: Dict[str, Any] = {}
+    fields: Dict[str, Any] = {}
     for item in items:
         option: Any = deref(item)
         name = option[0].name if option.__class__ is tuple and option[0].arity == 1 else ""
@@ -133,15 +138,15 @@ def _parse_options(term: Term) -> Dict[str, Any]:
         if name == "within":
             if value.__class__ not in (int, float) or not 0 < value <= 1e9:
                 raise UsageError("within(Seconds) needs a number of seconds above 0")
-            options[name] = from_seconds(value)
-        elif name in _OPTION_RANGES:
-            low, high = _OPTION_RANGES[name]
+            fields["max_duration"] = from_seconds(value)
+        elif name in _NUMBER_OPTIONS:
+            field, low, high = _NUMBER_OPTIONS[name]
             if value.__class__ is not int or not low <= value <= high:
                 raise UsageError(f"{name}(Number) needs an integer from {low} to {high}")
-            options[name] = value
+            fields[field] = value
         else:
             raise UsageError(_OPTION_NOTATIONS)
-    return options
+    return fields
 
 
 def queried_state(term: Term) -> Optional[Functor]:

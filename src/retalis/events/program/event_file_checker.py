@@ -127,15 +127,15 @@ class FileChecker:
 
     Args:
         show: converts a term to text, for errors in terms without a place.
-        declared: declared events; the declarations of the file are added.
+        declarations: declared events; the declarations of the file are added.
     """
 
     def __init__(
-        self, show: Optional[Callable[[Term], str]] = None, declared: Optional[Declarations] = None
+        self, show: Optional[Callable[[Term], str]] = None, declarations: Optional[Declarations] = None
     ) -> None:
         self._show = show
         self.errors = Errors()
-        self._declared = FileDeclarations(declared, self.errors)
+        self._file_declarations = FileDeclarations(declarations, self.errors)
         self.warnings = Errors()
         self.entries: List[FileEntry] = []
         self.rules: List[RuleDefinition] = []
@@ -189,7 +189,7 @@ class FileChecker:
                 self.entries.append(FileEntry(EntryKind.CLAUSE, deref(term[1]), place))
             self._warn_of_likely_rule(term, place_of, place)
             if head is _CLAUSE:
-                self._declared.check_events(
+                self._file_declarations.check_events(
                     events_raised_by_goals(calls(term, 2)), term, self._names, place_of, place
                 )
             self.entries.append(FileEntry(EntryKind.CLAUSE, term, place))
@@ -206,11 +206,11 @@ class FileChecker:
             self._add_load_entries(goal, goal_place)
             return
         goals = directive_goals(term, place_of)
-        self._declared.check_events(
+        self._file_declarations.check_events(
             events_raised_by_goals(calls(term, 1)), term, self._names, place_of, place
         )
         self.entries.append(FileEntry(EntryKind.DIRECTIVE, goal, goal_place, goals))
-        self._declared.apply(goals, place_of)
+        self._file_declarations.apply(goals, place_of)
 
     def _add_load_entries(self, goal: CompoundTerm, place: Optional[Place]) -> None:
         """Process a directive that loads a file, with clauses for predicates that it renames."""
@@ -351,7 +351,7 @@ class FileChecker:
         self._warn_of_parts(reader, pattern, place_of, place)
         heads = [] if definition.head is None else [head_event(rule, 1)]
         raised_events = events_raised_by_goals((*reader.goals, *calls_in_query(definition.head or TRUE)))
-        self._declared.check_events(
+        self._file_declarations.check_events(
             chain(heads, reader.events, raised_events), rule, self._names, place_of, place
         )
         for window, part in reader.windows:

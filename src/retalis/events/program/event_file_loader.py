@@ -233,7 +233,9 @@ class EventFileLoader:
     def load_terms(self, terms: Sequence[Tuple[Term, Optional[Place]]]) -> None:
         """Load terms; see `RuleBase.load_terms`."""
         logic = self._rules.logic
-        state = self._start_reading(FileChecker(logic.brief, self._rules.declared.current()), Errors())
+        state = self._start_reading(
+            FileChecker(logic.brief, self._rules.declared_events.current_declarations()), Errors()
+        )
         for term, place in terms:
             name = included_file_name(term)
             if name is None:
@@ -249,7 +251,7 @@ class EventFileLoader:
             ProgramErrors: all errors; nothing is active.
         """
         rules = self._rules
-        checker = FileChecker(declared=rules.declared.current())
+        checker = FileChecker(declarations=rules.declared_events.current_declarations())
         checker.check_read_term(read_term)
         # `precompiling_goals` compiles goals and predicates now, so that the first events do not wait for it.
         with rules.logic.precompiling_goals(lambda: [rule.definition.term for rule in rules.rules]):
@@ -268,7 +270,9 @@ class EventFileLoader:
     def _parse_and_check(self, text: str, source: str, errors: Errors) -> CheckedProgram:
         if not is_event_file(text, self._rules.logic, self._open_included):
             return CheckedProgram([PrologSource(text, source)], [], [])
-        state = self._start_reading(FileChecker(declared=self._rules.declared.current()), errors)
+        state = self._start_reading(
+            FileChecker(declarations=self._rules.declared_events.current_declarations()), errors
+        )
         self._read(read_program(text, state.operators, source, OF_FILES), state)
         errors.extend(state.conditions.unclosed_errors())
         return self._check_contents(state.checker, errors)

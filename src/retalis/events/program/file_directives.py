@@ -109,12 +109,12 @@ class FileDeclarations:
     """Declarations of events during the check of a file: each applies from its position on.
 
     Args:
-        declared: declarations at the beginning of the file; None to check nothing.
+        declarations: declarations at the beginning of the file; None to check nothing.
         errors: receives events that do not match.
     """
 
-    def __init__(self, declared: Optional[Declarations], errors: Errors):
-        self._declarations = declared
+    def __init__(self, declarations: Optional[Declarations], errors: Errors):
+        self._declarations = declarations
         self._errors = errors
 
     def apply(self, goals: Goals, place_of: PlaceLookup) -> None:

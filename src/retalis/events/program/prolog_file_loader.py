@@ -146,7 +146,7 @@ class _FileConsultation:
         self._omitted = _OmittedTerms(rules.on_warning, None)
         self._conditions = ConditionalCompilation(self._condition_holds)
         self._expansion = TermExpansion(rules.logic)
-        self._checker = FileChecker(rules.logic.brief, rules.declared.current())
+        self._checker = FileChecker(rules.logic.brief, rules.declared_events.current_declarations())
         self._final_entries: List[FileEntry] = []
 
     def load(self, source: PrologSource) -> None:

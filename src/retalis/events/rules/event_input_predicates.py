@@ -282,7 +282,7 @@ class _EventPredicates:
         if interval is None and term.__class__ is tuple and term[0] is EVENT2:
             interval = term[2]
             term = callable_of(term[1])
-        self.rules.declared.require(term)
+        self.rules.declared_events.require_declared(term)
         if interval is None:
             start = end = self.rules.clock.stamp()
         else:

@@ -87,7 +87,7 @@ def define_predicates(rules: "RuleBase") -> None:
     _FlagPredicates(rules).define(logic)
     define_event_predicates(rules)
     define_load_predicates(rules)
-    define_timers(logic, rules.timers, rules.declared.require)
+    define_timers(logic, rules.timers, rules.declared_events.require_declared)
     _QueryPredicates(rules).define(logic)
 
 

@@ -129,7 +129,7 @@ class RuleBase:
     Attributes:
         warn_singletons: whether to warn of variables that occur only once in a clause.
         flags: the flags of ``set_etalis_flag/2``.
-        declared: declared events.
+        declared_events: declared events.
         options: network options derived from the flags.
         key_bounds: limits for keyed state derived from the flags.
         tracker: the lineage of events, if a flag requires it.
@@ -164,7 +164,7 @@ class RuleBase:
         self.condition_state = ConditionState()
         self._rule_index = RuleIndex()
         self.flags = Flags(self._apply_flag)
-        self.declared = DeclaredEvents(logic, self.flags, is_external_event)
+        self.declared_events = DeclaredEvents(logic, self.flags, is_external_event)
         self.options: NetworkOptions = self.flags.network_options()
         self.key_bounds = self.flags.key_bounds()
         self.tracker = LineageTracker(self)
@@ -418,7 +418,7 @@ class RuleBase:
             self.event_log.set_storing(self.flags.is_on(name))
         elif name == UNDECLARED.name:
             # The flag makes undeclared events errors, so each event must be checked even if nothing is declared.
-            self.declared.in_use = True
+            self.declared_events.checks_events = True
 
     def compute_max_timestamp(self) -> int:
         """Return the latest timestamp that may advance the windows of a rule: ``future`` ns after the present time.
@@ -441,7 +441,7 @@ class RuleBase:
             self.remove(rule)
         self.on_reset(True)
         self._properties.clear()
-        self.declared.clear()
+        self.declared_events.clear()
         self.event_log.clear()
         self.tracker.clear()
         self.timers.clear()
