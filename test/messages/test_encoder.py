@@ -110,7 +110,7 @@ def test_times():
     assert one("duration", make_list([-1, 500])) == struct.pack("<ii", -1, 500)
     assert one("time", timestamps.datime(10**18 + 5)) == struct.pack("<II", 10**9, 5)
     assert one("time", timestamps.datime6(10**18)) == struct.pack("<II", 10**9, 0)
-    assert one("time[]", make_list([timestamps.shown(7)])) == struct.pack("<III", 1, 0, 7)
+    assert one("time[]", make_list([timestamps.lazy_term(7)])) == struct.pack("<III", 1, 0, 7)
 
 
 def test_arrays():

@@ -171,7 +171,7 @@ class TimeFormat:
 
     def _format_instant(self, instant: int) -> str:
         if self._reference_time is None:
-            return self._show(timestamps.shown(instant))
+            return self._show(timestamps.lazy_term(instant))
         nanoseconds = int(instant) - self._reference_time
         whole, remainder = divmod(abs(nanoseconds), 10**9)
         fraction = f".{remainder:09d}".rstrip("0") if remainder else ""

@@ -248,7 +248,7 @@ def _get_instant(record: Dict[str, Any], name: str) -> int:
     # In Python, booleans are integers.
     if not isinstance(value, int) or isinstance(value, bool):
         raise UsageError(f'expected whole nanoseconds as "{name}"')
-    if not timestamps.in_range(value):
+    if not timestamps.has_datime(value):
         raise UsageError(f'expected nanoseconds since the epoch, in the years 1 to 9999, as "{name}"')
     return value
 
@@ -385,7 +385,7 @@ def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
 
 def _describe_timeline(timeline: Timeline) -> str:
     """Return a summary of the timeline in one line."""
-    year, month, day, hour, minute, second, _ = timestamps.fields(timeline.begin)
+    year, month, day, hour, minute, second, _ = timestamps.datime_fields(timeline.begin)
     lanes = (
         f"; {timeline.omitted_lane_count} further lanes are left out" if timeline.omitted_lane_count else ""
     )

@@ -24,7 +24,7 @@ WAYS = [prolog(PROGRAM), prolog(PROGRAM, compile_after=NEVER)]
 
 def forms(instant):
     """Return all terms that name an instant."""
-    year, month, day, hour, minute, second, rest = timestamps.fields(instant)
+    year, month, day, hour, minute, second, rest = timestamps.datime_fields(instant)
     found = [
         f"datime({year},{month},{day},{hour},{minute},{second},{rest})",
         f"datime({year},{month},{day},{hour},{minute},{float(second)},{rest})",

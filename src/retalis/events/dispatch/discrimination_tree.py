@@ -16,7 +16,7 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Tuple, Union
 
 from ...foundation.codegen import Block, Statement, shared_function, source_of
 from ...prolog.terms.term_traversal import freeze
-from ...prolog.terms.timestamps import LAST, SECOND
+from ...prolog.terms.timestamps import END_INSTANT, SECOND
 from ...prolog.terms.types import Atom, Lazy, String, Term, Var, deref
 from .listeners import Listener, ListenerStep
 
@@ -228,13 +228,14 @@ class PushdownFilter:
 
 
 _VALID_TIME_TEST = (
-    "seconds.__class__ is nanoseconds.__class__ is int and 0 <= seconds < LAST and 0 <= nanoseconds < SECOND"
+    "seconds.__class__ is nanoseconds.__class__ is int"
+    " and 0 <= seconds < END_SECONDS and 0 <= nanoseconds < SECOND"
 )
 _FILTER_NAMES = {
     "SwitchNode": SwitchNode,
     "Atom": Atom,
     "NO_LISTENERS": NO_LISTENERS,
-    "LAST": LAST // SECOND,
+    "END_SECONDS": END_INSTANT // SECOND,
     "SECOND": SECOND,
 }
 

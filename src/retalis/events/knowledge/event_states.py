@@ -47,7 +47,7 @@ from ...prolog.machine.errors import (
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
-from ...prolog.terms.timestamps import shown
+from ...prolog.terms.timestamps import lazy_term
 from ...prolog.terms.types import Frame, Functor, Term, Values, Var, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..dispatch.dispatcher import Dispatcher
@@ -588,7 +588,7 @@ class _StatePredicates:
     def holds_since(self, machine: Machine, state: Term, start: Term) -> Iterator[bool]:
         declarations, key = self.states.declarations_for(deref(state))
         solutions = [
-            (term, shown(instant))
+            (term, lazy_term(instant))
             for declaration in declarations
             for term, instant in declaration.open_states(key)
         ]

@@ -313,7 +313,7 @@ def define_read_access(logic: PrologSystem, memories: MemoryInstances) -> None:
         return None if record is None or record[2] > last_instant else record
 
     record_and_interval = (1, 2, 3)
-    converters = (None, timestamps.shown, timestamps.shown)
+    converters = (None, timestamps.lazy_term, timestamps.lazy_term)
     for key, function in (
         (functor("prev", 5), prev),
         (functor("prev_binary", 5), prev),
@@ -431,7 +431,7 @@ def _unify_first(
         term, start_instant, end_instant = memory.records[positions[index]]
         # Variables in a stored record belong to the memory; the reader gets new ones.
         record_term = copy(term) if instance.has_variables else term
-        to_time_term = timestamps.shown
+        to_time_term = timestamps.lazy_term
         if machine.unify_all(
             (record, record_term), (start, to_time_term(start_instant)), (end, to_time_term(end_instant))
         ):

@@ -378,7 +378,7 @@ class Transforms:
         return (
             key,
             atom(fault.frame),
-            atom("none") if fault.instant is None else timestamps.shown(fault.instant),
+            atom("none") if fault.instant is None else timestamps.lazy_term(fault.instant),
         )
 
     def _find_gap_reason(self, target: str, source: str, instant: int) -> Optional[Term]:

@@ -22,7 +22,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import copy
-from ...prolog.terms.timestamps import FIRST, LAST, SECOND, FloatSeconds, from_any
+from ...prolog.terms.timestamps import END_INSTANT, FIRST_INSTANT, SECOND, FloatSeconds, from_any
 from ...prolog.terms.types import Atom, Frame, Functor, String, Term, Values, Var, deref, functor
 from ..dispatch.dispatcher import Dispatcher
 
@@ -98,7 +98,7 @@ class InputEvent(NamedTuple):
         """Return the terms of start and end; None if the clock is to provide them."""
         if self.start is None:
             return None, None
-        return timestamps.shown(self.start), timestamps.shown(self.end)
+        return timestamps.lazy_term(self.start), timestamps.lazy_term(self.end)
 
 
 class InputReader:
@@ -225,7 +225,7 @@ _PARSERS: Dict[Functor, Callable[[Sequence[Term]], InputEvent]] = {
 
 
 def _create_input_event(arguments: Sequence[Term], start: int, end: int) -> InputEvent:
-    if end < start or not (timestamps.in_range(start) and timestamps.in_range(end)):
+    if end < start or not (timestamps.has_datime(start) and timestamps.has_datime(end)):
         raise type_error("interval", arguments[1])
     return InputEvent(callable_of(arguments[0]), start, end)
 
@@ -241,7 +241,7 @@ def define_new_event(logic: PrologSystem, dispatcher: Dispatcher) -> None:
         # The common case of two integers in range avoids the general conversion.
         if seconds.__class__ is int and nanoseconds.__class__ is int:
             instant = seconds * SECOND + nanoseconds
-            if FIRST <= instant < LAST:
+            if FIRST_INSTANT <= instant < END_INSTANT:
                 instant = FloatSeconds(instant)
                 return dispatch(event, instant, instant, frame, None, is_ground or None, is_ground)
         return dispatch_with_conversion(machine, arguments, frame)

@@ -14,7 +14,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import copy, freeze, resolve
-from ...prolog.terms.timestamps import interval_term, shown
+from ...prolog.terms.timestamps import interval_term, lazy_term
 from ...prolog.terms.types import CONS, NIL, Atom, Term, Var, atom, deref, functor
 from ...prolog.terms.unification import undo
 from ..provenance.event_log import enumerate_stored_events
@@ -284,7 +284,7 @@ class _QueryPredicates:
 
     def unify_condition_bound(self, machine: Machine, instant: Term, position: int) -> bool:
         interval = self.rules.condition_state.condition_interval
-        return interval is not None and bool(machine.unify(instant, shown(interval[position])))
+        return interval is not None and bool(machine.unify(instant, lazy_term(interval[position])))
 
     def enumerate_fired_events(self, machine: Machine, event: Term, interval: Term) -> Iterator[bool]:
         return enumerate_stored_events(self.rules.event_log.stored_events(), machine, event, interval)

@@ -35,7 +35,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import copy, freeze, term_key
-from ...prolog.terms.timestamps import SECOND, shown
+from ...prolog.terms.timestamps import SECOND, lazy_term
 from ...prolog.terms.types import Term, Var, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..language.rule_head_parser import TIMER, Schedule, parse_schedule
@@ -600,6 +600,6 @@ class _TimerPredicates:
     def list_timers(self, machine: Machine, timer_list: Term) -> bool:
         rows: List[Any] = []
         for timer in self.timers:
-            instant = _WAITING if timer.instant is None else shown(int(timer.instant))
+            instant = _WAITING if timer.instant is None else lazy_term(int(timer.instant))
             rows.append((_TIMER_ROW, copy(timer.event), copy(timer.schedule.term), instant))
         return bool(machine.unify(timer_list, make_list(rows)))

@@ -62,7 +62,7 @@ def convert_to_datime(time: Term) -> Term:
         tail = deref(time[2])
         if tail.__class__ is tuple and tail[0] is CONS and deref(tail[2]) is NIL:
             instant = timestamps.from_parts(integer(time[1]), integer(tail[1]))
-            return timestamps.shown(instant)
+            return timestamps.lazy_term(instant)
     if time.__class__ is Var:
         raise instantiation_error()
     raise type_error("[Sec,NSec]", time)
@@ -160,7 +160,7 @@ def _add_seconds(stamp: Term, seconds: Term, sign: int) -> Term:
         return check_result(timestamp + sign * seconds)
     try:
         result_instant = int(instant) + sign * timestamps.from_seconds(seconds)
-        fields = timestamps.fields(result_instant)
+        fields = timestamps.datime_fields(result_instant)
     except UsageError:
         raise evaluation_error("undefined") from None
     # The result has the form of the argument, also in the type of the seconds of a `datime/6`.
@@ -221,7 +221,7 @@ def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
 @function("absoluteTime/2")
 def absolute_time(stamp: Term) -> Term:
     """Return the seconds since midnight (UTC) of a timestamp."""
-    *_, hour, minute, second, nanoseconds = timestamps.fields(instant_of(stamp))
+    *_, hour, minute, second, nanoseconds = timestamps.datime_fields(instant_of(stamp))
     value = (hour * 60 + minute) * 60 + second
     return value + nanoseconds / SECOND if nanoseconds else value
 

@@ -21,7 +21,7 @@ from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, S
 from ...foundation import codegen
 from ...foundation.errors import Place
 from ..machine.machine import Code
-from ..terms.types import TRUE, Atom, CompoundTerm, Frame, Functor, Lazy, Runs, Step, Term, Var, deref
+from ..terms.types import TRUE, Atom, CompoundTerm, Frame, FrameCode, Functor, Lazy, Step, Term, Var, deref
 from .body_code import BodyGenerator
 from .clause_nodes import BodyParser, CallNode, GoalNode, Height, PredicateResolver, needed_by
 from .code_scope import ClauseVariables, CompilationUnit, Loop, Scope
@@ -324,7 +324,7 @@ class PredicateGenerator:
         database: PredicateResolver,
         key: Functor,
         clauses: Sequence[ClauseParts],
-        code: Runs,
+        code: FrameCode,
         unbound: FrozenSet[int] = frozenset(),
     ):
         self.database = database

@@ -74,7 +74,7 @@ class Predicate:
         is_locked: whether programs may not redefine it, if it is a library predicate.
         is_library_predicate: whether it belongs to the system.
         is_protected: whether goals may neither read its clauses nor add clauses, if it is a library predicate.
-        warned_undefined: whether a warning about calls of the undefined predicate has been issued.
+        has_warned_undefined: whether a warning about calls of the undefined predicate has been issued.
         is_compiled: whether `run` is compiled code.
         hidden_predicate: predicate that owns the clauses, if calls are answered by tables.
         is_incremental: whether tables that depend on it are reevaluated after a change of its clauses (see `observe`)
@@ -101,7 +101,7 @@ class Predicate:
         self.is_locked = False
         self.is_protected = False
         self.is_library_predicate = False
-        self.warned_undefined = False
+        self.has_warned_undefined = False
         self.is_compiled = False
         self.hidden_predicate: Optional[Predicate] = None
         self.is_incremental = False
@@ -192,15 +192,15 @@ class Predicate:
         self.database.generation += 1
         clause.retracted_at = self.database.generation
         self.retracted_count += 1
-        # Sweeping when half of the clauses are retracted keeps the cost per retraction constant on average.
+        # Dropping them when half of the clauses are retracted keeps the cost per retraction constant on average.
         if self.retracted_count == len(self.clauses) or (
             self.retracted_count > 16 and self.retracted_count * 2 > len(self.clauses)
         ):
-            self._sweep()
+            self._drop_retracted_clauses()
             self.indexes.clear()
         return True
 
-    def _sweep(self) -> None:
+    def _drop_retracted_clauses(self) -> None:
         """Drop retracted clauses from the list. The indexes are not updated; the caller clears or rebuilds them."""
         self.clauses = list(self.active_clauses())
         self.retracted_count = 0
@@ -237,7 +237,7 @@ class Predicate:
         if self.is_library_predicate or not (self.kind == "user" or self.clauses):
             return
         self.kind = "user"
-        self._sweep()
+        self._drop_retracted_clauses()
         self.has_only_ground_facts = self.functor.arity > 0 and all(
             clause.is_ground_fact for clause in self.clauses
         )
@@ -307,6 +307,7 @@ class Predicate:
     # Calls of interpreted clauses
 
     def _run_interpreted(self, frame: Frame) -> Optional[Frame]:
+        """Run a call of the predicate from its clauses; compile it first if it is called often."""
         if self.kind == "undefined":
             return self.database.call_undefined(self, frame)
         self.call_count += 1
@@ -329,11 +330,12 @@ class Predicate:
         keys = keys_of(frame, position)
         return self._advance(frame, clauses, 0, len(clauses), generation, keys)
 
-    def fact_finder(self, once: bool) -> Callable[..., Optional[bool]]:
+    def fact_finder(self, first_is_enough: bool) -> Callable[..., Optional[bool]]:
         """Return a function of the arguments that looks up a ground fact (see `FunctionCode`).
 
         Args:
-            once: whether the first matching fact is enough. If not, the function returns None if there are several.
+            first_is_enough: whether the first matching fact is enough. If not, the function returns None if there are
+                several.
         """
         choices = self.database.machine.choices
 
@@ -351,7 +353,7 @@ class Predicate:
             # The search has pushed a choice point, so another fact may match.
             if len(choices) > height:
                 del choices[height:]
-                return True if once else None
+                return True if first_is_enough else None
             return True
 
         return find
@@ -431,6 +433,7 @@ class Predicate:
         return None
 
     def _interpret(self, frame: Frame, clause: Clause, height: int, trail: Trail) -> Optional[Frame]:
+        """Unify a call with the head of a clause, and return the frame that interprets the body."""
         fresh: Dict[Var, Term] = {}
         if not match_head(frame, clause, fresh, trail):
             return None
@@ -457,8 +460,8 @@ class Predicate:
         self.call_count = 0
         clauses = list(self.active_clauses())
         count = len(clauses)
-        is_facts = all(clause.is_fact for clause in clauses)
-        is_too_large = count > (_MAX_COMPILED_FACTS if is_facts else _MAX_COMPILED_CLAUSES)
+        has_only_facts = all(clause.is_fact for clause in clauses)
+        is_too_large = count > (_MAX_COMPILED_FACTS if has_only_facts else _MAX_COMPILED_CLAUSES)
         if not count or any(clause.is_large for clause in clauses):
             self.compile_after = NEVER_COMPILE
             return False
@@ -474,7 +477,7 @@ class Predicate:
     def _call_through_indexes(self) -> bool:
         """Let calls go through the existing indexes that have no variables; return whether there are any."""
         if self.retracted_count:
-            self._sweep()
+            self._drop_retracted_clauses()
             self.indexes.rebuild(self.clauses)
         choices = self.database.machine.choices
         # Indexes are tried in order of their arguments. If a step cannot select a single clause, it calls the step of
@@ -490,6 +493,7 @@ class Predicate:
         return True
 
     def _compile_clause(self, clause: Clause) -> Optional[Step]:
+        """Return the compiled code of a clause, which it stores; None if the clause is too large."""
         if clause.is_large:
             clause.call_count = -NEVER_COMPILE
             return None
@@ -498,6 +502,7 @@ class Predicate:
         return clause.code
 
     def _resolver(self) -> PredicateResolver:
+        """Return the predicates that the clauses call: a redefinition by the program does not concern the library."""
         return self.database.library if self.is_library_predicate else self.database
 
 

@@ -17,7 +17,7 @@ from . import parser_stack
 from .literals import atom_text
 from .message_slots import MessageSlot, ParsedMessage, integers_to_floats
 from .parser_stack import LIST, SLOTS, OpenBracket, OperatorTable, ParserStack, ParserState
-from .tokenizer import NAME, QUOTED, VARIABLE, shown
+from .tokenizer import NAME, QUOTED, VARIABLE, token_description
 
 if TYPE_CHECKING:
     from ...messages.named_slots import SlotNames
@@ -198,7 +198,7 @@ class NamedSlotParser(ParserStack):
 
     def _slot_name_error(self) -> RetalisError:
         token, following = self.tokens[self.position : self.position + 2]
-        shown_token = shown(token, self.source.text)
+        shown_token = token_description(token, self.source.text)
         if token[0] in (NAME, QUOTED) and following[0] == NAME:
             if following[1].startswith(":"):
                 return self.source.fault("expected a space between : and the sign that follows", following[2])

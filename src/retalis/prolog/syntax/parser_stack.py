@@ -20,8 +20,19 @@ from ...foundation.errors import SyntaxFault
 from ..terms.types import COMMA, CONS, NIL, Term, Var, functor
 from .message_slots import ParsedMessage
 from .operators import EVENT_SYNTAX, Operator, Operators
-from .rule_detection import ARROW, NO_RULES, Layout
-from .tokenizer import END, NAME, NUMBER, OPEN_CT, QUOTED, VARIABLE, AnyToken, ReadFlags, Source, shown
+from .rule_detection import ARROW, NO_RULES, RuleLayout
+from .tokenizer import (
+    END,
+    NAME,
+    NUMBER,
+    OPEN_CT,
+    QUOTED,
+    VARIABLE,
+    AnyToken,
+    ReadFlags,
+    Source,
+    token_description,
+)
 
 _MAX_PRIORITY = 1200
 """Highest priority of operators, and so of terms."""
@@ -141,7 +152,7 @@ class ParserState:
         source: Source,
         operators: Operators,
         flags: ReadFlags,
-        rules: Layout = NO_RULES,
+        rules: RuleLayout = NO_RULES,
         offsets: Optional[Dict[int, Tuple[int, ...]]] = None,
     ):
         self.tokens = tokens
@@ -197,7 +208,7 @@ _FOREIGN_OPERATORS = {
 def missing_operand_error(parser: ParserState) -> SyntaxFault:
     """Return the error for a token at which a term should begin."""
     token = parser.tokens[parser.position]
-    shown_token = shown(token, parser.source.text)
+    shown_token = token_description(token, parser.source.text)
     innermost = parser.stack[-1]
     if innermost.kind == INFIX:
         message = (
@@ -238,7 +249,7 @@ def missing_operator_error(parser: ParserState) -> SyntaxFault:
             opener, f'an operator or "{CLOSER[opener]}"'
         )
         expected = choice if bracket.kind != GROUP else f'an operator or "{CLOSER[opener]}"'
-    message = f"expected {expected} before {shown(token, text)}"
+    message = f"expected {expected} before {token_description(token, text)}"
     return _fault(parser, message, _operator_hint(parser, token, bracket_position))
 
 
@@ -257,7 +268,7 @@ def _operator_hint(parser: ParserState, token: AnyToken, bracket_position: Optio
     if starts_line(text, start):
         if bracket_position is not None:
             return f"the {_bracket_description(parser, bracket_position)} is still open"
-        return f"is a full stop missing after {shown(previous_token, text)}?"
+        return f"is a full stop missing after {token_description(previous_token, text)}?"
     if previous_token[0] == NAME and previous_token[1] in _FOREIGN_OPERATORS and previous_token[1] != ".":
         return _FOREIGN_OPERATORS[previous_token[1]]
     if token_kind == NAME and value == "!" and text[start + 1 : start + 2] == "=":
@@ -305,7 +316,7 @@ def _unknown_operator_hint(parser: ParserState, name: str) -> str:
 def unbalanced_bracket_error(parser: ParserState, bracket_position: Optional[int]) -> SyntaxFault:
     """Return the error for a closing bracket, or an end, that does not match the open bracket."""
     token = parser.tokens[parser.position]
-    shown_token = shown(token, parser.source.text)
+    shown_token = token_description(token, parser.source.text)
     if bracket_position is None:
         return _fault(
             parser,

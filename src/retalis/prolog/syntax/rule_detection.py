@@ -28,25 +28,43 @@ ARROW = functor("<-", 2)
 
 
 class Segment:
-    """The operators at the own level of a segment."""
+    """The operators at the own level of a segment; all positions are indexes of tokens.
 
-    __slots__ = ("start", "arrow", "action", "neck", "colons", "labels", "brace")
+    Attributes:
+        start: position of its first token.
+        arrow_position: position of the first ``<-`` or ``iff``, or None.
+        action_position: position of the first ``do``, or None.
+        has_neck: whether it contains an operator of Prolog clauses.
+        colon_positions: positions of ``:``.
+        label_positions: positions of ``'rule:'``.
+        opening: kind of the bracket around it; "" for the clause.
+    """
 
-    def __init__(self, start: int, brace: str):
+    __slots__ = (
+        "start",
+        "arrow_position",
+        "action_position",
+        "has_neck",
+        "colon_positions",
+        "label_positions",
+        "opening",
+    )
+
+    def __init__(self, start: int, opening: str):
         self.start = start
-        self.arrow: Optional[int] = None
-        self.action: Optional[int] = None
-        self.neck = False
-        self.colons: List[int] = []
-        self.labels: List[int] = []
-        self.brace = brace
+        self.arrow_position: Optional[int] = None
+        self.action_position: Optional[int] = None
+        self.has_neck = False
+        self.colon_positions: List[int] = []
+        self.label_positions: List[int] = []
+        self.opening = opening
 
     def is_rule(self) -> bool:
         """Return whether this is an event rule."""
-        return not self.neck and (self.arrow is not None or self.action is not None)
+        return not self.has_neck and (self.arrow_position is not None or self.action_position is not None)
 
 
-class Layout(NamedTuple):
+class RuleLayout(NamedTuple):
     """Positions of event rules in a clause; all keys are indexes of tokens.
 
     Attributes:
@@ -60,12 +78,12 @@ class Layout(NamedTuple):
     commas: Dict[int, int]
 
 
-NO_RULES = Layout({}, {}, {})
+NO_RULES = RuleLayout({}, {}, {})
 
 
-def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
+def detect_rules(tokens: Sequence[AnyToken], operators: Operators) -> RuleLayout:
     """Return the positions of the event rules in a clause."""
-    result = Layout({}, {}, {})
+    result = RuleLayout({}, {}, {})
     stack = [Segment(0, "")]
     bracket_starts: List[int] = []
     for position, token in enumerate(tokens):
@@ -82,10 +100,10 @@ def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
                 _finish_segment(stack.pop(), result)
         elif token_kind == "," and bracket_starts:
             result.commas[bracket_starts[-1]] += 1
-            if stack[-1].brace in (OPEN_CT, "["):
+            if stack[-1].opening in (OPEN_CT, "["):
                 _finish_segment(stack.pop(), result)
                 stack.append(Segment(position + 1, tokens[bracket_starts[-1]][0]))
-        elif token_kind == "|" and stack[-1].brace == "[":
+        elif token_kind == "|" and stack[-1].opening == "[":
             _finish_segment(stack.pop(), result)
             stack.append(Segment(position + 1, "["))
     # Brackets may be unbalanced: the parser reports that later, with a better message than is possible here.
@@ -94,15 +112,20 @@ def layout(tokens: Sequence[AnyToken], operators: Operators) -> Layout:
     return result
 
 
-def _finish_segment(segment: Segment, result: Layout) -> None:
+def _finish_segment(segment: Segment, result: RuleLayout) -> None:
+    """Record the rule that a complete segment is, with its labels."""
     if not segment.is_rule():
         return
-    has_head = segment.arrow is not None
+    has_head = segment.arrow_position is not None
     # Only the first `:` can belong to a label, and only if it precedes the arrow: later ones qualify goals by
     # modules.
-    first = min(position for position in (segment.arrow, segment.action) if position is not None)
-    labels = segment.labels + [position for position in segment.colons[:1] if position < first]
-    labels = [position for position in labels if position < first]
+    first_operator = min(
+        position for position in (segment.arrow_position, segment.action_position) if position is not None
+    )
+    labels = segment.label_positions + [
+        position for position in segment.colon_positions[:1] if position < first_operator
+    ]
+    labels = [position for position in labels if position < first_operator]
     result.rules[segment.start] = True if labels else has_head
     for position in labels:
         result.labels[position] = has_head
@@ -114,21 +137,21 @@ def _record_name(segment: Segment, tokens: Sequence[AnyToken], position: int, op
     if name in _NECKS:
         # In quotes, or before a bracket or comma, it is an atom: `X = (:-)`.
         if tokens[position][0] == NAME and tokens[position + 1][0] not in _CANNOT_START:
-            segment.neck = True
+            segment.has_neck = True
         return
     canonical = ":" if name == ":" else EVENT_SYNTAX.canonical.get(name)
     if canonical not in ("<-", "do", "rule:", ":") or not _is_infix(segment, tokens, position, operators):
         return
     if canonical == "<-":
-        if segment.arrow is None:
-            segment.arrow = position
+        if segment.arrow_position is None:
+            segment.arrow_position = position
     elif canonical == "do":
-        if segment.action is None:
-            segment.action = position
+        if segment.action_position is None:
+            segment.action_position = position
     elif canonical == ":":
-        segment.colons.append(position)
+        segment.colon_positions.append(position)
     else:
-        segment.labels.append(position)
+        segment.label_positions.append(position)
 
 
 def _is_infix(segment: Segment, tokens: Sequence[AnyToken], position: int, operators: Operators) -> bool:

@@ -28,7 +28,7 @@ from .message_slots import bind_defaults
 from .named_slot_parser import NamedSlotParser
 from .operators import DECLARING, EVENT_SYNTAX, Operators
 from .parser_stack import ARGUMENTS, GROUP, LABEL, LIST, OpenBracket, starts_line
-from .rule_detection import NO_RULES, layout
+from .rule_detection import NO_RULES, detect_rules
 from .tokenizer import (
     END,
     NAME,
@@ -40,8 +40,8 @@ from .tokenizer import (
     AnyToken,
     ReadFlags,
     Source,
-    tokens,
-    unclosed,
+    tokenize,
+    unclosed_quote_message,
 )
 
 DEFAULT = ReadFlags()
@@ -395,7 +395,7 @@ class Program:
         return clause
 
     def _tokens_from(self, start: int) -> Iterator[AnyToken]:
-        return tokens(self._source, lambda: self.flags, start)
+        return tokenize(self._source, lambda: self.flags, start)
 
     def _unclosed_quote(self, clause: List[AnyToken]) -> Optional[SyntaxFault]:
         """Return the error of the first quoted text that extends over a line end, and continue after its line.
@@ -408,7 +408,9 @@ class Program:
                 # The tokens after the quote were wrong as well, so the text is tokenised anew from there.
                 self._resume_at = None
                 self._tokens = self._tokens_from(unclosed_quote_end(text, start))
-                return self._rest_of_clause(self._source.fault(unclosed(text[start], start, text), start))
+                return self._rest_of_clause(
+                    self._source.fault(unclosed_quote_message(text[start], start, text), start)
+                )
         return None
 
     def _rest_of_clause(self, fault: SyntaxFault) -> SyntaxFault:
@@ -498,7 +500,7 @@ def read_term(
         SyntaxFault: if the text is not exactly one term.
     """
     source_text = Source(source, text, first_line)
-    clause = list(tokens(source_text, lambda: flags))
+    clause = list(tokenize(source_text, lambda: flags))
     for position, token in enumerate(clause):
         if token[0] == END and position + 1 < len(clause):
             raise source_text.fault("expected nothing after the full stop", clause[position + 1][2])
@@ -526,6 +528,6 @@ def _parser(
             marked = True
     end = ("eof", None, clause[-1][3], clause[-1][3])
     clause = [*clause, end, end, end]  # the parser looks ahead without testing for the end
-    rules = layout(clause, operators) if marked else NO_RULES
+    rules = detect_rules(clause, operators) if marked else NO_RULES
     offsets: Optional[Dict[int, Tuple[int, ...]]] = {} if positions else None
     return Parser(clause, source, operators, flags, rules, offsets)

@@ -23,7 +23,8 @@ from . import literals
 NAME, QUOTED, NUMBER, VARIABLE, TEXT, END = "name", "quoted", "number", "variable", "text", "end"
 """Kinds of tokens. Brackets, commas and bars are kinds of their own, named by their character."""
 OPEN_CT = "f("
-"""Kind of an opening bracket directly after a token: after a name, it begins the arguments of a compound term."""
+"""Kind of an opening bracket directly after a token (*open ct* in ISO 13211-1): after a name, it begins the arguments
+of a compound term."""
 
 AnyToken = Tuple[str, Any, int, int]
 """Kind, value, start and end; the kind of a bracket, comma or bar is the character itself."""
@@ -34,7 +35,7 @@ class ReadFlags(NamedTuple):
 
     Attributes:
         double_quotes: type of ``"text"``: ``string`` (as SWI-Prolog 9), ``codes``, ``chars`` or ``atom``.
-        back_quotes: the same for back-quoted text.
+        back_quotes: type of back-quoted text: the same values.
         iso: priorities of ISO 13211-1: arguments at most 999, operators as operands in brackets, no special floats.
         event_text: the syntax of events on String topics: ``inf``, ``nan`` and ``-inf`` are floats wherever they are
             arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and ``False`` are ``true`` and ``false``.
@@ -146,7 +147,7 @@ def _matcher() -> Callable[[str, int], Any]:
 _LAYOUT = frozenset(("LAYOUT", "LINE_COMMENT", "BLOCK_COMMENT"))
 
 
-def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> Iterator[AnyToken]:
+def tokenize(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> Iterator[AnyToken]:
     """Yield the tokens of a text from ``start`` on. Invalid text is yielded as ``("bad", message, start, end)``.
 
     Args:
@@ -158,7 +159,7 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
     match = _matcher()
     size = len(text)
     count = 0
-    last = -1
+    previous_end = -1
     while start < size:
         count += 1
         if not count & _CHECK_MASK:
@@ -172,7 +173,7 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
         if token_kind == "PUNCTUATION":
             char = text[start]
             # `f(` is a compound term, `f (` is not: the position decides, not the kind of the token before.
-            yield (OPEN_CT if char == "(" and start == last else char), None, start, end
+            yield (OPEN_CT if char == "(" and start == previous_end else char), None, start, end
         elif token_kind == "WORD":
             name = text[start:end]
             first = name[0]
@@ -187,17 +188,18 @@ def tokens(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> It
             end = literals.quote_end(text, start, flags().multiline)
             if end is None:
                 end = literals.unclosed_quote_end(text, start)
-                yield "bad", unclosed(text[start], start, text), start, end
+                yield "bad", unclosed_quote_message(text[start], start, text), start, end
             else:
                 yield _quoted_token(text[start:end], start, end, flags())
         else:
             yield _token_with_value(token_kind, text[start:end], start, end, text, flags())
-        last = start = end
+        previous_end = start = end
 
 
 def _token_with_value(
     token_kind: str, token_text: str, start: int, end: int, text: str, flags: ReadFlags
 ) -> AnyToken:
+    """Return the token of a number or of quoted text without escapes, or of text that is no token."""
     if token_kind == "NUMBER":
         return _number_token(token_text, start, end, text, flags)
     if token_kind == "QUOTED":
@@ -209,7 +211,7 @@ def _token_with_value(
     return "bad", _stray_character_message(token_text), start, end
 
 
-def unclosed(quote: str, start: int, text: str) -> str:
+def unclosed_quote_message(quote: str, start: int, text: str) -> str:
     """Return the error message for an unclosed quote at an offset."""
     message = f"this quote {quote} is not closed on its line"
     if quote == "'" and text[start - 1 : start].isalnum():
@@ -251,6 +253,11 @@ def _number_token(token_text: str, start: int, end: int, text: str, flags: ReadF
 
 
 def _number_value(text: str, flags: ReadFlags) -> Term:
+    """Return the number that a token denotes.
+
+    Raises:
+        ValueError: if it is no number.
+    """
     if text.isdigit():
         return literals.integer(text)
     second = text[1]
@@ -302,12 +309,16 @@ def _text_term(body: str, form: str) -> Term:
     return atom(body) if form == "atom" else String(body)
 
 
-_SHOWN: Dict[str, str] = {OPEN_CT: '"("', END: "the end of the clause", "eof": "the end of the text"}
+_TOKEN_DESCRIPTIONS: Dict[str, str] = {
+    OPEN_CT: '"("',
+    END: "the end of the clause",
+    "eof": "the end of the text",
+}
 
 
-def shown(token: AnyToken, text: str) -> str:
+def token_description(token: AnyToken, text: str) -> str:
     """Return a token as error messages show it."""
-    name = _SHOWN.get(token[0])
+    name = _TOKEN_DESCRIPTIONS.get(token[0])
     if name is None:
         name = text[token[2] : token[3]]
         name = f'"{name[:40]}..."' if len(name) > 45 else f'"{name}"'

@@ -280,8 +280,8 @@ def handle_undefined_call(logic: PredicateTable, predicate: Predicate, frame: Fr
         return None
     key = predicate.functor
     if flag is atom("warning"):
-        if not predicate.warned_undefined:
-            predicate.warned_undefined = True
+        if not predicate.has_warned_undefined:
+            predicate.has_warned_undefined = True
             logic.message("warning", f"Unknown procedure: {key}")
         return None
     notes = []

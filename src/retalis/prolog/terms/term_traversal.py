@@ -237,9 +237,10 @@ def has_no_variables(term: Term) -> bool:
 
 
 def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument would double its time
-    term: Term, leaf: Callable[[Var], Term]
+    term: Term, replace_variable: Callable[[Var], Term]
 ) -> Term:
-    """Return ``term`` with bound variables replaced by their values and each unbound one by ``leaf(variable)``.
+    """Return ``term`` with bound variables replaced by their values and each unbound one by
+    ``replace_variable(variable)``.
 
     Parts without variables are shared with ``term``, not copied. Lazy terms are kept unbuilt, because they are
     ground.
@@ -247,11 +248,12 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
     if term.__class__ is Var:
         term = _follow(term)
         if term.__class__ is Var:
-            return leaf(term)
+            return replace_variable(term)
     if term.__class__ is not tuple:
         return term
     # One entry for each compound term on the path from the root: the term, the arguments that are finished, and
-    # whether any of them differs from the original. Only changed terms are allocated anew.
+    # whether any of them differs from the original. Only changed terms are allocated anew. Entries are lists and not
+    # objects, because copying is the most frequent walk.
     stack: List[List[Any]] = [[term, [term[0]], False]]
     steps = 0
     while True:
@@ -269,7 +271,7 @@ def rebuild(  # noqa: C901 -- the loop of copying: a call for each argument woul
                 item = _follow(item)
                 item_class = item.__class__
                 if item_class is Var:
-                    item = leaf(item)
+                    item = replace_variable(item)
                     item_class = None
             if item_class is tuple:
                 entry[2] = changed
@@ -302,6 +304,7 @@ def _check_path(stack: List[List[Any]], steps: int) -> None:
 
 
 def _follow(term: Term) -> Term:
+    """Return the value of a bound variable; unlike `deref`, without building a lazy term."""
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
     return term
@@ -309,10 +312,10 @@ def _follow(term: Term) -> Term:
 
 def resolve(term: Term) -> Term:
     """Return ``term`` with all bound variables replaced by their values."""
-    return term if has_no_variables(term) else rebuild(term, _same)
+    return term if has_no_variables(term) else rebuild(term, _keep_variable)
 
 
-def _same(var: Var) -> Term:
+def _keep_variable(var: Var) -> Term:
     return var
 
 
@@ -399,13 +402,13 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
 def _large_copy(term: Term, fresh: Dict[Var, Term]) -> Term:
     """Return a copy of a term of any size; see `copy`."""
 
-    def renamed(var: Var) -> Term:
+    def rename(var: Var) -> Term:
         new = fresh.get(var)
         if new is None:
             new = fresh[var] = Var()
         return new
 
-    return rebuild(term, renamed)
+    return rebuild(term, rename)
 
 
 def freeze(term: Term) -> Hashable:
@@ -433,7 +436,7 @@ def freeze(term: Term) -> Hashable:
                 flat.append(item[0])
                 stack.extend(item[:0:-1])
             elif term_class is float:
-                # 1 == 1.0 and 0.0 == -0.0 in Python, and nan differs from itself; as terms they are the reverse.
+                # In Python 1 == 1.0, 0.0 == -0.0, and nan differs from itself; as terms it is the reverse.
                 flat.append((float, item.hex()))
             elif term_class is Var:
                 raise ValueError("a key of a term with variables")

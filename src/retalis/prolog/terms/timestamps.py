@@ -1,6 +1,6 @@
 """Instants as integer nanoseconds since the Unix epoch (UTC), and their terms.
 
-Inside the engine an instant is an ``int`` of nanoseconds, so comparisons are exact. Programs see a term:
+Inside the engine an instant is an ``int`` of nanoseconds, so comparisons are seconds_class. Programs see a term:
 ``datime(Year,Month,Day,Hour,Minute,Second,Nanosecond)``, the same without the last field, or a number of seconds. An
 instant keeps the form in which it was given:
 
@@ -10,7 +10,7 @@ instant keeps the form in which it was given:
 
 All three are integers. They compare and subtract by the instant that they denote, in whatever form they are shown.
 
-Terms of instants are lazy (`shown`): most of them are only converted back by `from_term`, which then returns the
+Terms of instants are lazy (`lazy_term`): most of them are only converted back by `from_term`, which then returns the
 instant without building the term.
 """
 
@@ -31,9 +31,12 @@ DATIME6: Functor = functor("datime", 6)
 
 _DAY = 86_400
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
-FIRST, LAST = (1 - _EPOCH_DAY) * _DAY * SECOND, (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND
-"""Range of instants that have a datime, in ns: the first one (year 1), and the first one after the range (year
-10000)."""
+FIRST_INSTANT, END_INSTANT = (
+    (1 - _EPOCH_DAY) * _DAY * SECOND,
+    (date.max.toordinal() + 1 - _EPOCH_DAY) * _DAY * SECOND,
+)
+"""Range of instants that have a datime, in ns: the first one (year 1), and the end, the first one after the range
+(year 10000)."""
 
 MAX_TIMESTAMP = 1 << 79
 """Largest timestamp in ns that is accepted, before or after the epoch: about 19 million years.
@@ -125,6 +128,7 @@ def first_reaching(seconds: float) -> int:
 
 @lru_cache(maxsize=64)
 def _day_fields(day: int) -> Tuple[int, int, int]:
+    """Return year, month and day of a number of days since the epoch."""
     calendar_day = date.fromordinal(day + _EPOCH_DAY)
     return calendar_day.year, calendar_day.month, calendar_day.day
 
@@ -139,14 +143,14 @@ def _day_number(year: int, month: int, day: int) -> int:
     return date(year, month, day).toordinal() - _EPOCH_DAY
 
 
-def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
+def datime_fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
     """Return year, month, day, hour, minute, second and nanosecond of an instant (UTC).
 
     Raises:
         UsageError: outside the years 1 to 9999.
     """
     instant = int(instant)
-    if not in_range(instant):
+    if not has_datime(instant):
         raise UsageError(f"{instant} ns since the epoch is outside the years 1 to 9999")
     seconds, nanoseconds = divmod(instant, SECOND)
     day, rest = divmod(seconds, _DAY)
@@ -156,19 +160,19 @@ def fields(instant: int) -> Tuple[int, int, int, int, int, int, int]:
     return (*_day_fields(day), hour, minute, second, nanoseconds)
 
 
-def in_range(instant: int) -> bool:
+def has_datime(instant: int) -> bool:
     """Return whether an instant lies in the years 1 to 9999, for which a datime exists."""
-    return FIRST <= instant < LAST
+    return FIRST_INSTANT <= instant < END_INSTANT
 
 
 def datime(instant: int) -> Term:
     """Return an instant as ``datime/7`` with integer seconds."""
-    return (DATIME7, *fields(instant))
+    return (DATIME7, *datime_fields(instant))
 
 
 def datime6(instant: int) -> Term:
     """Return an instant as ``datime/6``; fractions of a second are truncated."""
-    return (DATIME6, *fields(instant)[:6])
+    return (DATIME6, *datime_fields(instant)[:6])
 
 
 def to_term(instant: int) -> Term:
@@ -177,12 +181,12 @@ def to_term(instant: int) -> Term:
     if instant_class is int:
         return datime(instant)
     if instant_class is FloatSeconds:
-        year, month, day, hour, minute, second, nanosecond = fields(instant)
+        year, month, day, hour, minute, second, nanosecond = datime_fields(instant)
         return (DATIME7, year, month, day, hour, minute, float(second), nanosecond)
     return instant.term  # type: ignore[attr-defined, no-any-return]
 
 
-def shown(instant: int) -> Term:
+def lazy_term(instant: int) -> Term:
     """Return the term of an instant, lazily: most such terms are only passed to `from_term` and never built."""
     if instant.__class__ is Stamp:
         return instant.term  # type: ignore[attr-defined, unused-ignore]  # on Python 3.8 only
@@ -191,11 +195,15 @@ def shown(instant: int) -> Term:
 
 def interval_term(start: int, end: int) -> Term:
     """Return an interval as the list ``[T1,T2]``."""
-    return (CONS, shown(start), (CONS, shown(end), NIL))
+    return (CONS, lazy_term(start), (CONS, lazy_term(end), NIL))
 
 
-def _checked(instant: int) -> int:
-    """Return a timestamp in ns if it is accepted."""
+def _require_accepted(instant: int) -> int:
+    """Return a timestamp in ns.
+
+    Raises:
+        UsageError: if its distance from the epoch exceeds `MAX_TIMESTAMP`.
+    """
     if -MAX_TIMESTAMP <= instant <= MAX_TIMESTAMP:
         return instant
     raise UsageError(f"a timestamp lies at most {MAX_TIMESTAMP // SECOND:.1e} s from the epoch")
@@ -211,21 +219,21 @@ def from_term(term: Term) -> int:
     """
     while term.__class__ is Var and term.ref is not None:
         term = term.ref
-    # A term from `shown` that nobody has built still holds its instant. `deref` would build it here.
+    # A term from `lazy_term` that has not been built still holds its instant. `deref` would build it here.
     if term.__class__ is Lazy and term.decoder is to_term and term.decoded_term is None:
         return term.source  # type: ignore[no-any-return]
     value: Any = deref(term)
     value_class = value.__class__
     if value_class is int or value_class is float:
-        return Stamp.of(_checked(from_seconds(value)), value)
+        return Stamp.of(_require_accepted(from_seconds(value)), value)
     if value_class is tuple:
         if value[0] is DATIME7:
-            instant, exact = _from_fields(value)
-            if exact is not None:
-                return instant if exact is int else FloatSeconds(instant)
+            instant, seconds_class = _from_fields(value)
+            if seconds_class is not None:
+                return FloatSeconds(instant) if seconds_class is float else instant
         elif value[0] is DATIME6:
-            instant, exact = _from_fields(value)
-            if exact is not None:
+            instant, seconds_class = _from_fields(value)
+            if seconds_class is not None:
                 return Stamp.of(instant, value)
     raise UsageError("expected datime(Year,Month,Day,Hour,Minute,Second,Nanosecond), datime/6 or a number")
 
@@ -240,7 +248,10 @@ def is_instant(term: Term) -> bool:
 
 
 def _from_fields(term: CompoundTerm) -> Tuple[int, Optional[type]]:
-    """Return the instant of a datime term and the class of its seconds; the class is None if a field is invalid."""
+    """Return the instant of a datime term and the class for its form, which is None if a field is invalid.
+
+    The class is int or float for integral seconds, by the class of their term, and `Stamp` for other seconds.
+    """
     values: List[Any] = [deref(value) for value in term[1:]]
     second = values[5]
     nanosecond = values[6] if len(values) == 7 else 0
@@ -256,6 +267,7 @@ def _from_fields(term: CompoundTerm) -> Tuple[int, Optional[type]]:
         return 0, None
     full_seconds = ((day * 24 + values[3]) * 60 + values[4]) * 60
     instant = full_seconds * SECOND + from_seconds(second) + nanosecond
+    # `FloatSeconds` has whole seconds only; with a fraction, the term has to be kept.
     if second.__class__ is float and second != int(second):
         return Stamp.of(instant, (term[0], *values)), Stamp
     return instant, second.__class__
@@ -267,7 +279,7 @@ def from_any(term: Term) -> int:
     Raises:
         UsageError: if the term is neither.
     """
-    # As in `from_term`.
+    # A lazy term that has not been built still holds its instant, as in `from_term`.
     if term.__class__ is Lazy and term.decoder is to_term and term.decoded_term is None:
         return term.source  # type: ignore[no-any-return]
     term = deref(term)
@@ -276,7 +288,7 @@ def from_any(term: Term) -> int:
         if rest.__class__ is tuple and rest[0] is CONS and deref(rest[2]) is NIL:
             seconds, nanoseconds = deref(term[1]), deref(rest[1])
             if seconds.__class__ is int and nanoseconds.__class__ is int:
-                return _checked(from_parts(seconds, nanoseconds))
+                return _require_accepted(from_parts(seconds, nanoseconds))
         raise UsageError("expected [Sec,NSec] with two integers")
     return from_term(term)
 

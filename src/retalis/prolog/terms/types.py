@@ -9,7 +9,7 @@ type            meaning
 `Trail`         the bindings to undo on backtracking
 `Frame`         a continuation: a step, its arguments, and the frame that follows
 `Step`          the function that executes a frame
-`Runs`          the first item of a frame
+`FrameCode`     the first item of a frame
 `EventAction`   the action for an event that matches a pattern
 =============== =============================================================================
 
@@ -21,8 +21,8 @@ Walks over terms never recurse in Python, because a term can be nested deeper th
 ``term.__class__`` instead of calling ``isinstance``: no term class has subclasses, and the test is the innermost
 operation of the system.
 
-`Frame`, `Step`, `Runs` and `EventAction` are defined here because every higher package refers to them: the machine
-executes frames, and event listeners and network nodes return them. They depend on nothing above this module.
+`Frame`, `Step`, `FrameCode` and `EventAction` are defined here because every higher package refers to them: the
+machine executes frames, and event listeners and network nodes return them. They depend on nothing above this module.
 """
 
 import sys
@@ -33,13 +33,13 @@ from weakref import ref
 from ...foundation.cpython_and_pypy import remove_dead_reference
 
 
-class Bound(Protocol):
+class TrailEntry(Protocol):
     """An entry of a trail: a variable, or an object that is undone by setting its ``ref`` to None."""
 
     ref: Any
 
 
-Trail = List[Bound]
+Trail = List[TrailEntry]
 """Bindings since the oldest choice point, oldest first."""
 
 
@@ -238,19 +238,19 @@ Values = Tuple[Term, ...]
 """The arguments of a goal, or the values of the variables of a clause or rule."""
 
 Frame = Tuple[Any, ...]
-"""A continuation, ``(runs, argument..., next)``: a step with its arguments, and the frame that follows it.
+"""A continuation, ``(code, argument..., next)``: a step with its arguments, and the frame that follows it.
 
-The first item is a `Runs`, which defines the types of the arguments. The last item is a frame, or None in the frame
-that ends a run. A choice point is a frame with one more item, the length of the trail. A step that fails has no next
-frame, so functions that can fail return ``Optional[Frame]``. Classes for frames would be more explicit, and would
-make every step slower.
+The first item is a `FrameCode`, which defines the types of the arguments. The last item is a frame, or None in the
+frame that ends a run. A choice point is a frame with one more item, the length of the trail. A step that fails has no
+next frame, so functions that can fail return ``Optional[Frame]``. Classes for frames would be more explicit, and
+would make every step slower.
 """
 
 Step = Callable[[Frame], Optional[Frame]]
-"""The function that executes a frame, the ``run`` of a `Runs`."""
+"""The function that executes a frame, the ``run`` of a `FrameCode`."""
 
 
-class Runs(Protocol):
+class FrameCode(Protocol):
     """The first item of a frame: a `Code`, a predicate, or any other object that executes steps."""
 
     @property
