@@ -9,7 +9,7 @@ import pytest
 from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
-from retalis.cli.bag_command import _MANY_BAGS_ONLY, _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag
+from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag, single_bag_options
 
 
 @pytest.fixture(autouse=True)
@@ -31,13 +31,8 @@ def task(program, bag, target, kind, *more):
     add_parser(
         lambda *names, **told: parsers_made.append(parsers.add_parser(*names, **told)) or parsers_made[-1]
     )
-    options = vars(parsers_made[0].parse_args([str(bag), "--program", str(program), *more]))
-    return BagTask(
-        str(bag),
-        str(target),
-        kind,
-        {name: value for name, value in options.items() if name not in _MANY_BAGS_ONLY},
-    )
+    options = parsers_made[0].parse_args([str(bag), "--program", str(program), *more])
+    return BagTask(str(bag), str(target), kind, single_bag_options(options))
 
 
 @pytest.mark.slow

@@ -126,7 +126,7 @@ def test_the_nao_example_is_one_way_from_its_topics_to_its_outputs():
     engine = Engine()
     engine.load_program(NAO)
     graph = program_graph(engine, [GraphTopic("/tf", "tf__0__tfMessage")])
-    assert graph.left_out == 0
+    assert graph.omitted_count == 0
     found = {(one.source, one.target): one for one in graph.edges}
     way = ("topic:/tf", "event:tf__0__tfMessage/1", "rule:0", "event:tf/4", "memory:odom_base", "query:2")
     way += ("event:geometry_msgs__0__PoseStamped/2", "output:marker1")
@@ -141,7 +141,7 @@ def test_large_programs_are_cut():
     engine = Engine()
     engine.load(rules=" ".join(f"a{number} <- b{number}." for number in range(100)))
     graph = program_graph(engine)
-    assert (len(graph.nodes), graph.left_out) == (MAX_NODES, 300 - MAX_NODES)
+    assert (len(graph.nodes), graph.omitted_count) == (MAX_NODES, 300 - MAX_NODES)
 
 
 @pytest.mark.parametrize(

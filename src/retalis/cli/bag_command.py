@@ -516,19 +516,9 @@ class _LimitedOutput(io.StringIO):
         return super().getvalue() + truncation_note
 
 
-_MANY_BAGS_ONLY = (
-    "bags",
-    "output",
-    "overwrite",
-    "jobs",
-    "scheduler",
-    "parts",
-    "format",
-    "command",
-    "run",
-    "root_parser",
-)
-"""Entries of the options that a `BagTask` does not need: options for many bags, and entries of the parser."""
+_MANY_BAGS_OPTIONS = ("bags", "output", "overwrite", "jobs", "scheduler", "parts", "format")
+_PARSER_ENTRIES = ("command", "run", "root_parser")
+"""Entries of the parsed options that a `BagTask` does not need."""
 
 
 def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
@@ -565,6 +555,12 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def single_bag_options(options: argparse.Namespace) -> Dict[str, Any]:
+    """Return the options that apply to a single bag."""
+    omitted = (*_MANY_BAGS_OPTIONS, *_PARSER_ENTRIES)
+    return {name: value for name, value in vars(options).items() if name not in omitted}
+
+
 def requests_separate_runs(options: argparse.Namespace) -> bool:
     """Return whether the options request a separate run for each bag.
 
@@ -594,7 +590,9 @@ def play_separately(options: argparse.Namespace) -> int:
     _check_options(options)
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
-        tasks, ready = _create_tasks(options, _find_recordings(options), scratch)
+        bags = find_bags(options.bags)
+        recordings = group_recordings(bags) if options.parts else [[bag] for bag in bags]
+        tasks, ready = _create_tasks(options, recordings, scratch)
         stack.callback(remove_incomplete_results, [task.target for task in tasks])
         reporter = _OutcomeReporter(tasks, to_print=options.output is None)
         bar = stack.enter_context(show_progress("bags", lambda: reporter.finished_count / len(tasks)))
@@ -676,11 +674,6 @@ def _select_format(options: argparse.Namespace) -> Optional[str]:
     return str(options.format or ("jsonl" if options.json else "bag"))
 
 
-def _find_recordings(options: argparse.Namespace) -> List[List[BagLocation]]:
-    bags = find_bags(options.bags)
-    return group_recordings(bags) if options.parts else [[bag] for bag in bags]
-
-
 def _create_tasks(
     options: argparse.Namespace, recordings: List[List[BagLocation]], scratch: str
 ) -> Tuple[List[BagTask], Deque[int]]:
@@ -696,7 +689,7 @@ def _create_tasks(
     def shared_path(path_or_url: str) -> str:
         return path_or_url if is_url(path_or_url) else absolute(path_or_url)
 
-    bag_options = {name: value for name, value in vars(options).items() if name not in _MANY_BAGS_ONLY}
+    bag_options = single_bag_options(options)
     bag_options["program"] = Path(absolute(options.program))
     bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
     targets: Dict[str, str] = {}
@@ -775,7 +768,8 @@ class _OutcomeReporter:
             failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed_count += 1
-            print(f"error: {_prefix_location(task.location, failure)}", file=sys.stderr)
+            place = "" if failure.startswith(task.location) else f"{task.location}: "
+            print(f"error: {place}{failure}", file=sys.stderr)
         elif self._to_print:
             with open(task.target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
@@ -803,7 +797,3 @@ class _OutcomeReporter:
 
 def _get_failure(outcome: _TaskOutcome) -> Optional[str]:
     return outcome.reason if isinstance(outcome, Unfinished) else outcome.failure
-
-
-def _prefix_location(location: str, failure: str) -> str:
-    return failure if failure.startswith(location) else f"{location}: {failure}"

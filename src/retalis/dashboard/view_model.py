@@ -425,7 +425,7 @@ def _graph_to_json(graph: Graph) -> Json:
     return {
         "nodes": [node._asdict() for node in graph.nodes],
         "edges": [edge._asdict() for edge in graph.edges],
-        "left_out": graph.left_out,
+        "left_out": graph.omitted_count,
     }
 
 

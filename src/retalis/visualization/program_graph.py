@@ -35,6 +35,8 @@ MAX_LABEL_CHARACTERS = 200
 _CREATING_GOALS = frozenset(
     (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
 )
+"""Goals that create the event in their first argument."""
+
 _READING_GOALS = frozenset(
     functor(name, arity)
     for name, arity in (
@@ -43,12 +45,17 @@ _READING_GOALS = frozenset(
         *(("access_mem", 3), ("memory_size", 2), ("memory_counter", 2)),
     )
 )
+"""Goals that read the memory in their first argument."""
+
 _POSE_CHAIN = functor("pose_chain", 3)
+"""Goal that reads the memories of a list in its first argument."""
+
 _TRANSFORM_STORING_GOALS = frozenset((functor("tf_add", 4), functor("tf_add_static", 3)))
 
-_PLURALS = {"memory": "memories", "transforms": "transforms"}
+_KIND_PLURALS = {"memory": "memories", "transforms": "transforms"}
 
 ANY_EVENT_LABEL = "any event"
+"""Label of the node for patterns that match events of all functors."""
 
 _NULL_EVENT = atom("null_event")
 """Head of rules without an event, which exist for their actions."""
@@ -88,11 +95,11 @@ class GraphEdge(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """A program as a graph; ``left_out`` is the number of nodes beyond `MAX_NODES`."""
+    """A program as a graph; ``omitted_count`` is the number of nodes beyond `MAX_NODES`."""
 
     nodes: List[GraphNode]
     edges: List[GraphEdge]
-    left_out: int
+    omitted_count: int
 
 
 class GraphTopic(NamedTuple):
@@ -122,11 +129,13 @@ def program_graph(engine: Engine, topics: Iterable[GraphTopic] = ()) -> Graph:
 
 
 class _GraphBuilder:
+    """Builder of the graph of an engine's program."""
+
     def __init__(self, engine: Engine):
         self._engine = engine
         self._nodes: Dict[str, GraphNode] = {}
         self._edges: Dict[Tuple[str, str, str], GraphEdge] = {}
-        self._left_out: Set[str] = set()
+        self._omitted_node_ids: Set[str] = set()
         self._remaining_terms = MAX_TERMS_VISITED
 
     def build(self, topics: List[GraphTopic]) -> Graph:
@@ -144,7 +153,7 @@ class _GraphBuilder:
             self._add_edge(self._add_event(state.form.begin_event), event, "")
             self._add_edge(self._add_event(state.form.end_event), event, "")
         self._add_topics(topics)
-        return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._left_out))
+        return Graph(list(self._nodes.values()), list(self._edges.values()), len(self._omitted_node_ids))
 
     def _add_topics(self, topics: List[GraphTopic]) -> None:
         """Add the topics, with an edge to their events of each arity that the program uses."""
@@ -257,19 +266,19 @@ class _GraphBuilder:
     def _find_called_terms(self, goals: List[Term]) -> Iterator[Any]:
         """Yield all compound terms in goals, and in the bodies of the program's clauses that they call."""
         predicates = self._engine.logic.database.predicates
-        seen: Set[Functor] = set()
         # Each predicate is expanded once, because clauses may be recursive.
+        expanded: Set[Functor] = set()
         pending = list(goals)
-        # The budget is shared by all rules, so that a large program is searched incompletely instead of slowly.
+        # The limit is shared by all rules, so that a large program is searched incompletely instead of slowly.
         while pending and self._remaining_terms > 0:
             self._remaining_terms -= 1
             term = deref(pending.pop())
             key = _get_functor(term)
-            # A variable as goal is only known at run time.
+            # A variable or a number. The goal that a variable stands for is known at run time only.
             if key is None:
                 continue
-            if key not in seen:
-                seen.add(key)
+            if key not in expanded:
+                expanded.add(key)
                 predicate = predicates.get(key)
                 if predicate is not None and not predicate.is_library_predicate:
                     pending += [clause.body for clause in predicate.active_clauses() if not clause.is_fact]
@@ -291,7 +300,7 @@ class _GraphBuilder:
             # Ids of omitted nodes are collected, so that each is counted once. Edges to them are skipped when the
             # graph is drawn.
             if len(self._nodes) >= MAX_NODES:
-                self._left_out.add(node_id)
+                self._omitted_node_ids.add(node_id)
             else:
                 self._nodes[node_id] = GraphNode(
                     node_id, kind, beginning(label or name), beginning(text, MAX_LABEL_CHARACTERS)
@@ -310,7 +319,7 @@ def _make_node_id(kind: str, name: str) -> str:
 def _name_kinds(ids: Iterable[str]) -> str:
     """Return the kinds of the nodes that a query waits for, as text."""
     kinds = {node_id.partition(":")[0] for node_id in ids}
-    return " and ".join(_PLURALS[kind] for kind in sorted(kinds)) or "memories"
+    return " and ".join(_KIND_PLURALS[kind] for kind in sorted(kinds)) or "memories"
 
 
 def _get_functor(term: Term) -> Optional[Functor]:
@@ -364,11 +373,10 @@ NODE_STYLES = {
 }
 
 _ENTITY_START = re.compile(r"&(?=#?\w+;)")
-_PACKAGE_PREFIX, _UNNAMED_VARIABLE, _MISSING_SPACE = (
-    re.compile(r"\b\w+?__0__"),
-    re.compile(r"\b_G\d+\b"),
-    re.compile(r"(,|\)(?=\w))"),
-)
+_PACKAGE_PREFIX = re.compile(r"\b\w+?__0__")
+_UNNAMED_VARIABLE = re.compile(r"\b_G\d+\b")
+_MISSING_SPACE = re.compile(r"(,|\)(?=\w))")
+"""Matches places in the text of a term where a space is added, so that the line may be broken there."""
 
 EDGE_ATTRIBUTES = {
     "flow": "",
@@ -383,7 +391,7 @@ def dot_text(graph: Graph, title: str) -> str:
     node_names = {node.id: f"n{index}" for index, node in enumerate(graph.nodes)}
     # Edges can refer to nodes beyond the limit.
     edges = [edge for edge in graph.edges if edge.source in node_names and edge.target in node_names]
-    omitted = f"; {counted(graph.left_out, 'more node')} left out" if graph.left_out else ""
+    omitted = f"; {counted(graph.omitted_count, 'more node')} left out" if graph.omitted_count else ""
     lines = [
         "digraph program {",
         f"  label={_quote(title + omitted)} labelloc=t fontsize=16",
@@ -433,18 +441,18 @@ def draw_graph(text: str, path: Path) -> None:
 def _format_node(node: GraphNode) -> str:
     style = NODE_STYLES[node.kind]
     # All texts of a program are quoted: a label could otherwise contain attributes or HTML.
-    label = "\n".join([_first_line(node), *_further_lines(node)])
+    label = "\n".join([_format_first_line(node), *_format_further_lines(node)])
     rounded = ' style="filled,rounded"' if node.kind == "event" else ""
     tooltip = _quote(_UNNAMED_VARIABLE.sub("_", node.text))
     return f'label={_quote(label)} tooltip={tooltip} shape={style.shape} fillcolor="{style.colour}"{rounded}'
 
 
-def _first_line(node: GraphNode) -> str:
+def _format_first_line(node: GraphNode) -> str:
     """Return the first line of a node, without the package of a message."""
     return node.label.rpartition("__0__")[2] if node.kind == "event" else node.label
 
 
-def _further_lines(node: GraphNode) -> List[str]:
+def _format_further_lines(node: GraphNode) -> List[str]:
     """Return the further lines of a node."""
     if node.kind == "event" and "__0__" in node.label:
         return [node.label.rpartition("__0__")[0]]

@@ -35,7 +35,7 @@ MAX_ROWS_PER_LANE = 3
 _NULL_EVENT = "null_event"
 """Head of rules without an event, which exist for their actions."""
 
-_NAME = re.compile(r"'(?:[^'\\]|\\.|'')*'|[^(]*")
+_FUNCTOR_NAME = re.compile(r"'(?:[^'\\]|\\.|'')*'|[^(]*")
 
 Mark = Tuple[float, float, str]
 """An item in a lane: start and end in seconds since the beginning of the playback, and its text."""
@@ -169,7 +169,8 @@ def assign_rows(marks: Iterable[Mark]) -> List[Optional[int]]:
         if start == end:
             rows.append(None)
             continue
-        # The first free row, or the one that becomes free next if more marks overlap than there are rows.
+        # The first free row. If more marks overlap than there are rows, the one that becomes free next is used, where
+        # the marks are drawn over each other.
         row = next(
             (index for index, end_of_row in enumerate(row_ends) if end_of_row <= start),
             row_ends.index(min(row_ends)),
@@ -200,9 +201,12 @@ def read_run(lines: Iterable[str], source: str) -> Timeline:
 
 
 _MarkData = Tuple[str, Optional[int], Optional[int], str]
+"""Name of a lane, and start, end and text of a mark in it. The times are None if the mark is omitted."""
 
 
 def _make_interval_reader(kind: str) -> Callable[[Dict[str, Any]], _MarkData]:
+    """Return a function that reads the mark of an event or of the wait of a query."""
+
     def read_mark(record: Dict[str, Any]) -> _MarkData:
         text = _get_text(record, kind)
         start, end = _get_instant(record, "start"), _get_instant(record, "end")
@@ -255,7 +259,7 @@ def _get_instant(record: Dict[str, Any], name: str) -> int:
 
 def _get_functor_name(term: str) -> str:
     """Return the functor name in the text of a term, without the package of a message."""
-    match = _NAME.match(term)
+    match = _FUNCTOR_NAME.match(term)
     return "" if match is None else match.group().rpartition("__0__")[2].strip("'")
 
 
@@ -264,12 +268,12 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 
 _PAGE = Path(__file__).resolve().parent / "page" / "timeline.html"
 _DATA_PLACEHOLDER = ">RUN<"
+"""Text in the page that is replaced by the timeline as JSON."""
 
 _COLOURS = {"event": "#1f6f94", "wait": "#b06a00", "memory": "#2d8047", "output": "#7b4fb5"}
-_NAMES = {"event": "events", "wait": "waits of queries", "memory": "memories", "output": "outputs"}
+_LEGEND_TEXTS = {"event": "events", "wait": "waits of queries", "memory": "memories", "output": "outputs"}
 
-_LANE_HEIGHT, _WIDTH = 0.24, 12.0
-"""Height of a lane and width of the picture in inches."""
+_LANE_HEIGHT_INCHES, _PICTURE_WIDTH_INCHES = 0.24, 12.0
 
 
 def timeline_page(timeline: Timeline, title: str) -> str:
@@ -316,15 +320,15 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
             f"{path.with_suffix('.html').name}, a page to zoom in, needs nothing"
         ) from None
     lanes = timeline.lanes
-    height = _LANE_HEIGHT * max(4, len(lanes))
-    figure = Figure(figsize=(_WIDTH, height + 1.0))
+    height = _LANE_HEIGHT_INCHES * max(4, len(lanes))
+    figure = Figure(figsize=(_PICTURE_WIDTH_INCHES, height + 1.0))
     axes = figure.subplots()
     draw_lanes(axes, lanes)
     axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
     axes.set_title(f"{_escape_formulas(title)}\n{_describe_timeline(timeline)}", fontsize=10, loc="left")
     _label_rows(axes.twinx(), [f"{lane.total:,}" for lane in lanes], fontsize=8, color="#5b6675")
     kinds = [kind for kind in LANE_KINDS if any(lane.kind == kind for lane in lanes)]
-    patches = [Patch(color=_COLOURS[kind], label=_NAMES[kind]) for kind in kinds]
+    patches = [Patch(color=_COLOURS[kind], label=_LEGEND_TEXTS[kind]) for kind in kinds]
     legend_position = (1.0, -0.3 / height)
     axes.legend(
         handles=patches,
@@ -386,12 +390,12 @@ def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
 def _describe_timeline(timeline: Timeline) -> str:
     """Return a summary of the timeline in one line."""
     year, month, day, hour, minute, second, _ = timestamps.datime_fields(timeline.begin)
-    lanes = (
+    omitted_lanes = (
         f"; {timeline.omitted_lane_count} further lanes are left out" if timeline.omitted_lane_count else ""
     )
     incomplete_lanes = sum(lane.kind != "memory" and lane.total > len(lane.marks) for lane in timeline.lanes)
-    omitted = f"; of {incomplete_lanes} lanes not all marks are shown" if incomplete_lanes else ""
+    omitted_marks = f"; of {incomplete_lanes} lanes not all marks are shown" if incomplete_lanes else ""
     return (
         f"{timeline.length:.3f} s from {year}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC; "
-        f"numbers on the right are counts per lane{lanes}{omitted}"
+        f"numbers on the right are counts per lane{omitted_lanes}{omitted_marks}"
     )
