@@ -103,7 +103,6 @@ def _run_fits(node: KleeneNode, run: Any) -> bool:
         and (run.fixed_values is None or len(run.fixed_values) == len(node.fixed_vars))
         and len(run.free_vars) == len(node.free_vars)
         and len(run.repetitions) == len(run.step_values)
-        and run.valid_count <= len(run.repetitions)
         and (run.state is None if node.aggregate is None else node.aggregate.is_state(run.state))
         and all(map(repeated.fits, run.repetitions))
         and all(len(values) == width and len(step) >= step_width for values, step in run.step_values)

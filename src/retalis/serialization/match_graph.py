@@ -109,7 +109,6 @@ FIELDS: Dict[str, Tuple[Any, Dict[str, _ColumnEncoding]]] = {
             "repetitions": _MIXED,
             "tracked": _OBJECT,
             "step_values": _DATA,
-            "valid_count": _DATA,
             "free_vars": _DATA,
         },
     ),
@@ -605,10 +604,7 @@ class GraphReader:
                     self._mixed_column(sequence_of(check_match)),
                 ),
                 self._object_column("repetition chain", "no repetitions", is_source=True),
-                *(
-                    _column(sequence_of(sequence_of(tuple_of(_check_match_values, _check_match_values)))),
-                    numbers,
-                ),
+                _column(sequence_of(sequence_of(tuple_of(_check_match_values, _check_match_values)))),
                 _column(sequence_of(sequence_of(variable, tuple))),
             ],
             "run cursor": [

@@ -28,8 +28,11 @@ NO_LISTENERS: Steps = ()
 
 
 _UNKNOWN_KEY = object()
+"""Default of look-ups in `SwitchNode.table`, in which None is a branch that is not built yet."""
 _MAX_TESTS = 6
 """Maximum depth of a plan; the matchers test the remaining arguments."""
+_MAX_ANALYSED_PATHS, _MAX_PATH_LENGTH = 32, 3
+"""Limits of the analysis of a pattern: number of paths, and length of a path."""
 
 
 def make_plan(listeners: List[Listener]) -> "Plan":
@@ -43,7 +46,7 @@ def matches_all_events(pattern: Term) -> bool:
         return False
     arguments = pattern[1:]
     # Only variables are hashed: the hash of a term goes down as deep as the term does.
-    return all(item.__class__ is Var for item in arguments) and len(set(arguments)) == len(arguments)
+    return all(argument.__class__ is Var for argument in arguments) and len(set(arguments)) == len(arguments)
 
 
 class SwitchNode:
@@ -136,13 +139,13 @@ def _listener_order(listener: Listener) -> Tuple[int, ...]:
 def _build_plan(listeners: List[Listener], tested_paths: Tuple[Path, ...], remaining_tests: int) -> "Plan":
     if not listeners:
         return NO_LISTENERS
-    path = _best_path(listeners, tested_paths) if remaining_tests > 0 else None
+    path = _find_best_path(listeners, tested_paths) if remaining_tests > 0 else None
     if path is None:
         return tuple([(listener.matcher, listener.action) for listener in listeners])
     return SwitchNode(path, listeners, tested_paths, remaining_tests)
 
 
-def _best_path(listeners: List[Listener], tested_paths: Tuple[Path, ...]) -> Optional[Path]:
+def _find_best_path(listeners: List[Listener], tested_paths: Tuple[Path, ...]) -> Optional[Path]:
     """Return the path where most patterns have a constant or functor, or None."""
     path_counts: Dict[Path, int] = Counter()
     for listener in listeners:
@@ -159,16 +162,16 @@ def _constant_paths(pattern: Term) -> List[Path]:
     """Return the paths of the constants and inner functors of a pattern, in breadth-first order."""
     paths: List[Path] = []
     level: List[Tuple[Path, Term]] = [((), pattern)]
-    # The limits keep the analysis of large patterns short; a few paths near the root separate patterns well.
-    while level and len(paths) < 32:
-        deeper: List[Tuple[Path, Term]] = []
+    # A few paths near the root separate patterns well.
+    while level and len(paths) < _MAX_ANALYSED_PATHS:
+        next_level: List[Tuple[Path, Term]] = []
         for path, term in level:
-            if term.__class__ is tuple and len(path) < 3:
+            if term.__class__ is tuple and len(path) < _MAX_PATH_LENGTH:
                 for position, argument in enumerate(term[1:], 1):
                     if argument.__class__ is not Var:
                         paths.append((*path, position))
-                        deeper.append(((*path, position), argument))
-        level = deeper
+                        next_level.append(((*path, position), argument))
+        level = next_level
     return paths
 
 
@@ -183,6 +186,7 @@ def _key_at(pattern: Term, path: Path) -> Hashable:
 
 
 def _discrimination_key(term: Term) -> Hashable:
+    """Return the functor of a compound term, or the key of a constant."""
     if term.__class__ is tuple:
         return term[0]  # type: ignore[no-any-return]
     if term.__class__ is Lazy:

@@ -206,7 +206,7 @@ class Dispatcher(ListenerIndex):
         create_token: creates the token of an event; lineage tracking replaces it.
         max_recursive_depth: depth up to which derived events are dispatched by recursive calls.
         tracks_lineage: whether tokens record the lineage of events.
-        retractions: number of retractions, each with all events that depended on the retracted one.
+        retractions: number of retractions; one counts once, whatever the number of events that depended on it.
         cause: with tracking, the rule and match whose goal is running, or the token of the event whose query is
             answered.
         shortcuts: by functor of an event, a function that replaces creating the event by an action on the values of a
@@ -284,7 +284,7 @@ class Dispatcher(ListenerIndex):
             plan = plan.branch(term)
         if not plan:
             return frame
-        # After the plan is known: events without listeners are never copied.
+        # Only after the plan is known, so that events without listeners are never copied.
         if not is_owned:
             term, ground = _owned_copy(term)
         parent = self.current

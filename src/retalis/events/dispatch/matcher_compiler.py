@@ -36,7 +36,7 @@ def compile_matcher(pattern: Term) -> Matcher:
     if is_larger(pattern, MAX_TERM_ARGUMENTS):
         pattern_vars = variables(pattern)
         return lambda term: unify_pattern(pattern, pattern_vars, term)
-    return _MatcherGenerator(pattern).matcher()
+    return _MatcherGenerator(pattern).compile()
 
 
 def _match_anything(term: Term) -> Optional[Values]:
@@ -59,13 +59,14 @@ class _MatcherGenerator:
         self.names = self.bound_names.values
         self.names_by_var: Dict[Var, str] = {}
 
-    def matcher(self) -> Matcher:
+    def compile(self) -> Matcher:
+        """Return the matcher."""
         pattern_vars = variables(self.pattern)
         self.names["fallback"] = _general_matcher(self.pattern, pattern_vars)
-        pending: List[Tuple[str, CompoundTerm]] = [("term", self.pattern)]
-        while pending:
+        stack: List[Tuple[str, CompoundTerm]] = [("term", self.pattern)]
+        while stack:
             # Depth first, left to right, so that the order of tests follows the order of the pattern.
-            pending.extend(reversed(self._emit_unpacking(*pending.pop())))
+            stack.extend(reversed(self._emit_unpacking(*stack.pop())))
         values = ", ".join(self.names_by_var[var] for var in pattern_vars)
         self.lines.append(f"    return ({values}{',' if len(pattern_vars) == 1 else ''})")
         source = "def generated(term):\n" + "\n".join(self.lines) + "\n"
@@ -73,7 +74,11 @@ class _MatcherGenerator:
         return matcher
 
     def _emit_unpacking(self, name: str, pattern: CompoundTerm) -> List[Tuple[str, CompoundTerm]]:
-        """Emit unpacking and constant tests for a compound; return its compound arguments with their names."""
+        """Emit the statements that unpack a compound and compare its constants.
+
+        Returns:
+            Its compound arguments, each with the name of the variable that has its value.
+        """
         compound_arguments: List[Tuple[str, CompoundTerm]] = []
         tests: List[str] = []
         targets = []
@@ -189,26 +194,28 @@ def generate_builder(
         expression_by_var: expressions for the values of variables.
         names: collects the objects that the statements refer to.
     """
-    names_by_var = dict(expression_by_var)
+    source_by_var = dict(expression_by_var)
     lines: List[str] = []
 
-    def constant(value: object) -> str:
+    def constant_source(value: object) -> str:
         return names.name("k", value)
 
     def leaf_source(item: Term) -> str:
         if item.__class__ is not Var:
-            return constant(item)
-        if item not in names_by_var:
-            names_by_var[item] = f"u{len(names_by_var)}"
-            lines.append(f"{names_by_var[item]} = {names.constant(Var, Var)}()")
-        return names_by_var[item]
+            return constant_source(item)
+        if item not in source_by_var:
+            source_by_var[item] = f"u{len(source_by_var)}"
+            lines.append(f"{source_by_var[item]} = {names.constant(Var, Var)}()")
+        return source_by_var[item]
 
     term = resolve(term)
-    return lines, constant(term) if is_ground(term) else _emit_assignments(term, leaf_source, constant, lines)
+    return lines, constant_source(term) if is_ground(term) else _emit_assignments(
+        term, leaf_source, constant_source, lines
+    )
 
 
 def _emit_assignments(
-    term: Term, leaf_source: Callable[[Term], str], constant: Callable[[object], str], lines: List[str]
+    term: Term, leaf_source: Callable[[Term], str], constant_source: Callable[[object], str], lines: List[str]
 ) -> str:
     """Emit one assignment per compound with variables, inner ones first; return the name of the outermost one."""
     if term.__class__ is not tuple:
@@ -219,7 +226,7 @@ def _emit_assignments(
         compound, arguments = stack[-1]
         if len(arguments) == len(compound) - 1:
             name = f"t{len(lines)}"
-            lines.append(f"{name} = ({constant(compound[0])}, {', '.join(arguments)})")
+            lines.append(f"{name} = ({constant_source(compound[0])}, {', '.join(arguments)})")
             stack.pop()
             if not stack:
                 return name
@@ -229,6 +236,6 @@ def _emit_assignments(
         if item.__class__ is not tuple:
             arguments.append(leaf_source(item))
         elif is_ground(item):
-            arguments.append(constant(item))
+            arguments.append(constant_source(item))
         else:
             stack.append([item, []])

@@ -307,9 +307,10 @@ def identity(match: EventMatch) -> Hashable:
         if not parts or not isinstance(parts[0], EventMatch):
             break
         path.append(parts[0])
-    last = path[-1]
-    is_known = last.__class__ is PartialMatch and last.identity is not None
-    key: Hashable = last.identity if is_known else _identity_of(last, ())
+    innermost = path[-1]
+    is_known = innermost.__class__ is PartialMatch and innermost.identity is not None
+    key: Hashable = innermost.identity if is_known else _identity_of(innermost, ())
+    # Values that are passed on are not part of this key.
     if is_known and key.__class__ is IdentityWithValues:
         key_with_values: Any = key
         key = key_with_values.structure
@@ -318,55 +319,55 @@ def identity(match: EventMatch) -> Hashable:
     return key
 
 
-def _identity_of(match: EventMatch, key: Tuple[Hashable, ...]) -> Hashable:
+def _identity_of(match: EventMatch, keys: Tuple[Hashable, ...]) -> Hashable:
     """Return the identity of a match, given the identities of its first parts."""
     parts = match.parts
     if parts is None:
         return term_key(match.term)
     part: Any
-    for part in parts[len(key) :]:
+    for part in parts[len(keys) :]:
         if isinstance(part, EventMatch):
-            key += (identity(part),)
+            keys += (identity(part),)
         elif part.__class__ is ComputedValues:
-            key += (tuple([term_key(value) for value in part.values]),)
+            keys += (tuple([term_key(value) for value in part.values]),)
         elif part.__class__ is not RepetitionChain:
-            key += (part,)
-    return key[0] if len(key) == 1 else Identity(key)
+            keys += (part,)
+    return keys[0] if len(keys) == 1 else Identity(keys)
 
 
 def event_tokens(match: PartialMatch) -> Iterator[Hashable]:
     """Yield the tokens of the events that a match consists of, in the order of the pattern."""
-    inner: Any
+    part: Any
     stack: List[EventMatch] = [match]
     while stack:
-        part = stack.pop()
-        if part.parts is None:
-            yield part.event
+        inner_match = stack.pop()
+        if inner_match.parts is None:
+            yield inner_match.event
         else:
-            for inner in reversed(part.parts):
-                if isinstance(inner, EventMatch):
-                    stack.append(inner)
-                elif inner.__class__ is RepetitionChain or isinstance(inner, IdentifyingRepetitions):
-                    stack.extend(reversed(inner.matches))
+            for part in reversed(inner_match.parts):
+                if isinstance(part, EventMatch):
+                    stack.append(part)
+                elif part.__class__ is RepetitionChain or isinstance(part, IdentifyingRepetitions):
+                    stack.extend(reversed(part.matches))
 
 
 def lineage_sources(match: PartialMatch) -> Iterator[Hashable]:
     """Yield the tokens of the events of a match; for the repetitions of a run, their `RepetitionChain` instead."""
-    inner: Any
+    part: Any
     stack: List[EventMatch] = [match]
     while stack:
-        part = stack.pop()
-        if part.parts is None:
-            yield part.event
+        inner_match = stack.pop()
+        if inner_match.parts is None:
+            yield inner_match.event
             continue
-        for inner in reversed(part.parts):
-            if isinstance(inner, EventMatch):
-                stack.append(inner)
-            elif inner.__class__ is RepetitionChain:
-                if inner.match is not None:
-                    yield inner
-            elif isinstance(inner, IdentifyingRepetitions):
-                stack.extend(reversed(inner.matches))
+        for part in reversed(inner_match.parts):
+            if isinstance(part, EventMatch):
+                stack.append(part)
+            elif part.__class__ is RepetitionChain:
+                if part.match is not None:
+                    yield part
+            elif isinstance(part, IdentifyingRepetitions):
+                stack.extend(reversed(part.matches))
 
 
 def arrival_number_of(match: PartialMatch) -> int:
@@ -382,13 +383,18 @@ def is_retracted(match: PartialMatch) -> bool:
 def unify_sides(
     left: PartialMatch, right: PartialMatch, shared: Tuple[Tuple[int, int], ...]
 ) -> Optional[Tuple[PartialMatch, PartialMatch]]:
-    """Unify shared values that contain variables.
+    """Unify the shared values of two matches, which may contain variables.
+
+    Args:
+        left: a match.
+        right: a match.
+        shared: pairs of positions of a shared variable, in the values of the left and of the right match.
 
     Returns:
         Copies of the two matches with the resulting values, or None if the values do not unify.
     """
-    left_values = list(_renamed(left.values))
-    right_values = list(_renamed(right.values))
+    left_values = list(_rename_variables(left.values))
+    right_values = list(_rename_variables(right.values))
     trail: Trail = []
     result = None
     if all(
@@ -410,9 +416,10 @@ def unify_values(left: Values, right: Values) -> Optional[Values]:
     return result
 
 
-def _renamed(values: Values) -> Values:
-    fresh: Dict[Var, Term] = {}
-    return tuple([copy(value, fresh) for value in values])
+def _rename_variables(values: Values) -> Values:
+    """Return values with new variables."""
+    new_vars: Dict[Var, Term] = {}
+    return tuple([copy(value, new_vars) for value in values])
 
 
 def _with_values(match: PartialMatch, values: List[Term]) -> PartialMatch:

@@ -48,7 +48,7 @@ class SharedLog:
         self._sums = [0]
 
     def after_restore(self) -> None:
-        """Forget cached sums, after repetitions were restored."""
+        """Drop the cached sums, after repetitions were restored."""
         self._sums = [0]
 
     def sum_to(self, end: int) -> int:
@@ -92,7 +92,8 @@ class BufferSlice(IdentifyingRepetitions):
         if other.__class__ is not BufferSlice or self.length != other.length or hash(self) != hash(other):
             return False
         pairs = zip(self.matches, other.matches)
-        return all(mine is theirs or identity(mine) == identity(theirs) for mine, theirs in pairs)
+        # Equal hashes do not prove equality: the hash is a sum, which does not depend on the order.
+        return all(left is right or identity(left) == identity(right) for left, right in pairs)
 
 
 def repetitions(match: PartialMatch, times: int) -> List[PartialMatch]:
@@ -143,8 +144,9 @@ class RunCursor(PartialMatch):
     Attributes:
         first: its beginning: the first repetition, or a match of several repetitions that was stored separately.
         prefix_length: number of repetitions of such a match; 0 if the first repetition is in the log.
-        log, at: position in the log where its repetitions in the group begin.
-        first_number: number of the first of those repetitions.
+        log: log in which its repetitions in the group begin.
+        log_position: position of the first of these in the log.
+        first_number: number of that repetition in the group, counted from 0.
     """
 
     __slots__ = ("first", "prefix_length", "log", "log_position", "first_number")
@@ -171,7 +173,8 @@ class RunGroup:
     Attributes:
         node: the node that they belong to.
         key: their values.
-        cursors: the sequence with ``length`` repetitions is at ``number - 1``; removed sequences and None are gaps.
+        cursors: the sequence with ``length`` repetitions is at index ``length - 1``; None and removed sequences are
+            gaps.
         end: end of the last repetition.
         order: order of the shortest sequence, as if it were a match that was stored; each longer one has one less.
         log: the newest repetitions; sequences that began in the log before it refer to that one.
@@ -201,7 +204,7 @@ class RunGroup:
         self.cursor_count = 0
 
     def after_restore(self) -> None:
-        """Continue with sequences that were restored."""
+        """Convert the restored list of cursors."""
         self.cursors = deque(self.cursors)
 
     @property
@@ -239,7 +242,8 @@ class RunGroup:
     def advance(self, match: PartialMatch, max_length: int) -> Optional[RunCursor]:
         """Extend all sequences with a repetition and begin a new one.
 
-        Return the one that has ``max_length`` repetitions now.
+        Returns:
+            The sequence that has ``max_length`` repetitions now and has left `cursors`; None if there is none.
         """
         cursors = self.cursors
         while cursors and (cursors[-1] is None or cursors[-1].buffer is None):
@@ -250,7 +254,7 @@ class RunGroup:
         self.log.items.append(match)
         self.repetition_count += 1
         self.end = match.end
-        oldest = cursors.pop() if len(cursors) == max_length - 1 else None
+        completed = cursors.pop() if len(cursors) == max_length - 1 else None
         cursors.appendleft(cursor)
         rule = self.node.rule
         # Orders are reserved as if each sequence were stored anew, longest first. A sequence that leaves the group
@@ -258,7 +262,7 @@ class RunGroup:
         rule.order += max_length
         self.order = rule.order
         self._store_cursor(cursor)
-        return oldest
+        return completed
 
     def _store_cursor(self, cursor: RunCursor) -> None:
         cursor.buffer = self
@@ -329,6 +333,7 @@ class RunGroupBuffer:
 
 
 NO_ITEMS = NIL
+"""End of the list of items of a run; see `RepetitionItems`."""
 
 
 class Run(PartialMatch):
@@ -342,9 +347,8 @@ class Run(PartialMatch):
         items: values that conditions further up test for each repetition.
         repetitions: the repetitions, if events are tracked.
         tracked: their `RepetitionChain`, for the results.
-        step_values: values of the start and of the repetition, for each repetition.
-        valid_count: number of the repetitions that its results still rest on.
-        free_vars: variables that its repetitions share and that none of them binds.
+        step_values: for each repetition, the values of the start and those of the step tests after it.
+        free_vars: variables of the aggregated term that no repetition binds; all repetitions share them.
     """
 
     __slots__ = (
@@ -355,7 +359,6 @@ class Run(PartialMatch):
         "repetitions",
         "tracked",
         "step_values",
-        "valid_count",
         "first",
         "free_vars",
         "_next",
@@ -381,7 +384,7 @@ class Run(PartialMatch):
         return self.first.values
 
     def after_restore(self) -> None:
-        """Accept attributes that were restored."""
+        """Set the attributes that are not stored in a state file."""
         self._next = None
 
     def commit(
@@ -412,19 +415,18 @@ class Run(PartialMatch):
         self.repetitions: List[PartialMatch] = []
         self.tracked = NO_REPETITIONS
         self.step_values: List[Tuple[Values, Values]] = []
-        self.valid_count = 0
 
 
-def identity_by_start(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
-    """Return the identity of runs by the identity of their starts."""
-    return lambda run: name(run.first)
+def identity_by_start(identify: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
+    """Return an identity function of runs, given that of their starts."""
+    return lambda run: identify(run.first)
 
 
-def identity_by_start_interval(name: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
-    """Return the identity of runs by the identity and the interval of their starts."""
+def identity_by_start_interval(identify: Callable[[PartialMatch], Hashable]) -> Callable[[Any], Hashable]:
+    """Return an identity function of runs by the start and its interval, given the identity function of starts."""
 
-    def named(run: Run) -> Hashable:
+    def identify_run(run: Run) -> Hashable:
         first = run.first
-        return (name(first), int(first.start), int(first.end))
+        return (identify(first), int(first.start), int(first.end))
 
-    return named
+    return identify_run

@@ -547,7 +547,6 @@ class KleeneNode(KleeneValues):
             run.repetitions.append(match)
             run.tracked = RepetitionChain(match, run.tracked)
             run.step_values.append((values, step_values))
-            run.valid_count += 1
         return True, self.result_of(run, tested_values)
 
     def remove_retracted(self, run: Run, match: PartialMatch) -> bool:

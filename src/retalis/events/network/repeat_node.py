@@ -60,7 +60,7 @@ _SEQ = PAIR_OPERATORS[SEQ]
 
 
 class _Relay(NetworkNode):
-    """Represents one of the repetitions if they are joined by nodes of their own."""
+    """Operand of the join nodes for one of the repetitions; the repeat node passes matches to it."""
 
     def __init__(self, original: NetworkNode, shared_vars: Collection[Var]):
         self.vars = [var if var in shared_vars else Var() for var in original.vars]
@@ -69,7 +69,7 @@ class _Relay(NetworkNode):
         """Set the action that receives the matches."""
         self._emit = emit
 
-    def take(self, match: PartialMatch, frame: Frame) -> Frame:
+    def pass_on(self, match: PartialMatch, frame: Frame) -> Frame:
         """Pass on a copy of a match, which can be stored by itself."""
         copied_match = PartialMatch(
             match.values, match.start, match.end, match.event, match.term, match.parts
@@ -84,14 +84,14 @@ class RepeatNode(NetworkNode):
         rule: the rule that it belongs to.
         child: node of the pattern; makes at most one match of each event.
         times: number of repetitions, at least two.
-        shared_vars: variables that are used elsewhere in the rule. They have the same value in each repetition.
+        shared_vars: variables that occur more than once in the rule. They have the same value in each repetition.
         make_identity_function: factory of identity functions, given the variables whose values the matches have.
 
     Attributes:
         retention: retention time of stored matches in ns; None for no bound.
         groups: run groups, by their values.
-        visit_count: number of sequences, or repetition counts, that were visited one by one; for tests of the
-            complexity.
+        visit_count: number of sequences, or lengths of sequences, that were visited one by one; read only by tests of
+            the complexity.
     """
 
     def __init__(
@@ -108,8 +108,8 @@ class RepeatNode(NetworkNode):
         self.vars = [var for var in child.vars if var in shared_vars]
         self._identity_functions = make_identity_function(child.vars), make_identity_function(self.vars)
         position_by_var = positions(child.vars)
-        self._shared_positions = tuple([position_by_var[var] for var in self.vars])
-        self._key = key_function(self._shared_positions)
+        self._value_positions = tuple([position_by_var[var] for var in self.vars])
+        self._compute_key = key_function(self._value_positions)
         self._buffers: Dict[int, MatchBuffer] = {}
         self._separate_lengths_by_key: Dict[Hashable, Dict[int, None]] = {}
         self._join_nodes: List[JoinNode] = []
@@ -124,8 +124,8 @@ class RepeatNode(NetworkNode):
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
-        right = [join_node.right_buffer for join_node in self._join_nodes]
-        return (self._group_buffer, *self._buffers.values(), *right)
+        right_buffers = [join_node.right_buffer for join_node in self._join_nodes]
+        return (self._group_buffer, *self._buffers.values(), *right_buffers)
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
@@ -185,13 +185,13 @@ class RepeatNode(NetworkNode):
         return (
             cursor.values
             if cursor.prefix_length > 1
-            else tuple([cursor.values[position] for position in self._shared_positions])
+            else tuple([cursor.values[position] for position in self._value_positions])
         )
 
     def _on_match(self, match: PartialMatch, frame: Frame) -> Frame:
         if self._is_grouped:
             try:
-                key = self._key(match.values)
+                key = self._compute_key(match.values)
             except ValueError:
                 self._switch_to_joins()
             else:
@@ -199,7 +199,7 @@ class RepeatNode(NetworkNode):
                 return frame if result is None else self._emit(result, frame)
         return emit_each(
             metered(self._receiving_relays(), self.rule.meter),
-            lambda relay, next_frame: relay.take(match, next_frame),
+            lambda relay, next_frame: relay.pass_on(match, next_frame),
             frame,
         )
 
@@ -293,7 +293,7 @@ class RepeatNode(NetworkNode):
             values = (
                 sequence.values
                 if length > 1
-                else tuple([sequence.values[position] for position in self._shared_positions])
+                else tuple([sequence.values[position] for position in self._value_positions])
             )
             slices = BufferSlice((*slices_of(sequence, length), (SharedLog([match]), 0, 1)))
             longer = PartialMatch(values, sequence.start, match.end, None, None, (slices,))
@@ -358,9 +358,10 @@ class RepeatNode(NetworkNode):
         self._separate_lengths_by_key.setdefault(key, {})[length] = None
 
     def _buffer(self, length: int) -> MatchBuffer:
+        """Return the buffer of the sequences of a length that are stored separately; create it if necessary."""
         buffer = self._buffers.get(length)
         if buffer is None:
-            positions = self._shared_positions if length == 1 else tuple(range(len(self._shared_positions)))
+            positions = self._value_positions if length == 1 else tuple(range(len(self._value_positions)))
             buffer = self._buffers[length] = MatchBuffer(self.rule, positions)
             buffer.retention = self.retention
             buffer.is_negated = self.is_negated
@@ -422,7 +423,7 @@ class RepeatNode(NetworkNode):
                     None,
                     (),
                     True,
-                    self._identity_functions_at(length),
+                    self._identity_functions_for(length),
                 )
                 left.left_buffer = self._buffer(length)
                 left.right_buffer.is_negated = self.is_negated
@@ -432,9 +433,9 @@ class RepeatNode(NetworkNode):
             self._emit_slices if self._options.policy.replaces_identical else self._emit, self._options
         )
 
-    def _identity_functions_at(self, length: int) -> Tuple[IdentityFunction, IdentityFunction]:
-        single_function, longer_function = self._identity_functions
-        return (single_function if length == 1 else longer_function), single_function
+    def _identity_functions_for(self, length: int) -> Tuple[IdentityFunction, IdentityFunction]:
+        identify_single, identify_longer = self._identity_functions
+        return (identify_single if length == 1 else identify_longer), identify_single
 
     def _emit_slices(self, match: PartialMatch, frame: Frame) -> Frame:
         """Emit a complete match with the parts of a run group, because it may replace one that a group emitted."""

@@ -1,6 +1,7 @@
 """Row patterns over the elements of a partition: MATCH_RECOGNIZE with ``AFTER MATCH SKIP PAST LAST ROW``.
 
-A pattern is a sequence of variables with quantifiers, compiled into a `RowPatternNFA`. For each partition (key), a
+A pattern is a sequence of variables with quantifiers, compiled into a `RowPatternNFA`. Rules call the variables
+*steps*. For each partition (key), a
 list of `ComputationState` is advanced by each element, ordered by preference: a state that started earlier comes
 first, then greedy or reluctant quantifiers decide, as backtracking would. A match is emitted when no preferred state
 can complete any more; all less preferred states are dropped with it, so matches do not overlap.
@@ -152,7 +153,7 @@ class RowPatternNFA:
         return tuple(targets_after)
 
     def _transitions(self, step: int, has_reached_min: bool, may_repeat: bool) -> StepTransitions:
-        """Return the transitions of a step: has it reached its minimum, and may it accept another element?"""
+        """Return the transitions after a step: has it its minimum of elements, and may it accept another one?"""
         next_transitions = self._transitions_into(step + 1) if has_reached_min else _NO_TRANSITIONS
         steps, blocking = next_transitions.steps, next_transitions.blocking
         if may_repeat and not self.steps[step].reluctant:
@@ -281,23 +282,24 @@ class ComputationState:
 class PartitionState:
     """State of one partition: its computation states, waiting matches, and the elements that they use.
 
-    A completed match drops all less preferred states. Each state therefore comes after all matches that the states
-    before it come after, and one queue holds the waiting matches of all states.
+    A completed match drops all less preferred states. The matches that are preferred to a state are therefore also
+    preferred to all states after it, and one queue contains the waiting matches of all states.
 
     Attributes:
         elements: elements that a state or match uses, and all elements since the oldest of them.
         states: the computation states in order of preference.
-        completed: waiting matches, the oldest first: those that the last state comes after, but not the first one.
-        counted_states: number of states that the window has counted for this partition.
+        completed: waiting matches, the oldest first: those that are preferred to the last state, but not to the first
+            one.
+        counted_state_count: number of states that the window has counted for this partition.
         reference_time: the clock at its last element.
     """
 
-    __slots__ = ("elements", "states", "completed", "counted_states", "reference_time")
+    __slots__ = ("elements", "states", "completed", "counted_state_count", "reference_time")
 
     def __init__(self, states: List[ComputationState]):
         self.elements: Deque[StreamElement] = deque()
         self.states = states
-        self.counted_states = 0
+        self.counted_state_count = 0
         self.reference_time = BEFORE_ALL_INSTANTS
         self.completed: Deque[_CompletedMatch] = deque()
 
@@ -308,7 +310,7 @@ class PartitionState:
 
         Args:
             states: the new states.
-            completed: a match that was completed by the same element; the last state comes after it.
+            completed: a match that was completed by the same element; it is preferred to the last state only.
         """
         # Matches are popped from the new end if the states that preferred them were dropped, and emitted from the old
         # end if no state precedes them.
@@ -324,7 +326,7 @@ class PartitionState:
         """Return the number of completed matches that wait for a preferred state."""
         return self.states[-1].preceding_matches - self.states[0].preceding_matches
 
-    def oldest(self) -> Optional[int]:
+    def oldest_order(self) -> Optional[int]:
         """Return the order of the oldest element in use, or None."""
         orders = [state.start_order for state in self.states if state.matched is not None]
         if self.completed:
@@ -337,20 +339,21 @@ class _Successors:
 
     Attributes:
         states: the states in order of preference.
-        best_counts: largest count for each key of a state.
-        completed: the match that the element completes; the last state comes after it.
+        largest_counts: largest count for each key of a state.
+        completed: the match that the element completes; it is preferred to the last state only.
         start_order: order of the first element of the newest state.
-        alternatives: number of states with that start. Earlier starts are preferred, so equal starts are adjacent.
+        same_start_count: number of states with that start. Earlier starts are preferred, so equal starts are
+            adjacent.
     """
 
-    __slots__ = ("states", "best_counts", "completed", "start_order", "alternatives")
+    __slots__ = ("states", "largest_counts", "completed", "start_order", "same_start_count")
 
     def __init__(self) -> None:
         self.states: List[ComputationState] = []
-        self.best_counts: Dict[Hashable, int] = {}
+        self.largest_counts: Dict[Hashable, int] = {}
         self.completed: Optional[_CompletedMatch] = None
         self.start_order = 0
-        self.alternatives = 0
+        self.same_start_count = 0
 
     def uses(self, element: StreamElement) -> bool:
         """Return whether a state or match uses the element."""
@@ -395,8 +398,10 @@ class RowPatternWindow(StreamOperator):
         """Return the number of elements or of states, whichever is larger."""
         return max(self._element_count, self._state_count)
 
-    def _scanning_state(self, next_end: int = 0) -> ComputationState:
-        return ComputationState(SCANNING, 0, None, (None,) * len(self.nfa.navigations), None, 0, 0, next_end)
+    def _scanning_state(self, preceding_matches: int = 0) -> ComputationState:
+        return ComputationState(
+            SCANNING, 0, None, (None,) * len(self.nfa.navigations), None, 0, 0, preceding_matches
+        )
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -451,9 +456,9 @@ class RowPatternWindow(StreamOperator):
         The states that use its oldest element are dropped, and matches that have waited for them are emitted.
         """
         key, partition = next(iter(self.states.items()))
-        oldest = partition.elements[0].order
+        oldest_order = partition.elements[0].order
         remaining_states = [
-            state for state in partition.states if state.matched is None or state.start_order != oldest
+            state for state in partition.states if state.matched is None or state.start_order != oldest_order
         ]
         decided_matches = partition.advance(self._with_scanning(remaining_states, partition))
         self._store_partition(partition, key)
@@ -463,15 +468,17 @@ class RowPatternWindow(StreamOperator):
         """Drop a partition; matches that wait in it are lost."""
         partition = self.states.pop(key)
         self._element_count -= len(partition.elements)
-        self._state_count -= partition.counted_states
+        self._state_count -= partition.counted_state_count
 
     def _store_partition(self, partition: PartitionState, key: Hashable) -> None:
         """Store a partition, count its states, and drop elements that are not used by any state."""
-        oldest = partition.oldest()
-        state_count = 0 if oldest is None else len(partition.states) - (partition.states[-1].step == SCANNING)
-        self._state_count += state_count - partition.counted_states
-        partition.counted_states = state_count
-        if oldest is not None:
+        oldest_order = partition.oldest_order()
+        state_count = (
+            0 if oldest_order is None else len(partition.states) - (partition.states[-1].step == SCANNING)
+        )
+        self._state_count += state_count - partition.counted_state_count
+        partition.counted_state_count = state_count
+        if oldest_order is not None:
             if key in self.states:
                 self.states.move_to_end(key)
             else:
@@ -479,7 +486,7 @@ class RowPatternWindow(StreamOperator):
                 if len(self.states) > self._max_keys:
                     self._evict_keys()
             # Elements are dropped in order of arrival; those between used ones stay until the oldest use ends.
-            while partition.elements[0].order < oldest:
+            while partition.elements[0].order < oldest_order:
                 partition.elements.popleft()
                 self._element_count -= 1
         else:
@@ -520,13 +527,15 @@ class RowPatternWindow(StreamOperator):
         steps = self.nfa.steps
         transitions = self.nfa.transitions_after(state.step, state.count)
         candidates = transitions.steps if state.remaining_steps is None else state.remaining_steps
-        open_steps = [
+        continuing_steps = [
             step
             for step in candidates
             if not (steps[step].until and ends_step(steps[step].until, state.targets, element))
         ]
-        accepting = [step for step in open_steps if passes_tests(steps[step].tests, state.targets, element)]
-        skipping = tuple([step for step in open_steps if steps[step].skips_rows])
+        accepting = [
+            step for step in continuing_steps if passes_tests(steps[step].tests, state.targets, element)
+        ]
+        skipping = tuple([step for step in continuing_steps if steps[step].skips_rows])
         if not accepting and skipping:
             for step in transitions.blocking:
                 # A reluctant step has no `until`. After a skipped element, only `skips_rows` steps can follow.
@@ -548,11 +557,11 @@ class RowPatternWindow(StreamOperator):
         start_order, start_time = (
             (element.order, element.start) if state.matched is None else (state.start_order, state.start_time)
         )
-        transitions, completed, steps_after_skip, _ = nfa.transitions_after(step, count)
+        next_steps, may_end, steps_after_skip, _ = nfa.transitions_after(step, count)
         # `steps_after_skip` is set if all steps skip elements: the state then equals the one after a skip.
-        if transitions:
+        if next_steps:
             targets = nfa.advance_navigations(state.targets, step, element)
-            added = self._add(
+            is_present = self._add(
                 ComputationState(
                     step,
                     count,
@@ -565,13 +574,13 @@ class RowPatternWindow(StreamOperator):
                 ),
                 successors,
             )
-            if added and not completed and nfa.is_certain_to_complete(transitions):
+            if is_present and not may_end and nfa.is_certain_to_complete(next_steps):
                 return True
-        if completed:
+        if may_end:
             successors.completed = _CompletedMatch(matched, start_order)
             # The search for the next match starts after this one: matches do not share elements.
             successors.states.append(self._scanning_state(state.preceding_matches + 1))
-        return completed
+        return may_end
 
     def _add(self, state: ComputationState, successors: _Successors) -> bool:
         """Add a state unless a preferred one subsumes it; return whether either of them is present."""
@@ -579,16 +588,16 @@ class RowPatternWindow(StreamOperator):
         key = state.key(self.nfa.count_class(state.step, state.count))
         # States are added in order of preference, so one with the same key and at least this count is preferred and
         # completes no later: the new one can never win.
-        if successors.best_counts.get(key, -1) >= state.count:
+        if successors.largest_counts.get(key, -1) >= state.count:
             return True
         if state.start_order != successors.start_order:
-            successors.start_order, successors.alternatives = state.start_order, 0
-        if successors.alternatives >= MAX_STATES_PER_START:
+            successors.start_order, successors.same_start_count = state.start_order, 0
+        if successors.same_start_count >= MAX_STATES_PER_START:
             # The least preferred states are lost; the count is reported.
             self.pruned_count += 1
             return False
-        successors.alternatives += 1
-        successors.best_counts[key] = state.count
+        successors.same_start_count += 1
+        successors.largest_counts[key] = state.count
         successors.states.append(state)
         return True
 
@@ -598,23 +607,23 @@ class RowPatternWindow(StreamOperator):
 
     def _output(self, completed: _CompletedMatch) -> Optional[StreamOutput]:
         """Return the output of a match, or None if a measure has no result."""
-        pairs = _in_order(completed.matched)
+        assignments = _list_assignments(completed.matched)
         meter = self.meter
-        if meter is not None and meter(len(pairs)):
+        if meter is not None and meter(len(assignments)):
             return None
-        elements = [element for element, _ in pairs]
+        elements = [element for element, _ in assignments]
         start = min(element.start for element in elements)
         end = max(self._end, *(element.end for element in elements))
         contributors = tuple(elements[-MAX_TRACKED_ELEMENTS:]) if self.tracks_elements else (elements[-1],)
-        results, error = results_or_error(lambda: self._results(pairs))
+        results, error = results_or_error(lambda: self._results(assignments))
         return None if results is None else StreamOutput(contributors, start, end, results, error)
 
-    def _results(self, pairs: _StepAssignments) -> Optional[Values]:
+    def _results(self, assignments: _StepAssignments) -> Optional[Values]:
         """Return the results of the measures of a match, or None if one has no result."""
         results = []
         for measure, scope in zip(self.make_accumulators(), self.scopes):
             # Accumulators are created for each match, because matches are not known before they end.
-            elements = deque([element for element, step in pairs if scope is None or step == scope])
+            elements = deque([element for element, step in assignments if scope is None or step == scope])
             for element in elements:
                 measure.add(element)
             result = measure.result(elements, len(elements)) if elements or measure.accepts_empty else None
@@ -630,7 +639,7 @@ class RowPatternWindow(StreamOperator):
                 partition.reference_time,
                 list(partition.elements),
                 tuple([_state_fields(state) for state in partition.states]),
-                tuple([_orders(_in_order(match.matched)) for match in partition.completed]),
+                tuple([_to_orders(_list_assignments(match.matched)) for match in partition.completed]),
             )
             for partition in self.states.values()
         ]
@@ -681,42 +690,42 @@ class RowPatternWindow(StreamOperator):
         self, fields: Tuple[Any, ...], element_by_order: Dict[int, StreamElement]
     ) -> ComputationState:
         """Return the state that `_state_fields` has described."""
-        step, count, remaining_steps, target_orders, pairs, next_end = fields
+        step, count, remaining_steps, target_orders, assignments, preceding_matches = fields
         targets = tuple([None if order is None else element_by_order[order] for order in target_orders])
-        if not pairs:
-            return ComputationState(step, count, remaining_steps, targets, None, 0, 0, next_end)
-        order = pairs[0][0]
+        if not assignments:
+            return ComputationState(step, count, remaining_steps, targets, None, 0, 0, preceding_matches)
+        start_order = assignments[0][0]
         return ComputationState(
             step,
             count,
             remaining_steps,
             targets,
-            _matched_elements(pairs, element_by_order),
-            order,
-            element_by_order[order].start,
-            next_end,
+            _matched_elements(assignments, element_by_order),
+            start_order,
+            element_by_order[start_order].start,
+            preceding_matches,
         )
 
 
 def _matched_elements(
-    pairs: Sequence[Tuple[int, int]], element_by_order: Dict[int, StreamElement]
+    assignments: Sequence[Tuple[int, int]], element_by_order: Dict[int, StreamElement]
 ) -> _MatchedElements:
-    """Return the elements of a match, given their orders."""
+    """Return the elements of a match, given their orders and steps."""
     matched: Optional[_MatchedElements] = None
-    for order, step in pairs:
+    for order, step in assignments:
         matched = _MatchedElements(element_by_order[order], step, matched)
     # A match has at least one element.
     assert matched is not None
     return matched
 
 
-def _in_order(matched: Optional[_MatchedElements]) -> _StepAssignments:
-    """Return the elements of a match, the oldest first."""
-    pairs = []
+def _list_assignments(matched: Optional[_MatchedElements]) -> _StepAssignments:
+    """Return the elements of a match with their steps, the oldest first."""
+    assignments = []
     while matched is not None:
-        pairs.append((matched.element, matched.step))
+        assignments.append((matched.element, matched.step))
         matched = matched.previous
-    return tuple(reversed(pairs))
+    return tuple(reversed(assignments))
 
 
 def _state_fields(state: ComputationState) -> Tuple[Any, ...]:
@@ -727,10 +736,10 @@ def _state_fields(state: ComputationState) -> Tuple[Any, ...]:
         state.count,
         state.remaining_steps,
         targets,
-        _orders(_in_order(state.matched)),
+        _to_orders(_list_assignments(state.matched)),
         state.preceding_matches,
     )
 
 
-def _orders(pairs: _StepAssignments) -> Tuple[Tuple[int, int], ...]:
-    return tuple([(element.order, step) for element, step in pairs])
+def _to_orders(assignments: _StepAssignments) -> Tuple[Tuple[int, int], ...]:
+    return tuple([(element.order, step) for element, step in assignments])
