@@ -293,6 +293,7 @@ def _check_lengths(database: sqlite3.Connection, size: int) -> None:
 
 
 def _read_contents(database: sqlite3.Connection, size: int) -> Optional[Checkpoint]:
+    """Return the contents of a checkpoint; None if none has been written yet."""
     _limit_reading(database, size)
     # A transaction, so that all queries see the same checkpoint even if another process writes meanwhile.
     database.execute("BEGIN")

@@ -845,6 +845,7 @@ class Engine:
             self._call_back("a callback of on_output", callback, term, topic, name)
 
     def _call_back(self, callback_name: str, callback: Callable[..., object], *arguments: object) -> None:
+        """Call a callback of the user; its errors are reported."""
         # The executor names this callback in the error of a thread that waits for it; see `patience`.
         executor = self.executor
         outer_callback = executor.running_callback
@@ -864,6 +865,7 @@ class Engine:
     def _collect_solutions(
         self, term: Term, names: Dict[str, Var], most: Optional[int]
     ) -> List[Dict[str, Term]]:
+        """Return the first ``most`` solutions of a goal as copies, or all."""
         results: List[Dict[str, Term]] = []
         with closing(self.logic.solutions(term)) as solutions:
             for _ in solutions:

@@ -110,6 +110,7 @@ class EngineSnapshot:
         )
 
     def _collect_program(self, numbered_rules: List[EventRule]) -> Sections:
+        """Return section ``program``; see `SECTIONS`."""
         engine = self._engine
         knowledge = engine.knowledge
         return {

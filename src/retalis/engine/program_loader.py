@@ -538,7 +538,8 @@ class ReloadTransaction:
     # ---- deactivation of the old deployment ----------------------------------------------------------
 
     def _deactivate_old(self) -> None:
-        # Items are set aside, not deleted: the load reactivates those with an equal definition, with their state.
+        """Set the items of the old deployment aside."""
+        # They are not deleted: the load reactivates those with an equal definition, with their state.
         rules, knowledge, old = self._engine.rules, self._engine.knowledge, self._old_deployment
         for rule in old.rules:
             rules.detach(rule)
@@ -561,6 +562,7 @@ class ReloadTransaction:
                 rules.flags.set(name, new_value)
 
     def _remove_clauses(self, predicate: Predicate, clauses: Sequence[Clause]) -> None:
+        """Remove clauses; reset the predicate if it has no others."""
         for clause in clauses:
             predicate.remove(clause)
         if len(predicate):
@@ -590,6 +592,7 @@ class ReloadTransaction:
         return pair_equal_rules(self._old_deployment.rules, self.deployment.rules, _make_rule_key)
 
     def _restore_unchanged(self, program_without_folder: Deployment) -> None:
+        """Replace new rules by the equal old ones, and retract the clauses that had been retracted."""
         rules = self._engine.rules
         old_rules = self._pair_unchanged_rules()
         own_rules = []

@@ -321,6 +321,7 @@ class _Explainer:
                 self._causes.setdefault(id(derived), []).append(occurrence)
 
     def explain(self, request: Term) -> Explanation:
+        """Return the explanation of a request; see ``asked`` of `explain`."""
         term, interval = _parse_request(request)
         occurrences = [occurrence for occurrence in self._occurrences if _unifies(occurrence.term, term)]
         if interval is not None:

@@ -233,6 +233,8 @@ class WhyNot:
 
     # ---- one method per type of pattern ----------------------------------------------------------------
 
+    # Each evaluates the parts of the pattern first, selects or joins their matches, and says why none is left.
+
     def _evaluate_event(self, pattern: EventPattern) -> PartResult:
         matches = []
         for occurrence in self._occurrences:
@@ -301,7 +303,8 @@ class WhyNot:
             return False
         if match.gap is None:
             return negated.end < match.start
-        return match.gap[0] < negated.start and negated.end < match.gap[1]
+        gap_start, gap_end = match.gap
+        return gap_start < negated.start and negated.end < gap_end
 
     def _evaluate_kleene(self, pattern: KleenePattern) -> PartResult:
         first_part, repeated_part = self.evaluate(pattern.first), self.evaluate(pattern.repeated)
@@ -520,6 +523,7 @@ class WhyNot:
     # ---- values ----------------------------------------------------------------------------------------
 
     def _join_values(self, first: Candidate, second: Candidate) -> Optional[Term]:
+        """Return the values of two matches together; None if they disagree."""
         check_limits(1)
         trail: Trail = []
         values = copy(first.values)
@@ -564,6 +568,7 @@ class WhyNot:
         return self._format_candidates(matches, term) if matches else reason
 
     def _format_candidates(self, matches: List[Candidate], term: Term) -> str:
+        """Return a text of the newest matches, with the values of a term's variables and their times."""
         named_vars = [var for var in dict.fromkeys(variables(term)) if var in self._names]
         shown = []
         for match in matches[-MAX_SHOWN_CANDIDATES:]:

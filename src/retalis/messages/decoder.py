@@ -684,6 +684,7 @@ def make_watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
 
 
 def _compile_decode(definition: Definition, max_empty_elements: int) -> Decode:
+    """Return the decoding function of a type: the frame decoder if it supports the type."""
     generator = DecoderGenerator()
     generator.run_base = "0"
     result = generator.read_message(definition)
@@ -735,6 +736,7 @@ def _make_mismatch_function(definition: Definition) -> Callable[[bytes], None]:
 
 
 def _compile_stamp(definition: Definition) -> Callable[[bytes], Optional[int]]:
+    """Return the function that reads the time of a message's header."""
     first = definition.fields[0] if definition.fields else None
     if first is None or first.type != HEADER or first.length is not None or first.name != "header":
         return _no_stamp

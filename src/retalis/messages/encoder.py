@@ -248,6 +248,7 @@ def _compile_array_packer(slot: Field) -> Callable[[Term], bytes]:
 
 
 def _make_number_packer(slot: Field, decoder: ArrayDecoder) -> Callable[[Term], bytes]:
+    """Return the function that packs a list of numbers, or copies the bytes of an array term."""
     code, length = PRIMITIVES[slot.type], slot.length
     size = Struct("<" + code).size
 

@@ -219,6 +219,7 @@ def _count_trailing_bytes(definition: Definition) -> Optional[int]:
 
 
 def _collect_stamps(data: bytes, fields: List[_StampedField], stamps: List[FrameStamp]) -> None:
+    """Add the stamps of a message to ``stamps``, so that those before an error are known."""
     # Offsets as on the wire: seq, secs, nsecs, length of frame_id (4 bytes each), then the frame's name.
     offset = 0
     for field, suffix, has_child, trailing_bytes in fields:

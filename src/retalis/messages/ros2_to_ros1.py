@@ -220,6 +220,7 @@ class _Ros2DefinitionReader:
         self.lines.append(f"{type_name} {name}={value}")
 
     def _add_slot(self, match: "re.Match[str]") -> None:
+        """Add a slot in ROS 1 form; the match is one of `_LINE`."""
         type_name, name = match["type"], match["name"]
         if self.name == HEADER and name == "seq":
             return

@@ -538,6 +538,7 @@ class _DefinitionReader:
         return tuple(self.fields.values()), tuple(self.constants.values())
 
     def _read_line(self, offset: int, line: str) -> None:
+        """Add the constant or the slot of a line, which begins at ``offset``."""
         # A string constant takes the rest of the line literally: `#` does not begin a comment in it.
         match = _STRING_CONSTANT.match(line)
         if match:

@@ -102,6 +102,7 @@ def _is_empty_message(term: Term, name: str) -> bool:
 
 
 def _encode_slot(slot: Field, term: Term, path: str, chunks: List[bytes]) -> None:
+    """Add the bytes of a slot, a single value or an array, to ``chunks``."""
     if slot.length is None:
         _encode_single(slot, term, path, chunks)
         return
@@ -214,6 +215,7 @@ def _encode_integer(type_name: str, value: Term, path: str) -> bytes:
 
 
 def _encode_float(type_name: str, value: Term, path: str) -> bytes:
+    """Return the bytes of a float: a number, or ``inf``, ``infinite`` or ``nan``, also negated."""
     if value.__class__ is Atom:
         value = _SPECIAL_FLOATS.get(value, value)
     elif value.__class__ is tuple and value[0] is _MINUS_FUNCTOR:

@@ -101,6 +101,7 @@ class MergedBag:
         self.topics: Tuple[Topic, ...] = tuple(topic for bag in self._bags for topic in bag.topics)
 
     def _select_interval(self, start: float, duration: Optional[float]) -> None:
+        """Set the times between which messages are read."""
         non_empty_bags = [bag for bag in self._bags if bag.messages]
         first = min((bag.start for bag in non_empty_bags), default=0)
         last = max((bag.end for bag in non_empty_bags), default=0)

@@ -170,6 +170,7 @@ class _ChunkReader:
         return content
 
     def _read_packed(self, position: int) -> Tuple[Chunk, bytes]:
+        """Return a chunk and its content as it is in the file."""
         chunk = self._chunks_by_position.get(position)
         if chunk is None:
             raise ValueError(f"the index names a chunk at byte {position}: there is none")
@@ -481,6 +482,7 @@ def _read_messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> I
 
 
 def _open_reader(path: Path) -> Any:
+    """Return the reader of ``rosbags`` for a file, whose index it has read."""
     rosbag1 = _import_rosbag1()
     if not path.is_file():
         raise BagError(f"{path}: there is no such file")

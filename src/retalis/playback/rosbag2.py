@@ -135,6 +135,7 @@ class SqliteFile:
         self._stack.close()
 
     def _query_limited(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
+        """Yield the rows of a query, which may not have more bytes than the file."""
         # Rows of a malformed database can share pages, so that a small file returns gigabytes.
         remaining = self._size
         for row in self._execute(query, *arguments):
@@ -144,6 +145,7 @@ class SqliteFile:
             yield row
 
     def _execute(self, query: str, *arguments: object) -> Iterator[Tuple[Any, ...]]:
+        """Yield the rows of a query; raise `ValueError` if it takes more steps than the size of the file allows."""
         # The budget is per query. A crafted schema could otherwise make a query run forever.
         self._steps = _BASE_QUERY_STEPS + _STEPS_PER_BYTE * self._size
         try:
@@ -160,6 +162,7 @@ class SqliteFile:
         return self._steps < 0  # True interrupts the query
 
     def _read_connections(self) -> List[Connection]:
+        """Return the topics, with the definitions and the number of their messages."""
         for table in ("topics", "messages"):
             if not self._has_table(table):
                 raise ValueError(f"it has no table '{table}': expected a database that ros2 bag has written")
@@ -323,6 +326,7 @@ class McapFile:
         self._stack.close()
 
     def _open(self) -> None:
+        """Read the header and the footer, and the summary or all records."""
         if self._read_bytes(0, len(_MAGIC)) != _MAGIC:
             raise ValueError("it does not begin as an mcap file")
         opcode, length = self._read_record_header(len(_MAGIC), self._size)
@@ -740,6 +744,7 @@ class _Types:
         return _ConvertedTopic(topic, message_type.to_ros1)
 
     def _find_definition(self, connection: Connection) -> str:
+        """Return the text of the type of a connection, in the syntax of ``.msg`` files."""
         name, text = connection.type, connection.definition
         if not text:
             definition = self._find_text(ros1_type_name(name))
@@ -751,6 +756,7 @@ class _Types:
         return text
 
     def _convert_idl(self, name: str, text: str) -> str:
+        """Return a definition in IDL in the syntax of ``.msg`` files."""
         store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
         # Lines are emptied and not removed, so that line numbers stay the same.
         text = _IDL_HEADING.sub("", text)

@@ -404,6 +404,7 @@ class _StateReader:
 
 
 def _create_unpacker(data: bytes, sequence_hook: Any = None, extension_hook: Any = None) -> Any:
+    """Return a MessagePack decoder for untrusted data."""
     # No object can be larger than the data. Without these limits, a false length would allocate memory.
     max_size = max(len(data), 1)
     return msgpack.Unpacker(

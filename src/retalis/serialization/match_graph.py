@@ -262,6 +262,7 @@ class GraphWriter:
         return kind
 
     def _encode_columns(self, kind: str) -> List[Any]:
+        """Return the columns of all objects of a kind."""
         objects = self._objects[kind]
         if kind == "no repetitions":
             return []
@@ -549,6 +550,7 @@ class GraphReader:
         )
 
         def check_dependent(value: Decoded) -> Decoded:
+            """Check what depends on an event: a match, or an entry of a buffer as node, owner and entry."""
             if value.__class__ is Ref:
                 return check_match(value)
             node, owner, entry = node_entry(value)

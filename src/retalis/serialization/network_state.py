@@ -192,6 +192,7 @@ class StreamCheck:
             raise invalid_value(len(keys), "distinct partitions, each with one key")
 
     def _check_row_pattern_state(self, stream: RowPatternWindow, value: Decoded) -> Decoded:
+        """Check the state of a row pattern; see `RowPatternWindow.snapshot`."""
         step = integer(0, len(stream.nfa.steps) - 1)
         steps = sequence_of(step, tuple)
         pairs = sequence_of(tuple_of(count, step), tuple)
@@ -356,6 +357,7 @@ def _make_match_check(graph: GraphReader, node: NetworkNode) -> ValueCheck:
 
 
 def _make_repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
+    """Return a check of the state of a `RepeatNode`: lengths of sequences and run groups."""
     # Complete sequences are not stored.
     length = integer(1, node.times - 1)
     read_run_group = graph.reference_to("run group")
@@ -371,6 +373,7 @@ def _make_repeat_node_check(graph: GraphReader, node: RepeatNode) -> ValueCheck:
 
 
 def _make_stream_node_check(graph: GraphReader, node: StreamNode) -> ValueCheck:
+    """Return a check of the state of a `StreamNode`: its operator, and what a replay needs."""
     child = node.children[0]
     keys, values = node.spec.key_and_values((1,) * len(child.vars))
     needs_match = node.spec.build_match_values is None and not isinstance(
@@ -629,6 +632,7 @@ class _CheckedState:
         return check_query
 
     def _check_state_intervals(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
+        """Check the open and closed intervals of each declared state."""
         token = optional(self._graph.reference_to("event"))
         openings = sequence_of(tuple_of(instant, token))
         check = tuple_of(
@@ -653,6 +657,7 @@ class _CheckedState:
         return checked_intervals  # type: ignore[no-any-return]
 
     def _check_rate_limiters(self, knowledge: KnowledgeBase, value: Decoded) -> List[Any]:
+        """Check the state of the stream operator of each subscription that has one."""
         subscriptions = [subscription for _, subscription in knowledge.subscriptions.items()]
         if len(items(value)) != len(subscriptions):
             raise invalid_value(len(value), f"the output rates of {len(subscriptions)} subscriptions")

@@ -108,6 +108,7 @@ def unpack_sections(data: bytes) -> Dict[str, bytes]:
 
 
 def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
+    """Return the header of a state file, and the offset of the first section."""
     if not data.startswith(MAGIC):
         raise UsageError("this is not a state file")
     end = data.find(b"\n", len(MAGIC), len(MAGIC) + 20)
@@ -116,7 +117,7 @@ def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
         if not 0 <= length <= _MAX_HEADER_BYTES:
             raise ValueError
         # Decoded first: the JSON module would guess the encoding of bytes, and import its codec.
-        header = json.loads(str(data[end + 1 : end + 1 + length], "utf-8"), parse_int=_header_integer)
+        header = json.loads(str(data[end + 1 : end + 1 + length], "utf-8"), parse_int=_parse_header_integer)
         # Negative lengths would pass the checksum of an empty section, and shift those that follow.
         names = [name for name, length, checksum in header["sections"] if length >= 0 and checksum >= 0]
         memory_names = [name for name in names if name.startswith("memory ")]
@@ -131,7 +132,7 @@ def _read_header(data: bytes) -> Tuple[Dict[str, Any], int]:
     return header, end + 1 + length
 
 
-def _header_integer(digits: str) -> int:
+def _parse_header_integer(digits: str) -> int:
     # Conversion takes time quadratic in the number of digits.
     if len(digits) > _MAX_HEADER_DIGITS:
         raise ValueError
@@ -172,7 +173,7 @@ _check_property_items = record(Property, label=term, name=text, value=term)
 _check_positions = sequence_of(count)
 
 
-def _definition(expected: Functor) -> ValueCheck:
+def _make_definition_check(expected: Functor) -> ValueCheck:
     """Return a check of the defining term of a memory or subscription."""
 
     def check(value: Decoded) -> Decoded:
@@ -230,10 +231,10 @@ _check_deployment = mapping_with(
     timers=sequence_of(tuple_of(term, term)),
 )
 _check_module = tuple_of(sequence_of(functor), sequence_of(functor), sequence_of(text), sequence_of(text))
-_argument_kinds = sequence_of(
+_check_argument_kinds = sequence_of(
     lambda value: text(value) if value.__class__ is str else integer(0, 100)(value), tuple
 )
-_BUILTIN_STATE: Dict[str, ValueCheck] = {
+_BUILTIN_STATE_CHECKS: Dict[str, ValueCheck] = {
     "counters": dict_of(text, integer()),
     "flags": dict_of(text, term),
     "flag": dict_of(text, term),
@@ -241,16 +242,16 @@ _BUILTIN_STATE: Dict[str, ValueCheck] = {
     "counters of events": dict_of(key, integer()),
     "flags of events": dict_of(key, term),
     "modules": dict_of(text, _check_module),
-    "arguments of predicates": dict_of(functor, _argument_kinds),
+    "arguments of predicates": dict_of(functor, _check_argument_kinds),
 }
 
 
-def _builtin_state(value: Decoded) -> Dict[str, Decoded]:
+def _check_builtin_state(value: Decoded) -> Dict[str, Decoded]:
     values = dict_of(text, any_value)(value)
     for name in values:
-        if name not in _BUILTIN_STATE:
+        if name not in _BUILTIN_STATE_CHECKS:
             raise invalid_value(name, "a kind of state of built-in predicates")
-    return {name: with_name(name, _BUILTIN_STATE[name])(state) for name, state in values.items()}
+    return {name: with_name(name, _BUILTIN_STATE_CHECKS[name])(state) for name, state in values.items()}
 
 
 _check_operator = tuple_of(integer(0, 1200), one_of(*TYPES), text)
@@ -260,20 +261,23 @@ _MAX_CLOCK_INSTANT = MAX_TIMESTAMP + (1 << 60)
 """Largest instant in ns that a clock reaches: each event without a timestamp advances it by 1 ns."""
 
 
-def _clock_instant(value: Decoded) -> Decoded:
+def _check_clock_instant(value: Decoded) -> Decoded:
     # A clock nearer to the largest instant of the format would leave no room for the events after a restore.
     if abs(instant(value)) > _MAX_CLOCK_INSTANT:
         raise invalid_value(value, "an instant that a clock can reach")
     return value
 
 
-def _clock(value: Decoded) -> Decoded:
+def _check_clock(value: Decoded) -> Decoded:
+    """Check the state of a clock; see `Clock.snapshot`."""
     # A `StreamClock` appends its time if it is set, and its constant time if it is pinned.
-    optional_instants = [_clock_instant] * max(0, min(2, len(items(value)) - 4))
-    return tuple_of(_clock_instant, _clock_instant, integer(0, 1), count, *optional_instants)(value)
+    optional_instants = [_check_clock_instant] * max(0, min(2, len(items(value)) - 4))
+    return tuple_of(_check_clock_instant, _check_clock_instant, integer(0, 1), count, *optional_instants)(
+        value
+    )
 
 
-def _unchecked(names: str) -> ValueCheck:
+def _make_unchecked_mapping(names: str) -> ValueCheck:
     """Return a check for a mapping with exactly these names; the values are checked against the program later."""
     return mapping_with(**dict.fromkeys(names.split(), any_value))
 
@@ -284,15 +288,15 @@ SECTIONS: Dict[str, ValueCheck] = {
         flags=dict_of(text, term),
         global_variables=dict_of(text, term),
         column=count,
-        builtin_state=_builtin_state,
+        builtin_state=_check_builtin_state,
         table_answers=sequence_of(tuple_of(key, sequence_of(sequence_of(term, tuple)), boolean)),
     ),
-    "matches": _unchecked(
+    "matches": _make_unchecked_mapping(
         "rules occurrences alarms next_query_order pending_queries state_intervals rate_limiters timeouts timers "
         "stored_events counts objects"
     ),
     "run": mapping_with(
-        clock=_clock,
+        clock=_check_clock,
         clock_follows_events=boolean,
         event_count=count,
         dropped_count=count,
@@ -301,8 +305,8 @@ SECTIONS: Dict[str, ValueCheck] = {
     ),
     "program": mapping_with(
         rules=_check_network,
-        memories=sequence_of(tuple_of(_definition(MEMORIZE), boolean)),
-        subscriptions=sequence_of(_definition(SUBSCRIBE)),
+        memories=sequence_of(tuple_of(_make_definition_check(MEMORIZE), boolean)),
+        subscriptions=sequence_of(_make_definition_check(SUBSCRIBE)),
         states=sequence_of(callable_term),
         deployments=dict_of(path, _check_deployment),
         topics=sequence_of(tuple_of(text, text, text)),

@@ -274,6 +274,7 @@ class ClockEpochs:
             self.is_buffering = True
 
     def _release_buffer(self) -> None:
+        """Process the buffered messages, and stop buffering unless another reset is pending."""
         with self._lock:
             batches, self._buffer = self._buffer, deque()
             self._message_count = self._byte_count = 0

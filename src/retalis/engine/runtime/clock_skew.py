@@ -425,6 +425,7 @@ class ClockSkewMonitor:
     def _warn_about_distance(
         self, frames: TopicFrames, frame: FrameClock, key: bytes, distance: int, publisher: str
     ) -> None:
+        """Warn about the first distant timestamp of a frame."""
         if frame.is_reported:
             return
         frame.is_reported = True
@@ -459,6 +460,7 @@ class ClockSkewMonitor:
         )
 
     def _warn_about_set_clock(self, frames: TopicFrames, key: bytes, step: int) -> None:
+        """Warn that a clock counts as set, unless a warning about other frames covers it."""
         if (
             frames.are_all_reported
             and frames.reported_step is not None

@@ -102,6 +102,7 @@ class Reports:
             self._evicted_count = 0
 
     def _log(self, level: int, kind: object, text: str, max_texts: int = 1, first_only: bool = False) -> None:
+        """Count a problem, and log it at its 1st, 2nd, 4th, ... occurrence, or if its text is new."""
         key = hash(kind)
         text = printable(beginning(text, MAX_MESSAGE_CHARACTERS))
         problem = self._problems.get(key)
