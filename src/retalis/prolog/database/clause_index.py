@@ -252,6 +252,7 @@ class Indexes:
         return best, best_position
 
     def _build(self, position: int, clauses: Iterable[Clause]) -> Optional[Index]:
+        """Build and store the index of an argument; return None if it would not be selective."""
         # An index is not selective if most clauses match any key, or if there is only one key.
         index = Index()
         clauses = [clause for clause in clauses if clause.retracted_at == NEVER_RETRACTED]
@@ -314,11 +315,11 @@ def indexed_step(
         search: finds a ground fact; see `fact_search`.
         otherwise: step for calls that leave several clauses, or one that has not been compiled yet.
     """
-    item = position + 1
+    item_index = position + 1
 
     # Dereferencing and the key are written inline: the step is the hot path of every call of the predicate.
     def run(frame: Frame) -> Optional[Frame]:
-        arg: Any = frame[item]
+        arg: Any = frame[item_index]
         arg_class = arg.__class__
         while arg_class is Var:
             ref = arg.ref
@@ -355,7 +356,7 @@ class FunctionalModes(NamedTuple):
         to_term_functions: for each output, the function that converts the returned value to a term; None if the value
             is a term.
         has_single_output: whether there is one output, which is returned without a tuple.
-        joins: joins consecutive goals that begin with this predicate to one function, or None; see `inline_goals`.
+        joins: function that joins consecutive goals that begin with this predicate, or None; see `inline_goals`.
     """
 
     function: Callable[..., Any]

@@ -11,7 +11,7 @@ once per slice of steps (`Machine.on_interpreted_goal`). A body that is reported
 as arguments, and the compiled code runs from then on.
 """
 
-from typing import Any, Callable, Dict, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
@@ -47,19 +47,34 @@ _MAX_BODY_PARTS = 400
 _MAX_BODIES = 16
 """Bodies that are observed at a time; the oldest one is dropped."""
 
-STRUCTURES = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
+BODY_CONSTRUCTS = {COMMA, SEMICOLON, BAR, ARROW, SOFT_ARROW, NOT}
+"""Control constructs whose arguments are goals of the body in which they stand."""
+
+
+class CompiledBody(NamedTuple):
+    """A body that is compiled while it runs.
+
+    Attributes:
+        run: the compiled code, a step of a frame with the values of the variables.
+        variables: the variables of the body.
+        body: the body itself, which keeps its ``id`` in use.
+    """
+
+    run: Step
+    variables: Tuple[Var, ...]
+    body: Term
 
 
 class JustInTimeBodies:
     """Just-in-time compiler of interpreted bodies, by the identity of their terms.
 
     Attributes:
-        compiled: for each identity the code, the variables of the body, and the body, which keeps its ``id`` in use.
+        compiled: the compiled bodies by the ``id`` of the body.
     """
 
     def __init__(self, database: Database):
         self._database = database
-        self.compiled: Dict[int, Tuple[Step, Tuple[Var, ...], Term]] = {}
+        self.compiled: Dict[int, CompiledBody] = {}
         self._reported: Dict[int, Term] = {}
         self._refused: Set[int] = set()
 
@@ -73,11 +88,11 @@ class JustInTimeBodies:
         self._reported.clear()
         self._refused.clear()
 
-    def note_interpreted(self, body: Term) -> None:
+    def record_interpreted(self, body: Term) -> None:
         """Record that a body is about to be interpreted, and compile it if that was recorded before."""
         if body.__class__ is not tuple or self._database.is_interpreter_only:
             return
-        if body[0] not in STRUCTURES and not self._database.is_inline(body[0]):
+        if body[0] not in BODY_CONSTRUCTS and not self._database.is_inline(body[0]):
             return
         # An id may be reused by another term, so the identity is compared as well.
         if self._reported.get(id(body)) is not body:
@@ -91,15 +106,16 @@ class JustInTimeBodies:
             else:
                 self.compiled[id(body)] = entry
 
-    def _drop(self, oldest: int) -> None:
-        del self._reported[oldest]
-        self.compiled.pop(oldest, None)
-        self._refused.discard(oldest)
+    def _drop(self, body_id: int) -> None:
+        del self._reported[body_id]
+        self.compiled.pop(body_id, None)
+        self._refused.discard(body_id)
 
-    def _compile(self, body: Term) -> Optional[Tuple[Step, Tuple[Var, ...], Term]]:
+    def _compile(self, body: Term) -> Optional[CompiledBody]:
+        """Return the compiled body; None if it is too large or its compilation raises an error."""
         copies: Dict[Var, Term] = {}
         try:
-            source = _BodyCopier(copies).term(body)
+            source = _BodyCopier(copies).copy(body)
             if source is None:
                 return None
             key = functor("$body", len(copies))
@@ -110,7 +126,7 @@ class JustInTimeBodies:
         except (PrologError, RecursionError):
             # The interpreter raises the error when it reaches the goal, or never if it does not.
             return None
-        return step, tuple(copies), body
+        return CompiledBody(step, tuple(copies), body)
 
 
 def _never_called(frame: Frame) -> Optional[Frame]:
@@ -127,7 +143,7 @@ def _has_bound_goal(body: Term) -> bool:
         goal = stack.pop()
         if goal.__class__ is Var and goal.ref is not None:
             return True
-        if goal.__class__ is tuple and goal[0] in STRUCTURES:
+        if goal.__class__ is tuple and goal[0] in BODY_CONSTRUCTS:
             stack += goal[1:]
     return False
 
@@ -142,7 +158,7 @@ class _BodyCopier:
         self._names = names
         self._parts_left = _MAX_BODY_PARTS
 
-    def term(self, term: Any) -> Optional[Term]:
+    def copy(self, term: Any) -> Optional[Term]:
         """Return the copy; None if the body is too large or contains a term that has not been decoded."""
         if term.__class__ is Var:
             return self._names.setdefault(term, Var())
@@ -155,7 +171,7 @@ class _BodyCopier:
         if self._parts_left < 0:
             return None
         for part in term[1:]:
-            copied = self.term(part)
+            copied = self.copy(part)
             if copied is None:
                 return None
             parts.append(copied)
@@ -187,12 +203,12 @@ class Control:
         self._choices = database.machine.choices
         self._trail = database.machine.trail
         self.code = database.machine.goal_code = Code("goal", self._run)
-        self._cut_code = Code("cut", self._cut_run)
-        self._soft_code = Code("soft cut", self._soft_run)
-        self._reject_code = Code("reject", self._reject_run)
-        self._exit_code = Code("catch exit", self._exit_run)
-        self._collect_code = Code("collect", self._collect_run)
-        self._collected_code = Code("collected", lambda frame: frame[1](frame[2]), True)
+        self._cut_code = Code("cut", self._run_cut)
+        self._soft_cut_code = Code("soft cut", self._run_soft_cut)
+        self._reject_code = Code("reject", self._run_rejection)
+        self._exit_code = Code("catch exit", self._run_catch_exit)
+        self._collect_code = Code("collect", self._run_collection)
+        self._after_collection_code = Code("collected", lambda frame: frame[1](frame[2]), True)
         self._constructs: Dict[Functor, Callable[..., Optional[Frame]]] = {
             SEMICOLON: self._solve_disjunction,
             BAR: self._solve_disjunction,
@@ -204,7 +220,7 @@ class Control:
         }
         self.bodies = JustInTimeBodies(database)
         self._compiled = self.bodies.compiled
-        database.machine.on_interpreted_goal = self.bodies.note_interpreted
+        database.machine.on_interpreted_goal = self.bodies.record_interpreted
         database.machine.budget.on_reset = database.on_code_discarded = self.bodies.clear
         database.interpret = self.code
         database.solve = self.solve
@@ -256,7 +272,7 @@ class Control:
         """Return the frame of ``call/1``, in which cuts are local to the goal."""
         if goal.__class__ is not tuple:
             goal = deref(goal)
-        if goal.__class__ is tuple and goal[0] in STRUCTURES:
+        if goal.__class__ is tuple and goal[0] in BODY_CONSTRUCTS:
             goal = check_body(goal)
         return self.solve(goal, len(self._choices), continuation)
 
@@ -270,10 +286,11 @@ class Control:
         if self._compiled:
             compiled = self._compiled.get(id(frame[1]))
             if compiled is not None:
-                return compiled[0]((None, *compiled[1], frame[3], frame[2]))
+                # The code has a frame of a clause: its last item is the height that cuts restore.
+                return compiled.run((None, *compiled.variables, frame[3], frame[2]))
         return self.solve(frame[1], frame[2], frame[3])
 
-    def _cut_run(self, frame: Frame) -> Frame:
+    def _run_cut(self, frame: Frame) -> Frame:
         del self._choices[frame[1] :]
         return frame[2]  # type: ignore[no-any-return]
 
@@ -287,7 +304,7 @@ class Control:
             base = len(self._choices)
             self._choices.append((self.code, goal[2], height, continuation, len(self._trail)))
             # The first solution of the test disables the else branch; the choice points of the test stay.
-            then = (self._soft_code, base, (self.code, first[2], height, continuation))
+            then = (self._soft_cut_code, base, (self.code, first[2], height, continuation))
             return self.solve(first[1], base + 1, then)
         self._choices.append((self.code, goal[2], height, continuation, len(self._trail)))
         return self.solve(first, height, continuation)
@@ -307,19 +324,20 @@ class Control:
     def _solve_soft_if_then(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
         return self.solve(goal[1], len(self._choices), (self.code, goal[2], height, continuation))
 
-    def _soft_run(self, frame: Frame) -> Frame:
-        # Replaced by an entry that fails, because entries above it cannot move.
+    def _run_soft_cut(self, frame: Frame) -> Frame:
+        # The choice point of the else branch is replaced by one that fails, because entries above it cannot move.
         base = frame[1]
         self._choices[base] = (DEAD, self._choices[base][-1])
         return frame[2]  # type: ignore[no-any-return]
 
     def _solve_negation(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
-        # If the goal fails, its failure resumes ``after``; if it succeeds, the rejection removes that choice point.
+        # If the goal fails, its failure resumes the continuation. If it succeeds, the rejection removes that choice
+        # point.
         base = len(self._choices)
         self._choices.append((RESUME, continuation, len(self._trail)))
         return self.solve(goal[1], base + 1, (self._reject_code, base, continuation))
 
-    def _reject_run(self, frame: Frame) -> None:
+    def _run_rejection(self, frame: Frame) -> None:
         del self._choices[frame[1] :]
 
     def _solve_once(self, goal: CompoundTerm, height: int, continuation: Frame) -> Optional[Frame]:
@@ -343,7 +361,7 @@ class Control:
         self._choices.append((self.machine.catch_code, mark, catcher, recover, len(self._trail)))
         return (self._database.predicate(CALL), goal, (self._exit_code, mark, base, continuation))
 
-    def _exit_run(self, frame: Frame) -> Frame:
+    def _run_catch_exit(self, frame: Frame) -> Frame:
         continuation: Frame
         _, mark, base, continuation = frame
         if len(self._choices) == base + 1:
@@ -369,11 +387,11 @@ class Control:
         """
         # The choice point runs after the last solution, when backtracking has undone all bindings.
         copies: List[Term] = []
-        self._choices.append((self._collected_code, then, copies, len(self._trail)))
+        self._choices.append((self._after_collection_code, then, copies, len(self._trail)))
         return self.call(goal, (self._collect_code, copies, template, (RESUME, None)))
 
     @staticmethod
-    def _collect_run(frame: Frame) -> None:
+    def _run_collection(frame: Frame) -> None:
         frame[1].append(copy(frame[2]))
 
     def forall(self, condition: Term, action: Term, continuation: Frame) -> Optional[Frame]:
@@ -390,8 +408,8 @@ def check_body(goal: Term) -> Term:
             callable.
         TermTooLarge: if the goal has too many parts.
     """
-    # Rounds of bounded loops: between them the work can be cancelled, and after many of them the term is tested for
-    # cycles, in which the traversal would not end.
+    # Between the rounds the work can be cancelled, and after many of them the term is tested for cycles, in which the
+    # traversal would not end.
     stack = [goal]
     has_variables = False
     for round_number in WALK_ROUNDS:
@@ -400,7 +418,7 @@ def check_body(goal: Term) -> Term:
                 return _wrap_variables(goal) if has_variables else goal
             item = deref(stack.pop())
             if item.__class__ is tuple:
-                if item[0] in STRUCTURES:
+                if item[0] in BODY_CONSTRUCTS:
                     stack.extend(item[1:])
             elif item.__class__ is Var:
                 has_variables = True
@@ -416,7 +434,7 @@ def _wrap_variables(goal: Term) -> Term:
     """Return a body with its variables wrapped in ``call/1``; conjunctions are traversed without recursion."""
     conjuncts = []
     goal = deref(goal)
-    while goal.__class__ is tuple and goal[0] in STRUCTURES and len(goal) == 3:
+    while goal.__class__ is tuple and goal[0] in BODY_CONSTRUCTS and len(goal) == 3:
         conjuncts.append((goal[0], _wrap_variables(goal[1])))
         goal = deref(goal[2])
     if goal.__class__ is Var:
@@ -504,7 +522,7 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], ControlFunctio
         {("catch", 3): catch, ("throw", 1): throw, ("findall", 3): findall, ("findall", 4): findall}
     )
     predicates.update({("forall", 2): forall, ("repeat", 0): _repeat(control.machine)})
-    for key in (*STRUCTURES, ONCE, IGNORE):
+    for key in (*BODY_CONSTRUCTS, ONCE, IGNORE):
         predicates[key.name, key.arity] = _construct(control, key)
     return predicates
 

@@ -209,8 +209,8 @@ def evaluate_exact(term: Any) -> Number:
 
 def _evaluate_nested(term: Term) -> Number:
     """Evaluate an expression of any depth with an explicit stack."""
-    # A compound term pushes an `_PendingCall` below its arguments. The arguments are popped from last to first, so
-    # when the `_PendingCall` is reached, their values are the last ones on `values`, in reverse order.
+    # A compound term pushes a `_PendingCall` below its arguments. The arguments are popped from last to first, so
+    # when the call is reached, their values are the last ones on `values`, in reverse order.
     values: List[Number] = []
     stack: List[Union[Term, _PendingCall]] = [term]
     steps = 0
@@ -279,6 +279,7 @@ def _list_value(item: CompoundTerm) -> Number:
 
 
 def _constant(item: Term) -> Number:
+    """Return the value of a term that is neither a number nor compound, such as ``pi`` or a one-character string."""
     if item.__class__ is Var:
         raise instantiation_error()
     if item.__class__ is Atom:

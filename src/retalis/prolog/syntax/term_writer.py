@@ -50,12 +50,12 @@ from .message_slots import (
 )
 from .operators import Operator, Operators, standard_operators
 
-_BRACES = functor("{}", 1)
+_CURLY_TERM = functor("{}", 1)
 _VAR_FUNCTOR = functor("$VAR", 1)
 _CYCLE_CHECK_STEPS = 64 * len(STEPS_PER_ROUND)
 """Steps after which the writer checks whether the term is cyclic."""
 
-_MASK = len(STEPS_PER_ROUND) - 1
+_CHECK_MASK = len(STEPS_PER_ROUND) - 1
 """Bit mask of steps at which the goal's limits are checked."""
 
 _MAX_TEXT_CHARACTERS = 1 << 26
@@ -97,7 +97,7 @@ class WriteOptions(NamedTuple):
     longest: Optional[int] = None
 
 
-Piece = Union[str, "_PrefixOperator", "_Arguments", "_Cells", Tuple[Term, int], Tuple[Term, int, bool]]
+Piece = Union[str, "_OperatorToken", "_Arguments", "_Cells", Tuple[Term, int], Tuple[Term, int, bool]]
 """An entry of the writer's stack; see `_TermWriter.write`."""
 
 
@@ -108,19 +108,19 @@ class _TermWriter:
         check_mask: bit mask of the steps at which the limits and the length are checked.
         tokens: the written text.
         last_character: last character of the text, which decides whether the next token needs a space before it.
-        pending_prefix: prefix operator that was written last, if no operand has followed yet.
+        pending_operator: the prefix or infix operator that was written last, if no token has followed yet.
         measured_count: number of tokens whose lengths are added up in ``size``.
         size: number of characters of these tokens.
     """
 
-    check_mask = _MASK
+    check_mask = _CHECK_MASK
 
     def __init__(self, operators: Operators, options: WriteOptions):
         self.operators = operators
         self.options = options
         self.tokens: List[str] = []
         self.last_character = ""
-        self.pending_prefix: Optional[_PrefixOperator] = None
+        self.pending_operator: Optional[_OperatorToken] = None
         self.variable_names = options.variable_names or {}
         self.atom: Callable[[str], str] = atom_text if options.quoted else str
         self.comma = ", " if options.spacing else ","
@@ -132,7 +132,7 @@ class _TermWriter:
     def write(self, term: Term) -> str:
         """Return the text of ``term``.
 
-        An entry of the stack is a token (``str``), a prefix operator, the rest of a list or of many arguments, or a
+        An entry of the stack is a token (``str``), an operator, the rest of a list or of many arguments, or a
         tuple of a term and its highest priority, with a third item if it is the argument of an operator.
         """
         stack = self.stack
@@ -147,13 +147,13 @@ class _TermWriter:
             entry_class = entry.__class__
             if entry_class is str:
                 self._append_token(entry)
-            elif entry_class is _PrefixOperator:
+            elif entry_class is _OperatorToken:
                 entry.has_space_before = self._append_token(entry.text)
-                self.pending_prefix = entry
+                self.pending_operator = entry
             elif entry_class is _Cells or entry_class is _Arguments:
-                entry.put_next(stack)
+                entry.push_next(stack)
             else:
-                self._term(deref(entry[0]), entry[1], len(entry) == 3)
+                self._write_any(deref(entry[0]), entry[1], len(entry) == 3)
         return "".join(self.tokens)
 
     def _is_full(self, term: Term, steps: int) -> bool:
@@ -181,25 +181,32 @@ class _TermWriter:
         last, first = self.last_character, token[0]
         is_separated = bool(last) and (
             _would_merge(last, first)
-            or (self.pending_prefix is not None and self.pending_prefix.needs_blank(first))
+            or (self.pending_operator is not None and self.pending_operator.needs_space(first))
         )
         if is_separated:
             self.tokens.append(" ")
-        self.pending_prefix = None
+        self.pending_operator = None
         self.tokens.append(token)
         self.last_character = token[-1]
         return is_separated
 
-    def _term(self, term: Term, limit: int, is_operand: bool) -> None:
+    def _write_any(self, term: Term, limit: int, is_operand: bool) -> None:
+        """Write a constant or variable, or push the pieces of a compound term.
+
+        Args:
+            term: the dereferenced term.
+            limit: highest priority without brackets.
+            is_operand: whether it is the argument of an operator.
+        """
         if self.portray is not None and term.__class__ is not Var:
             text = self.portray(term)
             if text is not None:
                 self._append_token(text)
                 return
         if term.__class__ is tuple:
-            self._compound(term, limit)
+            self._write_compound(term, limit)
         elif term.__class__ is Atom:
-            self._atom_term(term.name, is_operand)
+            self._write_atom(term.name, is_operand)
         elif term.__class__ is int:
             self._append_token(integer_text(term))
         elif term.__class__ is float:
@@ -211,7 +218,7 @@ class _TermWriter:
         elif term.__class__ is Var:
             self._append_token(self.variable_names.get(term) or f"_G{serial(term)}")
 
-    def _atom_term(self, name: str, is_operand: bool) -> None:
+    def _write_atom(self, name: str, is_operand: bool) -> None:
         if len(name) > _LARGE_TEXT_CHARACTERS:
             self._check_size(len(name))
         # An operator as an operand is put in brackets: `- = x` would be read differently with other operators.
@@ -222,29 +229,31 @@ class _TermWriter:
         else:
             self._append_token(self.atom(name))
 
-    def _compound(self, term: CompoundTerm, limit: int) -> None:
+    def _write_compound(self, term: CompoundTerm, limit: int) -> None:
         key: Functor = term[0]
         if key is CONS:
-            self._list(term)
+            self._push_list(term)
             return
         options = self.options
         # ISO 13211-1, 7.10.5: '$VAR'(N), curly terms and operators have their own notation; all else is canonical.
-        if key is _VAR_FUNCTOR and options.numbervars and self._numbered(deref(term[1])):
+        if key is _VAR_FUNCTOR and options.numbervars and self._write_numbered_variable(deref(term[1])):
             return
-        if key is _BRACES and options.brace_terms:
+        if key is _CURLY_TERM and options.brace_terms:
             self.stack += ("}", (term[1], 1200), "{")
             return
-        if options.ignore_ops or key.arity > 2 or not self._operator(term, key, limit):
-            self._canonical(term, key)
+        if options.ignore_ops or key.arity > 2 or not self._push_operator(term, key, limit):
+            self._push_canonical(term, key)
 
-    def _numbered(self, number: Term) -> bool:
+    def _write_numbered_variable(self, number: Term) -> bool:
+        """Write ``'$VAR'(number)`` as a letter with a number; return false if ``number`` is no natural number."""
         if number.__class__ is not int or number < 0:
             return False
         letter = chr(ord("A") + number % 26)
         self._append_token(letter + (str(number // 26) if number >= 26 else ""))
         return True
 
-    def _canonical(self, term: CompoundTerm, key: Functor) -> None:
+    def _push_canonical(self, term: CompoundTerm, key: Functor) -> None:
+        """Write the functor of a term in functional notation, and push its arguments."""
         stack = self.stack
         stack.append(")")
         if len(term) > _STACKED_ARGUMENTS:
@@ -258,28 +267,29 @@ class _TermWriter:
         self._append_token(self.atom(key.name))
         self._append_token("(")
 
-    def _list(self, term: CompoundTerm) -> None:
+    def _push_list(self, term: CompoundTerm) -> None:
+        """Write the bracket of a list, and push its items."""
         stack = self.stack
         stack.append(_Cells(term[2], self.comma))
         stack.append((term[1], 999))
         self._append_token("[")
 
-    def _operator(self, term: CompoundTerm, key: Functor, limit: int) -> bool:
-        """Write a term in operator notation; return false if its functor is no operator."""
+    def _push_operator(self, term: CompoundTerm, key: Functor, limit: int) -> bool:
+        """Push the pieces of a term in operator notation; return false if its functor is no operator."""
         name = key.name
         if key.arity == 2:
             infix = self.operators.infix.get(name)
             if infix is None:
                 return False
-            entries = self._infix(term, infix, name)
+            entries = self._infix_pieces(term, infix, name)
             priority = infix.priority
         else:
             prefix = self.operators.prefix.get(name)
             postfix = self.operators.postfix.get(name)
             if prefix is not None:
                 entries = [
-                    _PrefixOperator(self.atom(name), True),
-                    (term[1], self._right(prefix, term[1]), True),
+                    _OperatorToken(self.atom(name), True),
+                    (term[1], self._right_limit(prefix, term[1]), True),
                 ]
                 priority = prefix.priority
             elif postfix is not None:
@@ -287,15 +297,16 @@ class _TermWriter:
                 priority = postfix.priority
             else:
                 return False
-        # The opening bracket is a token, so `- (1)` gets its space from `_PrefixOperator.needs_blank`.
+        # The opening bracket is a token, so `- (1)` gets its space from `_OperatorToken.needs_space`.
         if priority > limit:
             entries = ["(", *entries, ")"]
         entries.reverse()  # the first piece must be on top of the stack
         self.stack += entries
         return True
 
-    def _infix(self, term: CompoundTerm, infix: Operator, name: str) -> List[Piece]:
-        text: Union[str, _PrefixOperator]
+    def _infix_pieces(self, term: CompoundTerm, infix: Operator, name: str) -> List[Piece]:
+        """Return left argument, operator and right argument of a term with an infix operator."""
+        text: Union[str, _OperatorToken]
         if name == ",":
             text = self.comma
         elif name == "|":
@@ -303,12 +314,12 @@ class _TermWriter:
         elif self.options.wide and infix.priority >= _MIN_WIDE_PRIORITY:
             text = f" {self.atom(name)} "
         else:
-            text = _PrefixOperator(self.atom(name), False)
+            text = _OperatorToken(self.atom(name), False)
         # `(a : b) <- c` without brackets would be read as a rule with the label `a`.
         left = 0 if name in _AFTER_A_LABEL and _is_labelled(term[1]) else infix.left
-        return [(term[1], left, True), text, (term[2], self._right(infix, term[2]), True)]
+        return [(term[1], left, True), text, (term[2], self._right_limit(infix, term[2]), True)]
 
-    def _right(self, operator: Operator, argument: Term) -> int:
+    def _right_limit(self, operator: Operator, argument: Term) -> int:
         """Return the highest priority that the right argument may have."""
         # `a xfy (b yfx c)`, both of the same priority: without brackets, the inner operator would take the outer
         # one as its left argument when the text is read.
@@ -336,8 +347,8 @@ class _Arguments:
         self.rest = iter(term[2:])
         self.comma = comma
 
-    def put_next(self, stack: List[Piece]) -> None:
-        """Put the next argument on the stack, and itself below it."""
+    def push_next(self, stack: List[Piece]) -> None:
+        """Push the next argument, with itself below it."""
         for argument in self.rest:
             stack += (self, (argument, 999), self.comma)
             return
@@ -352,8 +363,8 @@ class _Cells:
         self.rest = rest
         self.comma = comma
 
-    def put_next(self, stack: List[Piece]) -> None:
-        """Put the next items on the stack, or the end of the list."""
+    def push_next(self, stack: List[Piece]) -> None:
+        """Push the next items, or the end of the list."""
         rest: Any = deref(self.rest)
         entries: List[Piece] = []
         while rest.__class__ is tuple and rest[0] is CONS and len(entries) < _STACKED_ARGUMENTS:
@@ -384,7 +395,7 @@ class _BeginningWriter(_TermWriter):
         self._check_size(0)
         return self.size > (self.options.longest or 0)
 
-    def _term(self, term: Term, limit: int, is_operand: bool) -> None:
+    def _write_any(self, term: Term, limit: int, is_operand: bool) -> None:
         # A single constant can be longer than the text. It is shortened first, as quoting or converting it takes
         # time.
         longest = self.options.longest or 0
@@ -395,7 +406,7 @@ class _BeginningWriter(_TermWriter):
         elif term.__class__ is int and term.bit_length() > 4 * longest:
             self._append_token(f"an integer of {term.bit_length()} bits")
             return
-        super()._term(term, limit, is_operand)
+        super()._write_any(term, limit, is_operand)
 
 
 _MIN_WIDE_PRIORITY = 700
@@ -411,7 +422,7 @@ def _is_labelled(term: Term) -> bool:
     return term.__class__ is tuple and term[0].arity == 2 and term[0].name == ":"
 
 
-class _PrefixOperator:
+class _OperatorToken:
     """An operator on the writer's stack; the text after it determines whether a space is needed."""
 
     __slots__ = ("text", "is_prefix", "has_space_before")
@@ -421,7 +432,7 @@ class _PrefixOperator:
         self.is_prefix = is_prefix
         self.has_space_before = False
 
-    def needs_blank(self, following: str) -> bool:
+    def needs_space(self, following: str) -> bool:
         """Return whether a space must separate the operator from a token that begins with ``following``."""
         # An infix operator has a space after it if there is one before it: `a- -1`, but `a rem b`.
         if not self.is_prefix:
@@ -578,6 +589,7 @@ class _NamedMessageWriter:
         return f"{atom_text(term[0].name)}{{{', '.join(values)}}}"
 
     def find_slots(self, key: Functor) -> Optional[Sequence[MessageSlot]]:
+        """Return the slots of a message type; None if it is unknown or its number of slots has changed."""
         try:
             slots = self.find_message(key.name)
         except RetalisError:  # the definition cannot be read any more: the message is shown in full
@@ -601,6 +613,7 @@ class _NamedMessageWriter:
         )
 
     def write_slot(self, slot: MessageSlot, value: Term, is_integer: bool) -> str:
+        """Return the text of a named slot; ``is_integer`` writes an integral float as an integer."""
         value = floats_to_integers(deref(value), slot.is_array) if is_integer else deref(value)
         text = self.write_message(value) if slot.message_functor and not slot.is_array else None
         if text is None:

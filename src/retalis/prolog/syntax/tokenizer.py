@@ -1,12 +1,12 @@
 """Tokens of Prolog text.
 
 The tokens are those of ISO 13211-1, 6.4, with the extensions that SWI-Prolog users write. One regular expression with
-a named group for each kind of token matches at each offset. Quoted text with escapes is the exception: `quoted_text`
+a named group for each kind of token matches at each offset. Quoted text with escapes is the exception: `literals`
 finds its end, because a regular expression takes a kilobyte of memory for every escape.
 
 A token is a tuple of kind, value, start and end. Invalid text becomes a token of kind ``bad`` with an error message
 and does not raise: the reader then decides whether the error belongs to the clause that it is reading. Which token
-may follow which depends on operators, which programs declare; see `parser`.
+may follow which depends on operators, which programs declare; see `term_reader`.
 """
 
 import re
