@@ -329,7 +329,7 @@ def _enumerate_substrings(
 def _candidate_spans(
     size: int, before_count: Optional[int], length_count: Optional[int], after_count: Optional[int]
 ) -> Iterator[Tuple[int, int]]:
-    """Return the starts and ends of the substrings of a text, of which at most one number is known."""
+    """Return the starts and ends of the substrings of a text, given at most one of the three counts."""
     if before_count is not None:
         return ((before_count, end) for end in range(before_count, size + 1))
     if length_count is not None:

@@ -356,7 +356,7 @@ _QUOTE = re.compile("['\"]")
 _WHOLE_QUOTED_ARGUMENT = re.compile(r"(?:^|[(\[{,|])\s*(?:'|\"\")\s*(?=$|[)\]},|])")
 """A quoted atom that is a whole argument, item or text."""
 _PLACEHOLDER = re.compile('[\0\']|""')
-"""Stands in a skeleton for a number, a quoted atom, or a double-quoted atom."""
+"""Placeholder in a skeleton for a number, a quoted atom, or a double-quoted atom."""
 _ADJACENT_NUMBERS = re.compile("\0([(,\\[|] *)\0")
 """Adjacent numbers in a skeleton, which `_NUMBER` has split one by one."""
 
