@@ -1,4 +1,4 @@
-"""Bags and a program for tests of many bags: it says what it hears, and what it has heard twice in a row."""
+"""Bags and a program for tests of many bags: it publishes each received text, and texts that are received twice."""
 
 import struct
 
@@ -11,9 +11,10 @@ STRING = Definitions().add("std_msgs/String", "string data")
 def make_program(folder):
     """Write the program; return its folder."""
     folder.mkdir()
-    kind = 'msg_type="std_msgs/String"'
+    message_type = 'msg_type="std_msgs/String"'
     (folder / "pub_sub.xml").write_text(
-        f'<publish_subscribe><subscribe_to name="heard" {kind}/><publish_to name="said" {kind}/></publish_subscribe>'
+        f'<publish_subscribe><subscribe_to name="heard" {message_type}/>'
+        f'<publish_to name="said" {message_type}/></publish_subscribe>'
     )
     (folder / "eventRules.txt").write_text(
         "again(Text) <- std_msgs__0__String(Text) seq std_msgs__0__String(Text).\n"
@@ -27,7 +28,7 @@ def make_program(folder):
 
 
 def make_bag(path, *texts, start=1):
-    """Write a bag with these texts, one a second from a second on; return its path."""
+    """Write a bag with texts, one per second from the second ``start`` on; return its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with BagWriter(path) as bag:
         connection = bag.add("/heard", STRING)

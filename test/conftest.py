@@ -1,10 +1,10 @@
-"""What all tests share: hypothesis tries the same examples in every run, so that a failure can be repeated, and
-takes its time: a machine may be busy.
+"""Settings of all tests.
 
-The commands for long runs (``test/oracle``, ``test/fuzz``) take seeds and try others.
+Hypothesis tries the same examples in every run, so that a failure can be repeated, and has no deadline, because a
+machine may be busy. The commands for long runs (``test/oracle``, ``test/fuzz``) take seeds and try other examples.
 
-The fast tests are shared between processes where pytest-xdist is installed. The slow ones are not, unless ``-n`` says
-so: some of them measure memory, and those on ROS are many processes by themselves.
+The fast tests are distributed over processes if pytest-xdist is installed. The slow ones are not, unless ``-n``
+requests it: some of them measure memory, and those of ROS start many processes themselves.
 """
 
 import gc
@@ -16,15 +16,17 @@ import retalis.events.language.event_operators  # noqa: F401 -- adds its operato
 from retalis import Definitions
 from retalis.foundation.cpython_and_pypy import PYPY
 
-FAST = "not slow"
-MOST = 8
+FAST_TESTS = "not slow"
+"""The expression of ``-m`` that selects the fast tests."""
 
-LOOKS = (700, 10, 100)
-"""When the garbage collector looks: at what is young as usual, at all of it a tenth as often."""
+MAX_PROCESSES = 8
+
+GC_THRESHOLDS = (700, 10, 100)
+"""Thresholds of the garbage collector: those of Python, except that all objects are visited a tenth as often."""
 
 try:
     from hypothesis import settings
-except ImportError:  # the tests that need it are skipped, or say so themselves
+except ImportError:  # the tests that need hypothesis are skipped, or fail with a message
     pass
 else:
     settings.register_profile("repeatable", derandomize=True, deadline=None)
@@ -34,16 +36,18 @@ else:
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
     option = config.option
-    if "PYTEST_XDIST_WORKER" in os.environ:  # one of those processes, or below one: it starts no others
+    if "PYTEST_XDIST_WORKER" in os.environ:  # a process of xdist, or started by one, starts no further ones
         return
-    if option.markexpr == FAST and getattr(option, "numprocesses", 0) is None and not option.usepdb:
-        option.numprocesses = min(MOST, os.cpu_count() or 1)
+    if option.markexpr == FAST_TESTS and getattr(option, "numprocesses", 0) is None and not option.usepdb:
+        option.numprocesses = min(MAX_PROCESSES, os.cpu_count() or 1)
 
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_collection(session):
-    """Let the garbage collector leave alone what is collected: a million objects of modules, syntax trees and tests
-    that stay to the end, and that each full run would walk, in the middle of whatever test makes it run.
+    """Exempt the objects of the collection from the garbage collector.
+
+    A million objects of modules, syntax trees and tests stay until the end. Each full collection would visit them, in
+    the middle of any test.
     """
     gc.disable()
     try:
@@ -52,18 +56,18 @@ def pytest_collection(session):
         gc.enable()
         if not PYPY:
             gc.freeze()
-            gc.set_threshold(*LOOKS)
+            gc.set_threshold(*GC_THRESHOLDS)
 
 
 @pytest.fixture(scope="module")
 def definitions():
-    """The message definitions that are installed."""
+    """Return the installed message definitions."""
     return Definitions()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def what_modules_leave():
-    """Let it leave alone what a module of tests has left in caches, too: some have it look at all that is there."""
+def freeze_caches():
+    """Exempt the objects that a module of tests has left in caches, too: some tests collect all garbage."""
     yield
     gc.collect()
     if not PYPY:
@@ -72,11 +76,11 @@ def what_modules_leave():
 
 def pytest_runtest_teardown():
     if not PYPY:
-        # A command that was run here has changed the collector for its process. Callbacks of other packages stay:
-        # a Dask cluster that finds its callback removed when it ends keeps the next one from starting.
+        # A command that a test has run changes the collector of the process. Callbacks of other packages remain: a
+        # Dask cluster whose callback is missing when it ends prevents the start of the next one.
         gc.callbacks[:] = [
-            each
-            for each in gc.callbacks
-            if not (getattr(each, "__module__", None) or "").startswith("retalis")
+            callback
+            for callback in gc.callbacks
+            if not (getattr(callback, "__module__", None) or "").startswith("retalis")
         ]
-        gc.set_threshold(*LOOKS)
+        gc.set_threshold(*GC_THRESHOLDS)

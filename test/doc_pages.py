@@ -20,19 +20,20 @@ FENCE = re.compile(
     r"(?:^<!-- (?P<name>\S+) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE
 )
 SEARCH_PATH = os.pathsep.join([str(ROOT / "src"), *filter(None, sys.path)])
-"""Search path of the commands: packages such as rosbags may lie in a folder that only the tests' own path has."""
+"""Search path of the commands: packages such as rosbags may be in a folder that only the path of the tests has."""
 
-WORDS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.executable]}
+PROGRAMS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.executable]}
+"""The command line of each program that pages call."""
 
 
 def run_commands(text, folder):
-    """Return a console block with the output of its commands, as they print it now."""
-    shown = []
+    """Run the commands of a console block; return the block with their present output."""
+    blocks = []
     for line in text.splitlines():
         if line.startswith("$ "):
-            first, *arguments = shlex.split(line[2:])
-            done = subprocess.run(
-                [*WORDS[first], *arguments],
+            program, *arguments = shlex.split(line[2:])
+            process = subprocess.run(
+                [*PROGRAMS[program], *arguments],
                 cwd=str(folder),
                 env={"PYTHONPATH": SEARCH_PATH, "PATH": "/usr/bin:/bin", "PYTHONUNBUFFERED": "1"},
                 stdout=subprocess.PIPE,
@@ -40,31 +41,31 @@ def run_commands(text, folder):
                 text=True,
                 timeout=120,
             )
-            shown.append(f"{line}\n{done.stdout}")
-    return "".join(shown)
+            blocks.append(f"{line}\n{process.stdout}")
+    return "".join(blocks)
 
 
 def call_goals(text, engine):
-    """Return a console block with the answers to its goals, as the engine gives them now."""
-    shown = []
+    """Call the goals of a console block; return the block with the present answers of the engine."""
+    blocks = []
     for block in text.strip().split("\n\n"):
         goal = block.partition("\n")[0]
         assert goal.startswith("?- ")
-        read = read_term(goal[3:], engine.operators)
+        parsed = read_term(goal[3:], engine.operators)
         try:
             answers = [
-                format_bindings(read.names, engine.operators).replace(",\n", ", ") or "true"
-                for _ in engine.logic.solutions(read.term)
+                format_bindings(parsed.names, engine.operators).replace(",\n", ", ") or "true"
+                for _ in engine.logic.solutions(parsed.term)
             ]
             answer = (" ;\n".join(answers) or "false") + "."
         except PrologError as error:
             answer = write_term(error.term[1], engine.operators, quoted=True, spacing=True)
-        shown.append(f"{goal}\n{answer}")
-    return "\n\n".join(shown) + "\n"
+        blocks.append(f"{goal}\n{answer}")
+    return "\n\n".join(blocks) + "\n"
 
 
 class PageRun:
-    """The state of a page while its fences are run."""
+    """The state of a page while its fences are run: an engine, its outputs, and Python names."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -100,8 +101,8 @@ class PageRun:
         elif kind == "goals":
             self.engine.load(goals=text)
         elif kind == "stream":
-            for read in read_program(text, self.engine.operators):
-                self.engine.call(read.term)
+            for parsed in read_program(text, self.engine.operators):
+                self.engine.call(parsed.term)
         elif kind == "outputs":
             return "".join(self.outputs)
         elif kind == "python":

@@ -5,5 +5,5 @@ from retalis.prolog.syntax.term_reader import read_term
 
 
 def parse_term(text):
-    """Return the term that a text stands for, read with the operators of Prolog alone."""
+    """Return the term in a text, parsed with the standard operators of Prolog."""
     return read_term(text, Operators.prolog()).term

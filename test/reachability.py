@@ -4,18 +4,18 @@ import gc
 from types import CodeType, FunctionType, ModuleType
 
 SHARED_TYPES = (type, ModuleType, CodeType)
-"""Objects that the whole process shares; they lead to everything, so they are not followed."""
+"""Types of objects that the whole process shares. Nearly everything is reachable from them: they are not followed."""
 
 
-def reachable(root, kind):
+def reachable(root, object_type):
     """Return the objects of a type that are reachable from a root, without weak references."""
-    seen, instances, pending = set(), [], [root]
+    visited_ids, instances, pending = set(), [], [root]
     while pending:
         value = pending.pop()
-        if id(value) in seen or isinstance(value, SHARED_TYPES):
+        if id(value) in visited_ids or isinstance(value, SHARED_TYPES):
             continue
-        seen.add(id(value))
-        if isinstance(value, kind):
+        visited_ids.add(id(value))
+        if isinstance(value, object_type):
             instances.append(value)
         if isinstance(value, FunctionType):  # its globals are shared, too
             pending += [value.__closure__, value.__defaults__, value.__kwdefaults__, value.__dict__]

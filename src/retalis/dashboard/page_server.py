@@ -10,12 +10,13 @@ from ..foundation.errors import UsageError
 from .view_model import UPDATE_PERIOD_SECONDS, DashboardSource, LiveUpdates, Snapshots
 
 ADDRESS = "127.0.0.1"
+"""Loopback address: other machines cannot connect."""
 
 DASHBOARD_PORT = 8088
 """Default port."""
 
-_MAX_PORT_COUNT = 1 << 16
-"""Number of TCP ports."""
+_PORT_END = 1 << 16
+"""First number above the TCP ports."""
 
 BACKLOG = 16
 """Limit for connections that wait to be accepted."""
@@ -29,14 +30,14 @@ class Dashboard:
     Args:
         source: the program to show.
         port: port to bind; 0 for any free one.
-        port_count: number of ports to try, from ``port`` on.
         period: seconds between two updates.
+        port_count: number of ports to try, from ``port`` on.
 
     Attributes:
         port: the bound port.
 
     Raises:
-        UsageError: if the ports are in use, or tornado is not installed.
+        UsageError: if no port can be bound, or tornado is not installed.
     """
 
     def __init__(
@@ -105,9 +106,9 @@ def _listen_on_free_port(port: int, port_count: int) -> List[Any]:
     """Return a listening socket on a port, or on one of the next ones if it is in use.
 
     Raises:
-        UsageError: if all ports are in use.
+        UsageError: if all ports are in use, or a port cannot be bound for another reason.
     """
-    ports = range(port, max(port + 1, min(port + port_count, _MAX_PORT_COUNT)))
+    ports = range(port, max(port + 1, min(port + port_count, _PORT_END)))
     for candidate in ports:
         try:
             return [_bind_socket(candidate)]

@@ -20,6 +20,9 @@ from .topic_statistics import InputStatus, OutputStatus
 MAX_STATUS_VALUES = 20
 """Maximum number of rules, queries and warnings that a status names."""
 
+MAX_VALUE_CHARACTERS = 1000
+"""Maximum number of characters of a text in a status."""
+
 MAX_LARGEST_RULES = 5
 """Number of rules with the largest buffers that a status names."""
 
@@ -158,7 +161,7 @@ class InputHealth:
             ("dropped", str(status.dropped)),
             ("refused", str(status.refused)),
         ]
-        level, message = self._level_and_reason(now, status, loss, rate)
+        level, message = self._determine_level(now, status, loss, rate)
         return Health(f"input {status.topic}", level, message, values)
 
     def retain_topics(self, topics: Collection[str]) -> None:
@@ -167,10 +170,11 @@ class InputHealth:
             topic: sample for topic, sample in self._first_samples.items() if topic in topics
         }
 
-    def _level_and_reason(
+    def _determine_level(
         self, now: float, status: InputStatus, loss: CounterTrend, rate: float
     ) -> Tuple[Level, str]:
-        interval, role = self._mean_interval(now, status), self._get_role(status.topic)
+        """Return the level of a topic, and the reason for it."""
+        interval, role = self._compute_mean_interval(now, status), self._get_role(status.topic)
         if role is InputRole.UNREAD:
             publisher = "" if status.publishers else "no publisher; "
             return Level.OK, f"{publisher}the program reads no message of it"
@@ -190,7 +194,7 @@ class InputHealth:
             return Level.STALE, f"no message for {status.age:.0f} s"
         return Level.OK, "no message yet" if status.age is None else f"{rate:.1f} messages/s"
 
-    def _mean_interval(self, now: float, status: InputStatus) -> Optional[float]:
+    def _compute_mean_interval(self, now: float, status: InputStatus) -> Optional[float]:
         """Return the mean interval between messages in seconds; None before the second message."""
         if status.age is None:
             self._first_samples.pop(status.topic, None)
@@ -295,12 +299,12 @@ class EngineHealth:
         failing = [rule for rule in status.rules if rule.errors]
         errors = sum(rule.errors for rule in failing)
         has_recent_errors = self._trends.record(now, "errors", errors).is_recent(now)
-        values = [(_rule_name(rule), counted(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]]
+        values = [(_name_rule(rule), counted(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]]
         if len(failing) > MAX_STATUS_VALUES:
             values.append(("further rules", str(len(failing) - MAX_STATUS_VALUES)))
         # Buffers of partial matches are the usual reason for growing memory.
         largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:MAX_LARGEST_RULES]
-        values += [(f"held by {_rule_name(rule)}", _buffer_text(rule)) for rule in largest if rule.waiting]
+        values += [(f"held by {_name_rule(rule)}", _format_buffers(rule)) for rule in largest if rule.waiting]
         total = len(status.rules) + status.left_out.rules
         if not failing:
             return Health("rules", Level.OK, f"{counted(total, 'rule')} without errors", values)
@@ -316,7 +320,7 @@ class EngineHealth:
         longest_wait = max((now - first_seen for first_seen in self._first_seen.values()), default=0.0)
         values = []
         for key, query in list(waiting_queries.items())[:MAX_STATUS_VALUES]:
-            lags = [f"{memory.id} {_lag_text(memory.behind)}" for memory in query.memories]
+            lags = [f"{memory.id} {_format_lag(memory.behind)}" for memory in query.memories]
             waiting_text = f"since {query.since / 1e9:.3f}, for {now - self._first_seen[key]:.0f} s"
             values.append((query.event, f"{waiting_text}: waits for {', '.join(lags)}"))
         query_count = len(status.waiting) + status.left_out.waiting
@@ -345,15 +349,15 @@ class EngineHealth:
         return [Health("transforms", Level.OK, counted(transforms.frames, "frame"), values)]
 
 
-def _buffer_text(rule: RuleStatus) -> str:
+def _format_buffers(rule: RuleStatus) -> str:
     return f"{counted(rule.waiting, 'item')}, {counted(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
 
 
-def _rule_name(rule: RuleStatus) -> str:
+def _name_rule(rule: RuleStatus) -> str:
     return " ".join(part for part in (rule.label, rule.place) if part) or rule.text
 
 
-def _lag_text(nanoseconds: Optional[int]) -> str:
+def _format_lag(nanoseconds: Optional[int]) -> str:
     return "(has no record)" if nanoseconds is None else f"({nanoseconds / 1e9:.3f} s behind)"
 
 
@@ -518,7 +522,3 @@ class Diagnostics:
 def _to_single_line(text: str) -> str:
     """Return a text as one line, without control characters."""
     return " ".join(printable(beginning(text, MAX_VALUE_CHARACTERS)).split("\n"))
-
-
-MAX_VALUE_CHARACTERS = 1000
-"""Maximum number of characters of one text."""
