@@ -107,9 +107,10 @@ MIN_VERSION = "7.6.4"
 
 PYPY_MESSAGE = "use_swi needs CPython: PyPy releases its global lock in each call of a C library"
 
-# Argument vector of SWI-Prolog: no signal handlers except the one that interrupts system calls, no user files.
 _ARGUMENTS = (b"swipl", b"--nosignals", b"-q", b"-f", b"none", b"-F", b"none", b"--nodebug")
+"""Argument vector of SWI-Prolog: no signal handlers except the one that interrupts system calls, no user files."""
 
+# The numbers are those of SWI-Prolog.h.
 NODEBUG, CATCH, STATUS = 0x4, 0x8, 0x40
 QUERY_FLAGS = NODEBUG | CATCH | STATUS
 """Flags of queries: exceptions are returned to the caller, and the last solution is marked."""
@@ -172,9 +173,8 @@ class SwiLibrary:
         self.open_query = declare("open_query", c_size_t, c_void_p, c_int, c_void_p, term)
         self.next_solution = declare("next_solution", c_int, c_size_t, library=releasing_library)
         self.close_query = declare("close_query", c_int, c_size_t, library=releasing_library)
-        self.close_finished_query = declare(
-            "close_query", c_int, c_size_t
-        )  # for a query that has no goals left to run
+        # Keeps the interpreter lock, for a query that has no cleanup goals left to run.
+        self.close_finished_query = declare("close_query", c_int, c_size_t)
         self.current_query = declare("current_query", c_size_t)
         self.exception = declare("exception", term, c_size_t)
         self.raise_exception = declare("raise_exception", c_int, term)
@@ -213,6 +213,7 @@ class SwiLibrary:
         self.get_functor = declare("get_functor", c_int, term, POINTER(c_size_t))
         self.get_argument = declare("get_arg", c_int, c_int, term, term)
         self.get_list = declare("get_list", c_int, term, term, term)
+        # Values that differ between versions; see `_detect_constants`. 2 is PL_ATOM in all of them.
         self.term_types: Dict[str, int] = {}
         self.utf8_flag = self.any_term_as_text = 0
         self.atom_flag = 2
@@ -238,7 +239,7 @@ class SwiLibrary:
 
     def _detect_constants(self) -> None:
         """Detect the constants of this version for term types and text flags, from samples."""
-        frame = self.open_frame()
+        foreign_frame = self.open_frame()
         ref = self.new_refs(2)
         self.term_types["variable"] = self.term_type(ref)
         samples = {"atom": b"a", "integer": b"1", "float": b"1.5", "nil": b"[]", "pair": b"[a]"}
@@ -258,7 +259,7 @@ class SwiLibrary:
             if was_read and ctypes.string_at(address.value or 0, length.value) == sample:
                 self.utf8_flag, self.any_term_as_text = flag, flag_text
                 break
-        self.discard_frame(frame)
+        self.discard_frame(foreign_frame)
 
 
 @lru_cache(maxsize=1)
@@ -519,25 +520,25 @@ class Interrupter:
     def _count_inferences(self, engine: int) -> int:
         """Return the number of inferences of an engine."""
         swi = self._swi
-        frame = swi.open_frame()
+        foreign_frame = swi.open_frame()
         ref = swi.new_refs(2)
         swi.unify_integer(ref, engine)
         count = c_int64()
         if swi.call_predicate(None, CATCH, swi.predicate(b"inferences", 2, BRIDGE_MODULE.encode()), ref):
             swi.get_integer(ref + 1, byref(count))
         swi.clear_exception()
-        swi.discard_frame(frame)
+        swi.discard_frame(foreign_frame)
         return count.value
 
     def _interrupt(self, limited_goal: LimitedGoal) -> None:
         """Raise an exception in a thread's goal, and end a system call in which it blocks."""
         swi = self._swi
-        frame = swi.open_frame()
+        foreign_frame = swi.open_frame()
         ref = swi.new_refs(2)
         swi.unify_integer(ref, limited_goal.engine)
         swi.unify_integer(ref + 1, 0 if limited_goal.interrupt_count <= _MAX_CATCHABLE_INTERRUPTS else 1)
         swi.call_predicate(None, CATCH, swi.predicate(b"interrupt", 2, BRIDGE_MODULE.encode()), ref)
         swi.clear_exception()
-        swi.discard_frame(frame)
+        swi.discard_frame(foreign_frame)
         # Ends a blocking system call with EINTR, after which SWI-Prolog handles the exception.
         signal.pthread_kill(limited_goal.thread_id, signal.SIGUSR2)

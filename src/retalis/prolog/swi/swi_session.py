@@ -53,7 +53,7 @@ _BRIDGE_FILE = Path(__file__).resolve().parent / "bridge.pl"
 """Prolog file that is loaded into SWI-Prolog at its start."""
 
 # `lru_cache` alone would let two threads start SWI-Prolog at once.
-_LOCK = Lock()
+_START_LOCK = Lock()
 
 
 class SwiRuntime(NamedTuple):
@@ -78,7 +78,7 @@ def start() -> SwiRuntime:
     Raises:
         UsageError: if it is not installed or does not start.
     """
-    with _LOCK:
+    with _START_LOCK:
         return _start_runtime()
 
 
@@ -146,7 +146,6 @@ class GoalLevel(NamedTuple):
     limited_goal: Optional[LimitedGoal]
 
 
-_LIMITED = functor("limited", 2)
 _FAILURE = atom("$retalis_failure")
 
 _CLEANUP_TIMEOUT_SECONDS = 1.0
@@ -195,7 +194,7 @@ class SwiEngine:
             self.number: int = swi.thread_self()
             self._terms = SwiTerms(swi)
             # The finalizer must not refer to the engine object, which it would keep alive.
-            finalize(self, _destroy, swi, self._engine, self._terms, self._destroyed).atexit = False
+            finalize(self, _destroy_engine, swi, self._engine, self._terms, self._destroyed).atexit = False
             self.limited_predicate: int = swi.predicate(b"limited", 2, BRIDGE_MODULE.encode())
             self._statistics_predicate = swi.predicate(b"statistics", 2, b"system")
         finally:
@@ -299,7 +298,7 @@ class SwiEngine:
         try:
             self._enter()
             if self._open_goals:
-                self._close_unneeded()
+                self._close_abandoned()
             foreign_frame = swi.open_frame()
             refs: Refs = {}
             first = ref = swi.new_refs(len(arguments) or 1)
@@ -326,6 +325,7 @@ class SwiEngine:
         return status != FAILED and (not bindings or machine.unify_all(*bindings))
 
     def _solutions(self, machine: Machine, open_goal: OpenGoal, bindings: Bindings) -> Iterator[object]:
+        """Yield at each solution of an open goal; ``bindings`` are those of the first one."""
         try:
             while True:
                 if machine.unify_all(*bindings):
@@ -352,7 +352,7 @@ class SwiEngine:
         try:
             self._enter()
             if self._open_goals[-1:] != [open_goal]:
-                self._close_unneeded()
+                self._close_abandoned()
             if self._open_goals[-1:] != [open_goal]:
                 raise RetalisError(
                     "solutions of an outer goal were requested while an inner one is still open"
@@ -363,7 +363,7 @@ class SwiEngine:
             bindings = None if status == FAILED else self._terms.read_values(open_goal.refs)
             if status == LAST_SOLVED:
                 open_goal.is_abandoned = True
-                self._close_unneeded()
+                self._close_abandoned()
             self._leave()
         except BaseException as error:
             self._restore(level, error)
@@ -443,17 +443,18 @@ class SwiEngine:
         level = self._level
         try:
             self._enter()
-            self._close_unneeded()
+            self._close_abandoned()
             self._leave()
         except BaseException as error:
             self._restore(level, error)
             raise
 
-    def _close_unneeded(self) -> None:
+    def _close_abandoned(self) -> None:
+        """Close the innermost goals of this level as long as no further solutions of them are needed."""
         while len(self._open_goals) > self._level.open_before and self._open_goals[-1].is_abandoned:
-            self._close_last()
+            self._close_innermost()
 
-    def _close_last(self) -> None:
+    def _close_innermost(self) -> None:
         open_goal = self._open_goals.pop()
         open_goal.is_closed = True
         self._close_query(open_goal.query)
@@ -522,7 +523,7 @@ class SwiEngine:
 
     def _close_all(self) -> None:
         while len(self._open_goals) > self._level.open_before:
-            self._close_last()
+            self._close_innermost()
 
     def _all_solutions(self, goal: Term) -> List[Term]:
         copies = []
@@ -612,7 +613,7 @@ class SwiProgram:
             return next(solutions, FAILED) is not FAILED
 
 
-def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, destroyed: List[bool]) -> None:
+def _destroy_engine(swi: SwiLibrary, engine: int, terms: SwiTerms, destroyed: List[bool]) -> None:
     """Destroy an engine and release its atoms; called from any thread."""
     destroyed.append(True)  # Solutions that are dropped later must not use the engine.
     previous_engine = c_void_p()
@@ -625,4 +626,5 @@ def _destroy(swi: SwiLibrary, engine: int, terms: SwiTerms, destroyed: List[bool
 
 
 def _is_same_error(stored_error: BaseException, ball: Term) -> bool:
+    """Return whether an exception of SWI-Prolog is an error that a callback has raised there."""
     return isinstance(stored_error, PrologError) and variant_key(stored_error.term) == variant_key(ball)

@@ -79,7 +79,7 @@ class TermParts:
         """Return the reference of the next part, or None after the last one."""
         raise NotImplementedError
 
-    def term(self) -> Term:
+    def build_term(self) -> Term:
         """Return the complete term."""
         raise NotImplementedError
 
@@ -88,32 +88,32 @@ class ListParts(TermParts):
     """Parts of a list: its items, then its tail.
 
     Attributes:
-        pending: whether an item has been taken from the list but not been read.
+        has_pending_item: whether an item has been taken from the list but not been read.
     """
 
-    __slots__ = ("_swi", "_item", "_ended", "pending")
+    __slots__ = ("_swi", "_item", "_has_ended", "has_pending_item")
 
     def __init__(self, swi: SwiLibrary, item: int):
         super().__init__()
         self._swi = swi
         self._item = item
-        self._ended = False
-        self.pending = False
+        self._has_ended = False
+        self.has_pending_item = False
 
     def next_part(self) -> Optional[int]:
         """Return the reference of the next part, see `TermParts`."""
         item = self._item
-        if self._ended:
+        if self._has_ended:
             return None
-        if self.pending:
-            self.pending = False
+        if self.has_pending_item:
+            self.has_pending_item = False
             return item
         if self._swi.get_list(item + 1, item, item + 1):
             return item
-        self._ended = True
+        self._has_ended = True
         return item + 1
 
-    def term(self) -> Term:
+    def build_term(self) -> Term:
         """Return the complete term, see `TermParts`."""
         return make_list(self.values[:-1], self.values[-1])
 
@@ -138,12 +138,12 @@ class ArgumentParts(TermParts):
         self._swi.get_argument(number, self._ref, self._argument)
         return self._argument
 
-    def term(self) -> Term:
+    def build_term(self) -> Term:
         """Return the complete term, see `TermParts`."""
         return (self._key, *self.values)
 
 
-class SeenVariable(TermParts):
+class MarkedVariable(TermParts):
     """A mark, which denotes a variable that has been read before; it has no parts."""
 
     __slots__ = ("_var",)
@@ -156,12 +156,12 @@ class SeenVariable(TermParts):
         """Return None, since there are no parts."""
         return None
 
-    def term(self) -> Term:
+    def build_term(self) -> Term:
         """Return the variable."""
         return self._var
 
 
-def require(result: int) -> int:
+def require_success(result: int) -> int:
     """Return the result of a function of SWI-Prolog.
 
     Raises:
@@ -173,8 +173,11 @@ def require(result: int) -> int:
 
 
 _CHECK_INTERVAL_MASK = len(STEPS_PER_ROUND) - 1
+"""Mask of a number of steps that is 0 where the limits are checked; the number per round is a power of 2."""
+
 _MIN_INTEGER, _MAX_INTEGER = -(1 << 63), (1 << 63) - 1
-_MARK = "$retalis_variable"
+_MARK_NAME = "$retalis_variable"
+"""Name of the functor that marks a variable that has been read."""
 
 Refs = Dict[Var, int]
 """References to terms of SWI-Prolog by variables of this package."""
@@ -188,46 +191,47 @@ class SwiTerms:
 
     def __init__(self, swi: SwiLibrary):
         self._swi = swi
-        self._handles = HandlesByTerm(swi.unregister_atom)
-        self._functors = HandlesByTerm(release_nothing)
-        self._atoms = TermsByHandle(swi.unregister_atom)
-        self._names = TermsByHandle(release_nothing)
+        self._atom_handles = HandlesByTerm(swi.unregister_atom)
+        self._functor_handles = HandlesByTerm(release_nothing)
+        self._atoms_by_handle = TermsByHandle(swi.unregister_atom)
+        self._functors_by_handle = TermsByHandle(release_nothing)
         self._put_functions: Dict[type, Callable[[int, Any], int]] = {
             int: self._put_integer,
             float: swi.unify_float,
             Atom: self._put_atom,
             String: self._put_string,
         }
-        kinds = swi.term_types
-        self._variable, self._compound, self._pair = (
-            kinds["variable"],
-            kinds["compound"],
-            kinds["pair"],
+        term_types = swi.term_types
+        self._variable_type, self._compound_type, self._pair_type = (
+            term_types["variable"],
+            term_types["compound"],
+            term_types["pair"],
         )
         self._read_functions: Dict[int, Callable[[int], Term]] = {
-            kinds["atom"]: self._read_atom,
-            kinds["integer"]: self._read_integer,
-            kinds["float"]: self._read_float,
-            kinds["string"]: self._read_string,
-            kinds["nil"]: lambda ref: NIL,
+            term_types["atom"]: self._read_atom,
+            term_types["integer"]: self._read_integer,
+            term_types["float"]: self._read_float,
+            term_types["string"]: self._read_string,
+            term_types["nil"]: lambda ref: NIL,
         }
+        # Buffers for results of C functions, and pointers to them.
         self._word, self._long, self._double = c_size_t(), c_int64(), c_double()
-        self._length, self._place, self._arity = c_size_t(), c_void_p(), c_int()
+        self._length, self._address, self._arity = c_size_t(), c_void_p(), c_int()
         self._to_word, self._to_long, self._to_double = (
             byref(self._word),
             byref(self._long),
             byref(self._double),
         )
-        self._to_length, self._to_place = byref(self._length), byref(self._place)
+        self._to_length, self._to_address = byref(self._length), byref(self._address)
         self._to_arity = byref(self._arity)
-        self._mark = swi.new_functor(self.handle(atom(_MARK)), 1)
+        self._mark_functor = swi.new_functor(self.handle(atom(_MARK_NAME)), 1)
         self._marked_variables: List[Var] = []
         self._is_lenient = False
 
     def release(self) -> None:
         """Release all atoms."""
-        self._handles.clear()
-        self._atoms.clear()
+        self._atom_handles.clear()
+        self._atoms_by_handle.clear()
 
     # To SWI-Prolog
 
@@ -245,20 +249,20 @@ class SwiTerms:
         term = deref(term)
         put = self._put_functions.get(term.__class__)
         if put is not None:
-            require(put(ref, term))
+            require_success(put(ref, term))
         elif term.__class__ is Var:
             self._put_variable(ref, term, refs)
         else:
-            self._put_large(ref, term, refs)
+            self._put_compound(ref, term, refs)
 
     def _put_variable(self, ref: int, var: Var, refs: Refs) -> None:
         stored_ref = refs.setdefault(var, ref)
         if stored_ref != ref:
-            require(self._swi.unify(ref, stored_ref))
+            require_success(self._swi.unify(ref, stored_ref))
 
-    def _put_large(self, ref: int, root: Term, refs: Refs) -> None:
+    def _put_compound(self, ref: int, root: Term, refs: Refs) -> None:
         """Bind a variable to a term that may be compound, from the outside to the inside."""
-        swi, puts = self._swi, self._put_functions
+        swi, put_functions = self._swi, self._put_functions
         stack = [(ref, root)]
         steps = 0
         while stack:
@@ -269,18 +273,18 @@ class SwiTerms:
                 if steps > MAX_STEPS:
                     raise TermTooLarge
             term = deref(term)
-            put = puts.get(term.__class__)
+            put = put_functions.get(term.__class__)
             if put is not None:
-                require(put(ref, term))
+                require_success(put(ref, term))
             elif term.__class__ is Var:
                 self._put_variable(ref, term, refs)
             elif term.__class__ is tuple:
                 count = len(term) - 1
-                first = require(swi.new_refs(count))
+                first = require_success(swi.new_refs(count))
                 if term[0] is CONS:
-                    require(swi.unify_list(ref, first, first + 1))
+                    require_success(swi.unify_list(ref, first, first + 1))
                 else:
-                    require(swi.unify_functor(ref, self._functor_handle(term[0])))
+                    require_success(swi.unify_functor(ref, self._functor_handle(term[0])))
                     # The arguments of the new functor are unbound variables, which are bound by the next steps.
                     for number in range(count):
                         swi.get_argument(number + 1, ref, first + number)
@@ -288,7 +292,7 @@ class SwiTerms:
                 # right.
                 stack += [(first + number, term[number + 1]) for number in range(count - 1, -1, -1)]
             elif isinstance(term, int):
-                require(self._put_integer(ref, int(term)))
+                require_success(self._put_integer(ref, int(term)))
             else:
                 raise representation_error(
                     "term", f"SWI-Prolog cannot represent a value of type {type(term).__name__}"
@@ -298,25 +302,25 @@ class SwiTerms:
         if _MIN_INTEGER <= value <= _MAX_INTEGER:
             return self._swi.unify_integer(ref, value)  # type: ignore[no-any-return]
         # The text is hexadecimal, because the conversion of a long integer to decimal takes quadratic time.
-        read = require(self._swi.new_refs(1))
-        require(self._swi.parse_term(hex(value).encode(), read))
-        return self._swi.unify(ref, read)  # type: ignore[no-any-return]
+        parsed_ref = require_success(self._swi.new_refs(1))
+        require_success(self._swi.parse_term(hex(value).encode(), parsed_ref))
+        return self._swi.unify(ref, parsed_ref)  # type: ignore[no-any-return]
 
     def _put_atom(self, ref: int, value: Atom) -> int:
         # The empty list of SWI-Prolog is a constant of its own, not an atom.
         if value is NIL:
             return self._swi.unify_nil(ref)  # type: ignore[no-any-return]
-        handle = self._handles.get(value)
+        handle = self._atom_handles.get(value)
         if handle is not None:
             return self._swi.unify_atom(ref, handle)  # type: ignore[no-any-return]
-        text = _encoded(value.name)
+        text = _encode(value.name)
         result: int = self._swi.unify_text(ref, self._swi.atom_flag | self._swi.utf8_flag, len(text), text)
         if result and self._swi.get_atom(ref, self._to_word):
-            self._cache_handle(self._handles, value, self._word.value, len(text))
+            self._cache_handle(self._atom_handles, value, self._word.value, len(text))
         return result
 
     def _put_string(self, ref: int, value: String) -> int:
-        text = _encoded(value.text)
+        text = _encode(value.text)
         swi = self._swi
         return swi.unify_text(ref, swi.term_types["string"] | swi.utf8_flag, len(text), text)  # type: ignore[no-any-return]
 
@@ -329,20 +333,20 @@ class SwiTerms:
             self._swi.unregister_atom(handle)
 
     def _functor_handle(self, key: Functor) -> int:
-        handle = self._functors.get(key)
+        handle = self._functor_handles.get(key)
         if handle is None:
             handle = self._swi.new_functor(self.handle(atom(key.name)), key.arity)
-            self._functors.store(key, handle, len(key.name))
+            self._functor_handles.store(key, handle, len(key.name))
         return handle
 
     def handle(self, value: Atom) -> int:
         """Return the handle of an atom. It is valid only while a term or the cache holds the atom."""
-        ref = require(self._swi.new_refs(1))
+        ref = require_success(self._swi.new_refs(1))
         if value is NIL:  # the empty list of SWI-Prolog is not the atom '[]', which is the name of a functor
-            require(self._swi.unify_text(ref, self._swi.atom_flag | self._swi.utf8_flag, 2, b"[]"))
+            require_success(self._swi.unify_text(ref, self._swi.atom_flag | self._swi.utf8_flag, 2, b"[]"))
         else:
-            require(self._put_atom(ref, value))
-        require(self._swi.get_atom(ref, self._to_word))
+            require_success(self._put_atom(ref, value))
+        require_success(self._swi.get_atom(ref, self._to_word))
         return self._word.value
 
     # From SWI-Prolog
@@ -358,17 +362,21 @@ class SwiTerms:
 
     def read_values(self, refs: Refs) -> Bindings:
         """Return the values of variables, without those that are still unbound and differ from the others."""
-        reads, kind_of, variable = self._read_functions, self._swi.term_type, self._variable
+        read_functions, term_type_of, variable_type = (
+            self._read_functions,
+            self._swi.term_type,
+            self._variable_type,
+        )
         # All values of a solution share their variables, so the marks are reset only here.
         self._marked_variables = []
         self._is_lenient = False
         values = []
         for var, ref in refs.items():
-            term_type = kind_of(ref)
-            read = reads.get(term_type)
+            term_type = term_type_of(ref)
+            read = read_functions.get(term_type)
             if read is not None:
                 values.append((var, read(ref)))
-            elif term_type == variable:
+            elif term_type == variable_type:
                 self._mark_variable(ref, var)
             else:
                 values.append((var, self._read_compound(ref, term_type)))
@@ -388,18 +396,18 @@ class SwiTerms:
             return read(ref)
         return (
             self._mark_variable(ref, Var())
-            if term_type == self._variable
+            if term_type == self._variable_type
             else self._read_compound(ref, term_type)
         )
 
     def _read_compound(self, ref: int, term_type: int) -> Term:
         """Return a term that is neither a constant nor a variable."""
-        if term_type not in (self._compound, self._pair):
+        if term_type not in (self._compound_type, self._pair_type):
             return self._read_unsupported(ref, term_type)
         # Checked first, since the conversion of a cyclic term would not end before its limit.
         if not self._swi.is_acyclic(ref):
             raise TermTooLarge
-        return self._read_large(ref, term_type)
+        return self._read_compound_term(ref, term_type)
 
     def _mark_variable(self, ref: int, var: Var) -> Var:
         swi = self._swi
@@ -412,15 +420,17 @@ class SwiTerms:
                 )
             return var
         # The mark is a compound term with an integer, which cannot be confused with a term of the program.
-        inner = require(swi.new_refs(1))
-        require(swi.unify_functor(ref, self._mark) and swi.get_argument(1, ref, inner))
-        require(swi.unify_integer(inner, len(self._marked_variables)))
+        mark_argument = require_success(swi.new_refs(1))
+        require_success(
+            swi.unify_functor(ref, self._mark_functor) and swi.get_argument(1, ref, mark_argument)
+        )
+        require_success(swi.unify_integer(mark_argument, len(self._marked_variables)))
         self._marked_variables.append(var)
         return var
 
-    def _read_large(self, ref: int, term_type: int) -> Term:
+    def _read_compound_term(self, ref: int, term_type: int) -> Term:
         stack: List[TermParts] = []
-        top = self._make_parts(ref, term_type)
+        parts = self._make_parts(ref, term_type)
         steps = 0
         while True:
             steps += 1
@@ -428,61 +438,61 @@ class SwiTerms:
                 check_limits()
                 if steps > MAX_STEPS:
                     raise TermTooLarge
-            part = top.next_part()
+            part = parts.next_part()
             if part is None:
-                term = top.term()
+                term = parts.build_term()
                 if not stack:
                     return term
-                top = stack.pop()
-                top.values.append(term)
+                parts = stack.pop()
+                parts.values.append(term)
                 continue
             term_type = self._swi.term_type(part)
             read = self._read_functions.get(term_type)
             if read is not None:
-                top.values.append(read(part))
-            elif term_type in (self._compound, self._pair):
-                stack.append(top)
-                top = self._make_parts(part, term_type)
+                parts.values.append(read(part))
+            elif term_type in (self._compound_type, self._pair_type):
+                stack.append(parts)
+                parts = self._make_parts(part, term_type)
             else:
-                top.values.append(
+                parts.values.append(
                     self._mark_variable(part, Var())
-                    if term_type == self._variable
+                    if term_type == self._variable_type
                     else self._read_unsupported(part, term_type)
                 )
 
     def _make_parts(self, ref: int, term_type: int) -> "TermParts":
         """Return the iterator over the parts of a compound term."""
         swi = self._swi
-        if term_type == self._pair:
-            items = require(swi.new_refs(2))
+        if term_type == self._pair_type:
+            items = require_success(swi.new_refs(2))
             swi.copy_ref(items + 1, ref)
             parts = ListParts(swi, items)
-            parts.pending = self._read_constants(items, parts.values)
+            parts.has_pending_item = self._read_constants(items, parts.values)
             return parts
         swi.get_functor(ref, self._to_word)
         handle = self._word.value
-        argument = require(swi.new_refs(1))
+        argument = require_success(swi.new_refs(1))
         # A mark denotes a variable that has been read before.
-        if handle == self._mark:
+        if handle == self._mark_functor:
             swi.get_argument(1, ref, argument)
             swi.get_integer(argument, self._to_long)
-            return SeenVariable(self._marked_variables[self._long.value])
-        key = self._names.get(handle)
+            return MarkedVariable(self._marked_variables[self._long.value])
+        key = self._functors_by_handle.get(handle)
         if key is None:
             key = self._read_functor(ref)
-            self._names.store(handle, key, len(key.name))
+            self._functors_by_handle.store(handle, key, len(key.name))
         return ArgumentParts(swi, ref, argument, key)
 
     def _read_constants(self, item: int, values: List[Term]) -> bool:
         """Read the leading constants of a list; return whether an item follows that is not a constant."""
-        reads, kind_of, get_list = self._read_functions, self._swi.term_type, self._swi.get_list
+        read_functions, term_type_of, get_list = self._read_functions, self._swi.term_type, self._swi.get_list
         # Lists of constants, the most common ones, need no stack entry per item.
         tail = item + 1
         while len(values) <= MAX_STEPS:
             for _ in STEPS_PER_ROUND:
                 if not get_list(tail, item, tail):
                     return False
-                read = reads.get(kind_of(item))
+                read = read_functions.get(term_type_of(item))
                 if read is None:
                     return True
                 values.append(read(item))
@@ -496,23 +506,23 @@ class SwiTerms:
             raise representation_error(
                 "arity", "a compound term without arguments, such as f(), is not supported"
             )
-        return functor(self._name(handle), arity)
+        return functor(self._atom_name(handle), arity)
 
-    def _name(self, handle: int) -> str:
-        ref = require(self._swi.new_refs(1))
+    def _atom_name(self, handle: int) -> str:
+        ref = require_success(self._swi.new_refs(1))
         self._swi.unify_atom(ref, handle)
-        return self._text(ref, ATOM_TEXT)
+        return self._read_text(ref, ATOM_TEXT)
 
     def _read_atom(self, ref: int) -> Term:
         self._swi.get_atom(ref, self._to_word)
         handle = self._word.value
-        cached_atom: Optional[Atom] = self._atoms.get(handle)
+        cached_atom: Optional[Atom] = self._atoms_by_handle.get(handle)
         if cached_atom is not None:
             return cached_atom
-        term = atom(self._text(ref, ATOM_TEXT))
+        term = atom(self._read_text(ref, ATOM_TEXT))
         self._swi.register_atom(handle)
-        self._atoms.store(handle, term, len(term.name))
-        if handle not in self._atoms:
+        self._atoms_by_handle.store(handle, term, len(term.name))
+        if handle not in self._atoms_by_handle:
             self._swi.unregister_atom(handle)
         return term
 
@@ -521,7 +531,7 @@ class SwiTerms:
         if self._swi.get_integer(ref, self._to_long):
             return self._long.value
         try:
-            return integer(self._text(ref, INTEGER_TEXT))
+            return integer(self._read_text(ref, INTEGER_TEXT))
         except ValueError:
             raise TermTooLarge from None
 
@@ -530,27 +540,27 @@ class SwiTerms:
         return self._double.value
 
     def _read_string(self, ref: int) -> Term:
-        return String(self._text(ref, STRING_TEXT))
+        return String(self._read_text(ref, STRING_TEXT))
 
-    def _text(self, ref: int, flags: int) -> str:
-        if not self._swi.get_text(ref, self._to_length, self._to_place, flags | self._swi.utf8_flag):
+    def _read_text(self, ref: int, flags: int) -> str:
+        if not self._swi.get_text(ref, self._to_length, self._to_address, flags | self._swi.utf8_flag):
             raise resource_error("memory")
-        return string_at(self._place.value or 0, self._length.value).decode("utf-8", "surrogatepass")
+        return string_at(self._address.value or 0, self._length.value).decode("utf-8", "surrogatepass")
 
     def _read_unsupported(self, ref: int, term_type: int) -> Term:
         """Return the text of a term that cannot be represented, or raise an error, unless reading is lenient."""
         if self._is_lenient:
-            return atom(self._text(ref, self._swi.any_term_as_text))
+            return atom(self._read_text(ref, self._swi.any_term_as_text))
         names = {
             self._swi.term_types["rational"]: "a rational number",
             self._swi.term_types["dict"]: "a dict",
         }
         description = names.get(term_type, "a stream, a clause or another handle")
-        text = beginning(self._text(ref, self._swi.any_term_as_text))
+        text = beginning(self._read_text(ref, self._swi.any_term_as_text))
         raise representation_error(
             "term", f"{description} of SWI-Prolog cannot be converted to a term: '{text}'"
         )
 
 
-def _encoded(text: str) -> bytes:
+def _encode(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")

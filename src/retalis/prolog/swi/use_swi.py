@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _AS = functor("as", 2)
 _LIBRARY = functor("library", 1)
-_STATE = "swi"
+_STATE_KEY = "swi"
 """Key of the `SwiProgram` in `PrologSystem.state`."""
 
 
@@ -32,12 +32,12 @@ class SwiFile(NamedTuple):
     Attributes:
         name: absolute path, or the text of the library term.
         source: the same as a term.
-        wanted: list of predicate indicators; an empty list means all exported predicates.
+        imports: list of predicate indicators; an empty list means all exported predicates.
     """
 
     name: str
     source: Term
-    wanted: Term
+    imports: Term
 
     @property
     def is_path(self) -> bool:
@@ -46,7 +46,13 @@ class SwiFile(NamedTuple):
 
 
 class ImportedPredicate(NamedTuple):
-    """A predicate of SWI-Prolog, with the functor under which the program calls it."""
+    """A predicate of SWI-Prolog.
+
+    Attributes:
+        name: its name in SWI-Prolog.
+        arity: its arity.
+        key: the functor by which the program calls it.
+    """
 
     name: str
     arity: int
@@ -54,34 +60,34 @@ class ImportedPredicate(NamedTuple):
 
 
 def define_use_swi(
-    logic: PrologSystem, files: "SourceFiles", allowed: bool, warn: Callable[[object], None]
+    logic: PrologSystem, files: "SourceFiles", is_allowed: bool, warn: Callable[[object], None]
 ) -> None:
     """Define ``use_swi(File)`` and ``use_swi(File, Predicates)``.
 
     Args:
         logic: program in which they are defined.
         files: files of the program.
-        allowed: whether files of the program may use them while they are loaded; goals that run later never may.
+        is_allowed: whether files of the program may use them while they are loaded; goals that run later never may.
         warn: called with each warning of SWI-Prolog about a file.
     """
 
-    def use_all(machine: Machine, spec: Term) -> bool:
-        return use(machine, spec, NIL)
+    def import_all(machine: Machine, spec: Term) -> bool:
+        return import_selected(machine, spec, NIL)
 
-    def use(machine: Machine, spec: Term, imports: Term) -> bool:
-        reason = "" if allowed else "the setting allow_swi is off"
+    def import_selected(machine: Machine, spec: Term, imports: Term) -> bool:
+        reason = "" if is_allowed else "the setting allow_swi is off"
         # A goal of a service could otherwise run arbitrary code of SWI-Prolog, which has no sandbox.
         if not files.sandbox.is_loading:
             reason = "SWI-Prolog loads only what the program's own files ask for, while they are being loaded"
         if reason:
             raise permission_error("load", "swi_file", deref(spec), reason)
-        source = _source(spec, files)
+        source = _resolve_source(spec, files)
         name = source.name if isinstance(source, Atom) else logic.show(source)
         use_swi(logic, SwiFile(name, source, copy(imports)), warn)
         return True
 
-    logic.define("use_swi", 1, use_all).is_locked = True
-    logic.define("use_swi", 2, use).is_locked = True
+    logic.define("use_swi", 1, import_all).is_locked = True
+    logic.define("use_swi", 2, import_selected).is_locked = True
 
 
 def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) -> None:
@@ -96,8 +102,8 @@ def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) 
         UsageError: if SWI-Prolog is not installed, or the file has errors or exports nothing.
         PrologError: if a predicate does not exist, or has the name of a built-in predicate.
     """
-    predicates = _imported_predicates(file.wanted)
-    program = _program(logic)
+    predicates = _parse_imports(file.imports)
+    program = _get_program(logic)
     module, exported = _load(program, file, warn)
     predicates = predicates or exported
     if not predicates:
@@ -111,18 +117,18 @@ def use_swi(logic: PrologSystem, file: SwiFile, warn: Callable[[object], None]) 
     logic.swi_files[file.name] = file
 
 
-def _program(logic: PrologSystem) -> "SwiProgram":
+def _get_program(logic: PrologSystem) -> "SwiProgram":
     """Return the `SwiProgram` of a program, and start SWI-Prolog if necessary."""
     # Imported here, so that programs without `use_swi` load neither SWI-Prolog nor its interface.
     from .swi_session import SwiProgram, start  # noqa: PLC0415
 
-    program: Optional[SwiProgram] = logic.state.get(_STATE)
+    program: Optional[SwiProgram] = logic.state.get(_STATE_KEY)
     if program is None:
-        program = logic.state[_STATE] = SwiProgram(logic, start())
+        program = logic.state[_STATE_KEY] = SwiProgram(logic, start())
     return program
 
 
-def _source(spec: Term, files: "SourceFiles") -> Term:
+def _resolve_source(spec: Term, files: "SourceFiles") -> Term:
     """Return the term to load: a library term unchanged, or the absolute path of a file.
 
     Raises:
@@ -140,16 +146,17 @@ def _source(spec: Term, files: "SourceFiles") -> Term:
     return atom(str(path))
 
 
-def _imported_predicates(term: Term) -> List[ImportedPredicate]:
+def _parse_imports(term: Term) -> List[ImportedPredicate]:
     """Return the predicates of a list of predicate indicators."""
     items = list_items(deref(term))
     if items is None:
         raise type_error("list", deref(term))
-    return [_imported_predicate(item) for item in items]
+    return [_parse_import(item) for item in items]
 
 
-def _imported_predicate(indicator_of: Term) -> ImportedPredicate:
-    item: Any = deref(indicator_of)
+def _parse_import(term: Term) -> ImportedPredicate:
+    """Return the predicate of an indicator, or of ``Indicator as Name``."""
+    item: Any = deref(term)
     local_name: Optional[Term] = None
     if item.__class__ is tuple and item[0] is _AS:
         item, local_name = deref(item[1]), deref(item[2])
@@ -175,14 +182,14 @@ def _load(
         raise UsageError(f"SWI-Prolog cannot load {file.name}")
     errors: List[str] = []
     for problem in to_python(problems):
-        kind, text = problem.args
-        if kind == "error":
+        severity, text = problem.args
+        if severity == "error":
             errors.append(text)
         else:
             warn(text)
     if errors:
         raise UsageError(f"SWI-Prolog cannot load {file.name}: {'; '.join(errors)}")
-    return to_python(module), [_imported_predicate(item) for item in list_items(exports) or []]
+    return to_python(module), [_parse_import(item) for item in list_items(exports) or []]
 
 
 def _check_import(
